@@ -1,0 +1,1 @@
+"""The operator's desk: the only room that knows all the others."""

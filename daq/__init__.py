@@ -1,0 +1,1 @@
+"""Everything that keeps what was measured."""

@@ -1,0 +1,160 @@
+"""What was measured with what: channels, scales, coupling, the ball, declared effects, local g.
+
+Stored, resolved, in every recording, so that the analysis needs no rig. The rule kept here: every number that
+scales a measurement is a `Quantity` that can carry its uncertainty, date and source; nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+
+ACCELEROMETER_UNITS_V_PER_MPS2: dict[str, float] = {
+    "V/g": 1.0 / STANDARD_GRAVITY_MPS2,
+    "mV/g": 1e-3 / STANDARD_GRAVITY_MPS2,
+    "V/(m/s^2)": 1.0,
+    "mV/(m/s^2)": 1e-3,
+}
+
+
+class Frozen(BaseModel):
+    """Strict and immutable: an unknown key, a wrong type or a non-finite number is refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _bare_number(value: Any) -> Any:
+    """Let a profile write ``x = 0.3`` for ``x = {value = 0.3}``."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return {"value": value}
+    return value
+
+
+class QuantityTable(Frozen):
+    """A number with its pedigree."""
+
+    value: float
+    uncertainty: float = Field(default=0.0, ge=0.0, description="one standard deviation, in the unit of the value")
+    date: datetime.date | None = None
+    source: str = ""
+
+
+Quantity = Annotated[QuantityTable, BeforeValidator(_bare_number)]
+
+
+def _q(value: float, uncertainty: float = 0.0) -> QuantityTable:
+    return QuantityTable(value=value, uncertainty=uncertainty)
+
+
+class Sampling(Frozen):
+    """Sampling of all channels."""
+
+    rate_hz: float = Field(default=20000.0, gt=0)
+
+
+class Forcing(Frozen):
+    """Plate displacement ``A [b1 sin(wt + p1) + b2 sin(c wt + p2)]``; the defaults are the paper's superposition."""
+
+    frequency_hz: float = Field(gt=0)
+    ratio: int = Field(default=1, ge=1, description="c, the second tone's multiple of the first")
+    amplitude: tuple[float, float] = Field(default=(1.0, 1.0), description="b1, b2: displacement relative to A")
+    phase_deg: tuple[float, float] = (0.0, 0.0)
+
+    def displacement_tones(self) -> tuple[tuple[int, complex], ...]:
+        """Tones of ``x_p / A`` as ``(multiple, amplitude)``, meaning ``Re[amplitude exp(i multiple w t)]``.
+
+        At c = 1 the two tones are one: only their complex sum exists.
+        """
+        b, p = self.amplitude, [math.radians(d) for d in self.phase_deg]
+        first, second = (-1j * bi * complex(math.cos(pi), math.sin(pi)) for bi, pi in zip(b, p, strict=True))
+        if self.ratio == 1:
+            return ((1, first + second),)
+        return ((1, first), (self.ratio, second))
+
+
+class Drive(Frozen):
+    """Scale from drive volts to plate acceleration (in units of the local g, positive up), flat over the tones.
+
+    ``a_p / g = g_per_volt * exp(i phase) * drive_v``, for each tone; ``g_per_volt = None`` says nobody measured it.
+    """
+
+    g_per_volt: Quantity | None = None
+    phase_deg: Quantity = _q(0.0)
+
+
+class ContinuityChannel(Frozen):
+    """The contact circuit: ``open_v`` in the air, ``closed_v`` in contact."""
+
+    terminal: str = ""
+    coupling: Literal["dc", "ac"] = "dc"
+    range_v: float = Field(default=10.0, gt=0)
+    open_v: float = 5.0
+    closed_v: float = 0.0
+    serial_number: str = ""
+
+
+class AccelerometerChannel(Frozen):
+    """The plate's accelerometer: ``volts = offset_v + sensitivity * sign * (a_p + g if reads_gravity)``."""
+
+    terminal: str = ""
+    coupling: Literal["dc", "ac"] = "dc"
+    range_v: float = Field(default=10.0, gt=0)
+    sensitivity: Quantity
+    unit: Literal["V/g", "mV/g", "V/(m/s^2)", "mV/(m/s^2)"]
+    offset_v: Quantity | None = Field(default=None, description="reading at zero; None says unknown")
+    reads_gravity: bool = False
+    sign: Literal[-1, 1] = 1
+    serial_number: str = ""
+
+    @property
+    def volts_per_mps2(self) -> float:
+        """Signed sensitivity in V/(m/s^2); the unit's g is the standard gravity of data sheets."""
+        return self.sign * self.sensitivity.value * ACCELEROMETER_UNITS_V_PER_MPS2[self.unit]
+
+
+class DriveChannel(Frozen):
+    """The looped-back drive voltage."""
+
+    terminal: str = ""
+    coupling: Literal["dc", "ac"] = "dc"
+    range_v: float = Field(default=10.0, gt=0)
+    serial_number: str = ""
+
+
+class Channels(Frozen):
+    """The recorded channels; continuity may be absent (then only the plate is analysed)."""
+
+    continuity: ContinuityChannel | None = ContinuityChannel()
+    accelerometer: AccelerometerChannel
+    drive: DriveChannel = DriveChannel()
+
+
+class Ball(Frozen):
+    """The block on its rod."""
+
+    mass_kg: float = Field(gt=0)
+
+
+class Setup(Frozen):
+    """The measuring part of a rig profile, resolved."""
+
+    name: str
+    description: str = ""
+    g_mps2: Quantity = _q(STANDARD_GRAVITY_MPS2, 1e-3)
+    sampling: Sampling = Sampling()
+    forcing: Forcing
+    drive: Drive = Drive()
+    channels: Channels
+    ball: Ball
+    declared: dict[str, dict[str, Quantity]] = Field(
+        default_factory=dict, description="known effects by name, each with its parameters"
+    )
+
+    def declared_values(self) -> dict[str, dict[str, float]]:
+        """Declared effects as plain numbers, for `model.effects`."""
+        return {name: {key: q.value for key, q in table.items()} for name, table in self.declared.items()}

@@ -1,0 +1,1 @@
+"""What the ideal ball would do, and each effect that may be added to it."""

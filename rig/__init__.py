@@ -1,0 +1,1 @@
+"""Everything that moves the plate; never imports `model` or `analysis`."""

@@ -1,0 +1,1 @@
+"""One file per back end, behind the protocol of `rig.backends.base`."""

@@ -1,0 +1,1 @@
+"""The simulated rig: its own physics, which sees drive samples only."""
