@@ -8,9 +8,19 @@ from __future__ import annotations
 
 import datetime
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
@@ -35,16 +45,36 @@ def _bare_number(value: Any) -> Any:
     return value
 
 
+def _iso_date(value: Any) -> Any:
+    """Take ``2026-11-20`` as text for the date it writes."""
+    return datetime.date.fromisoformat(value) if isinstance(value, str) else value
+
+
 class QuantityTable(Frozen):
     """A number with its pedigree."""
 
     value: float
     uncertainty: float = Field(default=0.0, ge=0.0, description="one standard deviation, in the unit of the value")
-    date: datetime.date | None = None
+    date: Annotated[datetime.date | None, BeforeValidator(_iso_date)] = None
     source: str = ""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Editors accept the bare number as well."""
+        return {"anyOf": [{"type": "number"}, handler.resolve_ref_schema(handler(core_schema))]}
 
 
 Quantity = Annotated[QuantityTable, BeforeValidator(_bare_number)]
+
+
+def _positive_quantity(quantity: QuantityTable) -> QuantityTable:
+    """Refuse a scale that is not greater than zero."""
+    if quantity.value <= 0.0:
+        raise ValueError(f"wanted a value greater than 0, came {quantity.value:g}")
+    return quantity
+
+
+PositiveQuantity = Annotated[Quantity, AfterValidator(_positive_quantity)]
 
 
 def _q(value: float, uncertainty: float = 0.0) -> QuantityTable:
@@ -65,6 +95,13 @@ class Forcing(Frozen):
     amplitude: tuple[float, float] = Field(default=(1.0, 1.0), description="b1, b2: displacement relative to A")
     phase_deg: tuple[float, float] = (0.0, 0.0)
 
+    @model_validator(mode="after")
+    def _moves(self) -> Self:
+        """Refuse tones that cancel: `gamma` would mean nothing."""
+        if sum(abs(amplitude) for _, amplitude in self.displacement_tones()) < 1e-9:
+            raise ValueError("the two tones cancel: amplitude and phase_deg must leave the plate a motion")
+        return self
+
     def displacement_tones(self) -> tuple[tuple[int, complex], ...]:
         """Tones of ``x_p / A`` as ``(multiple, amplitude)``, meaning ``Re[amplitude exp(i multiple w t)]``.
 
@@ -83,7 +120,7 @@ class Drive(Frozen):
     ``a_p / g = g_per_volt * exp(i phase) * drive_v``, for each tone; ``g_per_volt = None`` says nobody measured it.
     """
 
-    g_per_volt: Quantity | None = None
+    g_per_volt: PositiveQuantity | None = None
     phase_deg: Quantity = _q(0.0)
 
 
@@ -97,6 +134,15 @@ class ContinuityChannel(Frozen):
     closed_v: float = 0.0
     serial_number: str = ""
 
+    @model_validator(mode="after")
+    def _levels(self) -> Self:
+        """Refuse levels that cannot be told apart or read."""
+        if self.open_v == self.closed_v:
+            raise ValueError(f"open_v and closed_v are both {self.open_v:g} V: contact could not be told from flight")
+        if max(abs(self.open_v), abs(self.closed_v)) > self.range_v:
+            raise ValueError(f"open_v or closed_v lies outside range_v = {self.range_v:g} V")
+        return self
+
 
 class AccelerometerChannel(Frozen):
     """The plate's accelerometer: ``volts = offset_v + sensitivity * sign * (a_p + g if reads_gravity)``."""
@@ -104,7 +150,7 @@ class AccelerometerChannel(Frozen):
     terminal: str = ""
     coupling: Literal["dc", "ac"] = "dc"
     range_v: float = Field(default=10.0, gt=0)
-    sensitivity: Quantity
+    sensitivity: PositiveQuantity
     unit: Literal["V/g", "mV/g", "V/(m/s^2)", "mV/(m/s^2)"]
     offset_v: Quantity | None = Field(default=None, description="reading at zero; None says unknown")
     reads_gravity: bool = False
@@ -145,7 +191,7 @@ class Setup(Frozen):
 
     name: str
     description: str = ""
-    g_mps2: Quantity = _q(STANDARD_GRAVITY_MPS2, 1e-3)
+    g_mps2: PositiveQuantity = _q(STANDARD_GRAVITY_MPS2, 1e-3)
     sampling: Sampling = Sampling()
     forcing: Forcing
     drive: Drive = Drive()

@@ -1,0 +1,163 @@
+"""A rig profile: what is measured with what (`daq.setup.Setup`), and how the plate is to be moved.
+
+The rule kept here: a profile is checked whole before anything uses it, and what a *rig* can do is said by its
+``[limits]``, not by the parser: any frequency and any ratio c >= 1 are profiles (other people's rigs are not ours).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+
+from daq.setup import Frozen, Setup
+from daq.strict_toml import load_toml, parse_toml
+
+MAX_STEPS = 100_000
+
+
+class GammaTable(Frozen):
+    """Evenly spaced gammas, both ends included."""
+
+    start: float = Field(ge=0)
+    stop: float = Field(ge=0)
+    steps: int = Field(ge=1, le=MAX_STEPS)
+
+    @model_validator(mode="after")
+    def _one_step(self) -> Self:
+        """Refuse a span that one step cannot cover."""
+        if self.steps == 1 and self.start != self.stop:
+            raise ValueError(f"one step cannot go from {self.start:g} to {self.stop:g}: give steps >= 2")
+        return self
+
+    def values(self) -> tuple[float, ...]:
+        """The gammas, rounded where only binary noise is left (0.7, not 0.7000000000000001)."""
+        return tuple(float(round(x, 12)) for x in np.linspace(self.start, self.stop, self.steps))
+
+
+def _not_empty(gammas: tuple[float, ...]) -> tuple[float, ...]:
+    if not 1 <= len(gammas) <= MAX_STEPS:
+        raise ValueError(f"wanted 1 to {MAX_STEPS} gammas, came {len(gammas)}")
+    return gammas
+
+
+def _table_or_list(value: Any) -> str:
+    return "list" if isinstance(value, (list, tuple)) else "table"
+
+
+GammaList = Annotated[tuple[Annotated[float, Field(ge=0)], ...], AfterValidator(_not_empty)]
+Gammas = Annotated[
+    Annotated[GammaTable, Tag("table")] | Annotated[GammaList, Tag("list")], Discriminator(_table_or_list)
+]
+
+
+class RampTable(Frozen):
+    """The amplitude programme as a person writes it; `rig.ramp.Programme` is what comes of it."""
+
+    gamma: Gammas = Field(description="{ start, stop, steps } or a list")
+    order: Literal["up", "down", "up-and-down", "shuffled"] | None = Field(
+        default=None, description="left out: up for a table, as written for a list"
+    )
+    seed: int = Field(default=0, ge=0, description="of the shuffled order")
+    settle_cycles: int = Field(default=10, ge=0, description="cycles of the first tone waited after each fade")
+    hold_cycles: int = Field(default=20, ge=1, description="cycles of the first tone measured in each step")
+    slew_per_cycle: float = Field(default=0.1, gt=0, description="largest change of gamma in one cycle")
+
+    def gammas(self) -> tuple[float, ...]:
+        """Every step's gamma in the order of the run."""
+        values = self.gamma.values() if isinstance(self.gamma, GammaTable) else self.gamma
+        if self.order is None:
+            return values
+        up = tuple(sorted(values))
+        if self.order == "shuffled":
+            return tuple(up[i] for i in np.random.default_rng(self.seed).permutation(len(up)))
+        return {"up": up, "down": up[::-1], "up-and-down": up + up[-2::-1]}[self.order]
+
+
+class Limits(Frozen):
+    """What must not be exceeded, each as a peak from rest."""
+
+    drive_v: float = Field(gt=0)
+    plate_mps2: float = Field(gt=0)
+    displacement_m: float = Field(gt=0)
+    velocity_mps: float | None = Field(default=None, gt=0)
+
+
+class BackendTable(Frozen):
+    """What moves the plate."""
+
+    kind: Literal["simulated", "replay"] = "simulated"
+    block_samples: int = Field(default=1024, ge=16, le=65536, description="largest block exchanged at once")
+
+
+class Profile(Setup):
+    """A whole profile: the measuring part, the ramp, the limits and the back end."""
+
+    ramp: RampTable
+    limits: Limits
+    backend: BackendTable = BackendTable()
+
+    @model_validator(mode="after")
+    def _drivable(self) -> Self:
+        """Refuse what cannot be driven: an unknown drive scale, a tone at or above half the sample rate."""
+        if self.drive.g_per_volt is None:
+            raise ValueError("drive.g_per_volt: missing; a ramp cannot be driven without the drive's scale")
+        highest_hz = self.forcing.frequency_hz * self.forcing.ratio
+        if highest_hz * 8 > self.sampling.rate_hz:
+            raise ValueError(
+                f"forcing: wanted at least 8 samples in a cycle of the fastest tone, came {highest_hz:g} Hz "
+                f"at sampling.rate_hz = {self.sampling.rate_hz:g}"
+            )
+        return self
+
+    def setup(self) -> Setup:
+        """The measuring part alone, as a recording keeps it."""
+        return Setup.model_validate(self.model_dump(include=set(Setup.model_fields)))
+
+
+class _MeasuringProfile(Setup):
+    """A profile of which only the measuring part is asked for; the rest is checked where it stands."""
+
+    ramp: RampTable | None = None
+    limits: Limits | None = None
+    backend: BackendTable | None = None
+
+
+def load_profile(path: Path | str) -> tuple[Profile, str]:
+    """Read a profile that can drive a rig; returns it with the file's text, which recordings keep.
+
+    Raises
+    ------
+    daq.errors.InputError
+        When the file cannot be read or does not fit: the message lists every fault by its dotted key.
+    """
+    return load_toml(Path(path), Profile)
+
+
+def parse_profile(text: str, name: str = "profile") -> Profile:
+    """Check a profile's TOML ``text``; ``name`` stands for the file in messages (raises `InputError`)."""
+    return parse_toml(text, Profile, name)
+
+
+def load_setup(path: Path | str) -> tuple[Setup, str]:
+    """Read the measuring part of a profile; ``[ramp]``, ``[limits]`` and ``[backend]`` may be absent.
+
+    Raises
+    ------
+    daq.errors.InputError
+        As `load_profile`.
+    """
+    whole, text = load_toml(Path(path), _MeasuringProfile)
+    return Setup.model_validate(whole.model_dump(include=set(Setup.model_fields))), text
+
+
+def json_schema() -> str:
+    """The JSON Schema by which an editor completes and checks a profile, as text."""
+    schema = Profile.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "Rig profile"
+    schema["properties"]["$schema"] = {"type": "string"}
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
