@@ -1,0 +1,131 @@
+"""Blocks of frames as a back end hands them over, and the tables that describe a run: blocks and steps.
+
+The rule kept here: a block says what happened to it (flags, clock, samples lost before it); nothing is inferred later
+that could have been written down at the time.
+"""
+
+from __future__ import annotations
+
+import enum
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+CHANNELS = ("continuity", "accelerometer", "drive")
+"""Channel names, in the order of a frame."""
+
+STEP_DTYPE = np.dtype(
+    [
+        ("first_sample", "<i8"),
+        ("n_samples", "<i8"),
+        ("settle_samples", "<i8"),
+        ("gamma", "<f8"),
+        ("achieved_gamma", "<f8"),
+        ("achieved_gamma_uncertainty", "<f8"),
+        ("frequency_hz", "<f8"),
+        ("ratio", "<i8"),
+        ("cycles", "<f8"),
+        ("settle_cycles", "<f8"),
+        ("direction", "i1"),
+        ("fade_samples", "<i8"),
+    ]
+)
+"""One step of a ramp. ``n_samples`` counts fade, settle and hold; ``settle_samples`` counts fade and settle."""
+
+BLOCK_DTYPE = np.dtype(
+    [
+        ("first_sample", "<i8"),
+        ("n_samples", "<i8"),
+        ("flags", "<u4"),
+        ("clock_ns", "<i8"),
+        ("lost_before", "<i8"),
+        ("lost_uncertainty", "<i8"),
+        ("crc32", "<u4"),
+    ]
+)
+"""One block. ``lost_before`` counts samples that the device lost between the block before and this one."""
+
+STEP_NAMES = STEP_DTYPE.names or ()
+BLOCK_NAMES = BLOCK_DTYPE.names or ()
+
+
+class BlockFlag(enum.IntFlag):
+    """What a back end or the recorder knows about a block."""
+
+    OVERFLOW = 1  # the driver said that input was lost
+    UNDERFLOW = 2  # the driver said that output was late
+    CLIPPED = 4  # at least one sample at the converter's limit
+    FILLED = 8  # samples made up by the device or the driver (zeros, repeats)
+    DAMAGED = 16  # the checksum did not fit when the recording was closed or recovered
+
+
+@dataclass(frozen=True)
+class Block:
+    """Frames of one exchange with a back end.
+
+    Parameters
+    ----------
+    first_sample
+        Index, in the recording, of the first frame (recorded frames only; lost ones are not counted).
+    codes
+        Raw converter codes, int16 ``(n, channels)``.
+    flags
+        `BlockFlag` bits.
+    clock_ns
+        Monotonic clock when the block was complete, nanoseconds; 0 where there is none.
+    lost_before
+        Samples lost between the block before and this one.
+    lost_uncertainty
+        Standard uncertainty of ``lost_before``, in samples (rounded up).
+    """
+
+    first_sample: int
+    codes: NDArray[np.int16]
+    flags: int = 0
+    clock_ns: int = 0
+    lost_before: int = 0
+    lost_uncertainty: int = 0
+
+
+def volts_per_code(range_v: float) -> float:
+    """Scale of a 16-bit converter of range ``+-range_v``: code 32768 would be ``range_v``."""
+    return range_v / 32768.0
+
+
+def crc32(array: NDArray[Any], before: int = 0) -> int:
+    """CRC-32 of an array's bytes, continuing from ``before``."""
+    return zlib.crc32(np.ascontiguousarray(array).data, before)
+
+
+def step_row(step: np.void | Mapping[str, Any]) -> NDArray[np.void]:
+    """One step as an array of one `STEP_DTYPE` row.
+
+    Parameters
+    ----------
+    step
+        A row of a `STEP_DTYPE` array, or a mapping of its fields; a missing float is NaN, a missing integer 0
+        (``ratio`` 1).
+
+    Raises
+    ------
+    ValueError
+        For a field that no step has.
+    """
+    row = np.zeros(1, STEP_DTYPE)
+    for name in STEP_NAMES:
+        if STEP_DTYPE[name].kind == "f":
+            row[name] = np.nan
+    row["ratio"] = 1
+    if isinstance(step, Mapping):
+        unknown = set(step) - set(STEP_NAMES)
+        if unknown:
+            raise ValueError(f"a step has no field {sorted(unknown)}; it has {list(STEP_NAMES)}")
+        for name, value in step.items():
+            row[name] = value
+    else:
+        row[0] = step
+    return row

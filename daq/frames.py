@@ -1,0 +1,172 @@
+"""The frames file: what a recording is while the run lasts. Row-major int16 frames, a checksum a block.
+
+The rule kept here: once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is
+created before the first sample, the file is in HDF5's single-writer-multiple-readers mode, and each block is flushed
+(frames first, then the row that acknowledges them). A row without its frames cannot exist; frames without a row are
+not part of the recording. The end state is ``incomplete`` from the start.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.block import BLOCK_DTYPE, STEP_DTYPE, Block, crc32, step_row
+from daq.errors import InputError
+
+FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
+_CHUNK_BYTES = 65536
+
+
+class FrameWriter:
+    """Write a frames file.
+
+    Parameters
+    ----------
+    path
+        File to create.
+    channels
+        Names, in the order of a frame.
+    attributes
+        Root attributes; written once, before the first sample.
+
+    Raises
+    ------
+    InputError
+        When ``path`` exists, or its folder does not.
+    """
+
+    def __init__(self, path: Path, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: the folder {path.parent} does not exist; create it first.")
+        try:
+            self._file = h5py.File(path, "x", libver=("v110", "v110"))
+        except FileExistsError:
+            raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from None
+        self.path = path
+        self.n_samples = 0
+        self._n_channels = len(channels)
+        self._n_blocks = self._n_steps = 0
+        self._last_step_first = -1
+        rows = max(1, _CHUNK_BYTES // (2 * self._n_channels))
+        self._frames = self._file.create_dataset(
+            FRAMES, (0, self._n_channels), "<i2", maxshape=(None, self._n_channels), chunks=(rows, self._n_channels)
+        )
+        self._blocks = self._file.create_dataset(FRAME_BLOCKS, (0,), BLOCK_DTYPE, maxshape=(None,), chunks=(256,))
+        self._steps = self._file.create_dataset(FRAME_STEPS, (0,), STEP_DTYPE, maxshape=(None,), chunks=(16,))
+        self._file.attrs.update(attributes)
+        self._file.flush()
+        self._file.swmr_mode = True
+        self._descriptor = os.open(path, os.O_RDWR)
+
+    def append(self, block: Block) -> None:
+        """Write one block; when this returns the block survives the end of the process.
+
+        Raises
+        ------
+        ValueError
+            When the block does not follow the one before, or has another number of channels.
+        OSError
+            When the disk refuses.
+        """
+        n = len(block.codes)
+        if block.codes.ndim != 2 or block.codes.shape[1] != self._n_channels:
+            raise ValueError(f"wanted frames of {self._n_channels} channels, got an array of {block.codes.shape}")
+        if block.first_sample != self.n_samples:
+            raise ValueError(f"wanted a block that starts at sample {self.n_samples}, got {block.first_sample}")
+        codes = np.ascontiguousarray(block.codes, "<i2")
+        self._frames.resize((self.n_samples + n, self._n_channels))
+        self._frames[self.n_samples :] = codes
+        self._frames.id.flush()
+        row = np.array(
+            [(block.first_sample, n, block.flags, block.clock_ns, block.lost_before, block.lost_uncertainty,
+              crc32(codes))], BLOCK_DTYPE)
+        self._blocks.resize((self._n_blocks + 1,))
+        self._blocks[self._n_blocks :] = row
+        self._blocks.id.flush()
+        self.n_samples += n
+        self._n_blocks += 1
+
+    def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
+        """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""
+        row = step_row(step)
+        if int(row["first_sample"][0]) != self._last_step_first:
+            self._steps.resize((self._n_steps + 1,))
+            self._n_steps += 1
+            self._last_step_first = int(row["first_sample"][0])
+        self._steps[self._n_steps - 1 :] = row
+        self._steps.id.flush()
+        os.fsync(self._descriptor)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `close` was not called yet."""
+        return bool(self._file.id.valid)
+
+    def close(self) -> None:
+        """Flush and close; harmless when repeated."""
+        if self.is_open:
+            self._file.close()
+            os.close(self._descriptor)
+
+
+class FrameFile:
+    """Read a frames file, finished or not; only acknowledged blocks count.
+
+    Parameters
+    ----------
+    file
+        Open HDF5 file that holds `FRAMES`.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self._frames = file[FRAMES]
+        rows = file[FRAME_BLOCKS][()]
+        ends = rows["first_sample"] + rows["n_samples"]
+        starts = np.concatenate([[0], ends[:-1]]) if len(rows) else ends
+        whole = (rows["first_sample"] == starts) & (rows["n_samples"] > 0) & (ends <= self._frames.shape[0])
+        n_whole = len(rows) if whole.all() else int(np.argmin(whole))
+        self.blocks: NDArray[np.void] = rows[:n_whole]
+        self.n_samples = int(ends[n_whole - 1]) if n_whole else 0
+        self.steps: NDArray[np.void] = _clip_steps(file[FRAME_STEPS][()], self.n_samples)
+        self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
+
+    def rows(self, start: int, stop: int) -> NDArray[np.int16]:
+        """Frames ``start`` to ``stop``, int16 ``(n, channels)``; the last range read is kept."""
+        stop = min(stop, self.n_samples)
+        if (start, stop) != self._held[:2]:
+            self._held = (start, stop, self._frames[start:stop])
+        return self._held[2]
+
+    def pieces(self, n_samples: int) -> Iterator[tuple[slice, NDArray[np.int16]]]:
+        """Whole blocks in file order, at least ``n_samples`` frames at a time: ``(which blocks, frames)``."""
+        first = 0
+        ends = self.blocks["first_sample"] + self.blocks["n_samples"]
+        while first < len(self.blocks):
+            start = int(self.blocks["first_sample"][first])
+            last = min(int(np.searchsorted(ends, start + n_samples)), len(self.blocks) - 1)
+            yield slice(first, last + 1), self.rows(start, int(ends[last]))
+            first = last + 1
+
+    def damaged_in(self, which: slice, frames: NDArray[np.int16]) -> list[int]:
+        """Indices of the blocks, among those of one piece, whose checksum does not fit."""
+        rows = self.blocks[which]
+        offsets = rows["first_sample"] - (rows["first_sample"][0] if len(rows) else 0)
+        return [
+            which.start + i
+            for i, (offset, n, crc) in enumerate(zip(offsets, rows["n_samples"], rows["crc32"], strict=True))
+            if crc32(frames[offset : offset + n]) != crc
+        ]
+
+
+def _clip_steps(steps: NDArray[np.void], n_samples: int) -> NDArray[np.void]:
+    """Steps that began before the recording's end, none longer than what was recorded."""
+    kept = steps[steps["first_sample"] < n_samples].copy()
+    kept["n_samples"] = np.minimum(kept["n_samples"], n_samples - kept["first_sample"])
+    return kept
