@@ -1,0 +1,212 @@
+"""Complex amplitudes of known tones by joint least squares: one estimator for the control loop and for the analysis.
+
+The rule kept here: a complex amplitude ``z`` at ``f`` means ``Re[z exp(i 2 pi f n / rate)]`` with ``n`` counted from
+sample 0 of the recording, whatever piece of it is handed in, masked or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Mask = npt.NDArray[np.bool_]
+
+RESYNC = 512  # samples between exact restarts of the rotating phasors: rounding stays below 1e-13
+
+
+@dataclass(frozen=True)
+class ToneFit:
+    """Amplitudes of ``k`` tones in one channel, in the channel's unit.
+
+    Attributes
+    ----------
+    frequencies_hz : array, shape (k,)
+    amplitudes : complex array, shape (k,)
+        ``Re[z exp(i 2 pi f t)]``, t = 0 at sample 0 of the recording.
+    covariance : array, shape (2k, 2k)
+        Of ``(Re z_0, Im z_0, Re z_1, Im z_1, ...)``, from the residual rms taken as white.
+    rms : float
+        Root mean square of the residual, degrees of freedom counted.
+    offset, offset_uncertainty : float
+        The constant fitted beside the tones, and its standard deviation.
+    n : int
+        Values used.
+    """
+
+    frequencies_hz: Floats
+    amplitudes: Complexes
+    covariance: Floats
+    rms: float
+    offset: float
+    offset_uncertainty: float
+    n: int
+
+    def amplitude_sigma(self) -> Floats:
+        """Standard deviation of each tone's amplitude, the rms over its two quadratures, shape (k,)."""
+        variances: Floats = np.diag(self.covariance).reshape(-1, 2).mean(axis=1)
+        return np.sqrt(variances)
+
+
+class LockIn:
+    """Normal equations of a joint tone fit, accumulated in one pass over any number of pieces.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of what is handed to `add`.
+    frequencies_hz : array, shape (k,)
+        Positive, pairwise different.
+    channels : int
+        How many channels share the tones and the mask.
+    boxcar : int
+        When the values are means over ``boxcar`` recorded samples each (then ``rate_hz`` is the rate of the means and
+        a value's index is that of its mean): the boxcar's gain and delay are taken out exactly.
+    """
+
+    def __init__(self, rate_hz: float, frequencies_hz: npt.ArrayLike, channels: int = 1, boxcar: int = 1) -> None:
+        self.rate_hz = float(rate_hz)
+        self.frequencies_hz = np.atleast_1d(np.asarray(frequencies_hz, dtype=np.float64))
+        if self.frequencies_hz.size and not np.all(np.isfinite(self.frequencies_hz) & (self.frequencies_hz > 0)):
+            raise ValueError(f"tone frequencies must be positive and finite, got {self.frequencies_hz}")
+        p = 2 * self.frequencies_hz.size + 1
+        self.gram = np.zeros((p, p))
+        self.rhs = np.zeros((p, channels))
+        self.squares = np.zeros(channels)
+        self.n = 0
+        theta = np.pi * self.frequencies_hz / (self.rate_hz * boxcar)  # half a recorded sample's phase
+        gain = np.sin(boxcar * theta) / (boxcar * np.sin(theta))
+        self._response = gain * np.exp(1j * theta * (boxcar - 1))
+
+    def add(self, x: npt.ArrayLike, first: int, mask: Mask | None = None) -> None:
+        """Accumulate values ``first, first + 1, ...`` where ``mask`` is True.
+
+        Parameters
+        ----------
+        x : array, shape (n,) or (n, channels)
+        first : int
+            Index of the first value, counted from sample 0 of the recording.
+        mask : bool array, shape (n,), optional
+            True where a value counts.
+        """
+        values = np.asarray(x, dtype=np.float64)
+        values = values.reshape(values.shape[0], -1)
+        if values.shape[1] != self.rhs.shape[1]:
+            raise ValueError(f"expected {self.rhs.shape[1]} channels, got {values.shape[1]}")
+        use = np.ones(values.shape[0], dtype=np.bool_) if mask is None else np.asarray(mask, dtype=np.bool_)
+        if use.shape[0] != values.shape[0]:
+            raise ValueError(f"mask has {use.shape[0]} entries for {values.shape[0]} values")
+        cycles = self.frequencies_hz / self.rate_hz
+        self.n += _accumulate(
+            np.ascontiguousarray(values), use, int(first), cycles, self._response, self.gram, self.rhs, self.squares
+        )
+
+    def __add__(self, other: LockIn) -> LockIn:
+        """The fit of both pieces together (same tones, same channels)."""
+        total = LockIn(self.rate_hz, self.frequencies_hz, self.rhs.shape[1])
+        total._response = self._response
+        total.gram = self.gram + other.gram
+        total.rhs = self.rhs + other.rhs
+        total.squares = self.squares + other.squares
+        total.n = self.n + other.n
+        return total
+
+    def solve(self, channel: int = 0) -> ToneFit:
+        """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
+        p = self.gram.shape[0]
+        if self.n <= p:
+            raise ValueError(f"{self.n} values cannot fix {p} unknowns")
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
+        scaled = self.gram * np.outer(scale, scale)
+        if np.linalg.cond(scaled) > 1e10:
+            raise ValueError(f"the tones {self.frequencies_hz} Hz cannot be told apart in {self.n} values")
+        inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
+        solution = inverse @ self.rhs[:, channel]
+        sum_squares = max(self.squares[channel] - float(solution @ self.rhs[:, channel]), 0.0)
+        variance = sum_squares / (self.n - p)
+        # column pairs are (cos, -sin), so the unknowns are Re z and Im z
+        return ToneFit(
+            frequencies_hz=self.frequencies_hz,
+            amplitudes=solution[1::2] + 1j * solution[2::2],
+            covariance=inverse[1:, 1:] * variance,
+            rms=float(np.sqrt(variance)),
+            offset=float(solution[0]),
+            offset_uncertainty=float(np.sqrt(inverse[0, 0] * variance)),
+            n=self.n,
+        )
+
+
+def fit_tones(
+    x: npt.ArrayLike,
+    first_sample: int,
+    rate_hz: float,
+    frequencies_hz: npt.ArrayLike,
+    mask: Mask | None = None,
+) -> ToneFit:
+    """Joint least squares for the complex amplitudes of known tones and a constant.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Samples ``first_sample, first_sample + 1, ...`` of the recording.
+    first_sample : int
+    rate_hz : float
+    frequencies_hz : array, shape (k,)
+    mask : bool array, shape (n,), optional
+        True where a sample counts.
+
+    Returns
+    -------
+    ToneFit
+        Phases refer to sample 0 of the recording.
+
+    Raises
+    ------
+    ValueError
+        Too few samples, or tones too close to be told apart.
+    """
+    lock_in = LockIn(rate_hz, frequencies_hz)
+    lock_in.add(x, first_sample, mask)
+    return lock_in.solve()
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _accumulate(x, use, first, cycles, response, gram, rhs, squares):  # type: ignore[no-untyped-def]
+    """Add the normal equations of the used rows of ``x``; returns how many were used."""
+    n, channels = x.shape
+    k = cycles.shape[0]
+    p = 2 * k + 1
+    row = np.empty(p)
+    row[0] = 1.0
+    step = np.exp(2j * np.pi * cycles)
+    phasor = np.empty(k, dtype=np.complex128)
+    used = 0
+    for i in range(n):
+        if i % RESYNC == 0:
+            for j in range(k):
+                phase = cycles[j] * (first + i)
+                phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
+        if use[i]:
+            used += 1
+            for j in range(k):
+                row[2 * j + 1] = phasor[j].real
+                row[2 * j + 2] = -phasor[j].imag
+            for a in range(p):
+                value = row[a]
+                for b in range(a + 1):
+                    gram[a, b] += value * row[b]
+            for c in range(channels):
+                v = x[i, c]
+                squares[c] += v * v
+                for a in range(p):
+                    rhs[a, c] += v * row[a]
+        for j in range(k):
+            phasor[j] *= step[j]
+    for a in range(p):
+        for b in range(a):
+            gram[b, a] = gram[a, b]
+    return used
