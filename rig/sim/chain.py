@@ -1,0 +1,70 @@
+"""From drive volts to the plate's acceleration, sample by sample: DAC, amplifier, shaker.
+
+The rule kept here: the plate moves smoothly between samples. Its acceleration is the cubic through the last four
+reconstruction nodes, the newest being the present sample's, so the plate follows the drive without delay.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from rig.sim.forces import G_MPS2
+
+MEAN_SQUARE_S = 0.5
+LEAK_S = 20.0
+
+
+@njit(cache=True)
+def _amplifier(s: Any, p: Any, volts: float) -> float:
+    """Gain errors, bending and clipping; volts that would drive an ideal shaker."""
+    t = s.t_s + s.dt_s
+    s.mean_square_v2 += (volts * volts - s.mean_square_v2) * s.dt_s / MEAN_SQUARE_S
+    out = volts * (1.0 + p.drive_gain_relative) / (1.0 + p.gain_compression_per_v2 * s.mean_square_v2)
+    out *= 1.0 + p.amplitude_modulation_depth * math.sin(2.0 * math.pi * p.amplitude_modulation_frequency_hz * t)
+    out += p.harmonic_distortion_second_per_v * (volts * volts - s.mean_square_v2)
+    out += p.harmonic_distortion_third_per_v2 * volts * volts * volts
+    return min(max(out, -p.clip_v), p.clip_v)
+
+
+@njit(cache=True)
+def _shaker(s: Any, p: Any, volts: float) -> float:
+    """First-order lag, then the shaker's own resonance where it is not equalised: volts to volts."""
+    if p.phase_lag_time_constant_s > 0.0:
+        r = s.dt_s / p.phase_lag_time_constant_s
+        decay = math.exp(-r)
+        ramp = (1.0 - decay) / r  # exact for a drive that is linear between samples
+        s.lagged_v = decay * s.lagged_v + (ramp - decay) * s.last_v + (1.0 - ramp) * volts
+        s.last_v = volts
+        volts = s.lagged_v
+    if p.shaker_frequency_hz <= 0.0:
+        return volts
+    w = 2.0 * math.pi * p.shaker_frequency_hz
+    drive = volts
+    x, v = s.shaker_x, s.shaker_v
+    a = drive - w * w * x - 2.0 * p.shaker_damping * w * v
+    mid_x, mid_v = x + 0.5 * s.dt_s * v, v + 0.5 * s.dt_s * a
+    a_mid = drive - w * w * mid_x - 2.0 * p.shaker_damping * w * mid_v
+    s.shaker_x, s.shaker_v = x + s.dt_s * mid_v, v + s.dt_s * a_mid
+    return drive - w * w * s.shaker_x - 2.0 * p.shaker_damping * w * s.shaker_v
+
+
+@njit(cache=True)
+def drive_plate(s: Any, p: Any, volts: float) -> None:
+    """Set the cubic of the plate's driven acceleration over the interval that ends with this sample."""
+    node = G_MPS2 * p.g_per_volt * _shaker(s, p, _amplifier(s, p, volts))
+    if p.mains_hum_amplitude_g != 0.0:
+        t = s.t_s + s.dt_s
+        angle = 2.0 * math.pi * p.mains_hum_frequency_hz * t + p.mains_hum_phase_rad
+        node += G_MPS2 * p.mains_hum_amplitude_g * math.sin(angle)
+    # Lagrange through u = -2, -1, 0, 1
+    oldest, older, old = s.node3, s.node2, s.node1
+    s.a0 = old
+    s.a1 = oldest / 6.0 - older + 0.5 * old + node / 3.0
+    s.a2 = 0.5 * (older + node) - old
+    s.a3 = (node - oldest) / 6.0 + 0.5 * (older - old)
+    s.node3, s.node2, s.node1 = older, old, node
+    mean = s.a0 + s.a1 / 2.0 + s.a2 / 3.0 + s.a3 / 4.0
+    s.plate_mps += s.dt_s * (mean - s.plate_mps / LEAK_S)

@@ -1,0 +1,122 @@
+"""The simulated rig: drive volts in, raw codes of three channels out, block by block.
+
+The rule kept here: the plant sees drive samples and nothing else. It never learns gamma, frequency or c, and
+blocks of any size give the same codes, because all it knows is carried in its state and its two generators.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rig.sim.chain import drive_plate
+from rig.sim.circuit import run_circuit
+from rig.sim.forces import G_MPS2, gravity, plate_acceleration
+from rig.sim.motion import move_ball
+from rig.sim.scenario import Scenario
+from rig.sim.state import FLIGHT, initial_state
+
+CHANNELS = ("continuity", "accelerometer", "drive")
+
+NOISE_BLOCK = 65536
+"""Samples of noise drawn at once; bounds memory, does not change the result."""
+
+
+@njit(cache=True)
+def _code(volts: float, scale_v: float, limit: float) -> int:
+    return int(min(max(math.floor(volts / scale_v + 0.5), -limit), limit - 1.0))
+
+
+@njit(cache=True)
+def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: float, codes: Any, rng: Any) -> None:
+    """March the rig over the samples of one block, one interval ending at each sample."""
+    s, p = state[0], params[0]
+    s.dt_s = dt_s * (1.0 + p.clock_error_relative)
+    limit = 2.0 ** (p.adc_bits - 1.0)
+    scale_v = p.adc_range_v / limit
+    decay = math.exp(-s.dt_s / p.ring_decay_s)
+    angle = 2.0 * math.pi * p.ring_frequency_hz * s.dt_s
+    turn_re, turn_im = decay * math.cos(angle), decay * math.sin(angle)
+    per_mps2 = p.accelerometer_v_per_g * (1.0 + p.accelerometer_gain_relative) / G_MPS2
+    zero_v = p.accelerometer_v_per_g * p.accelerometer_offset_offset_g
+    for i in range(drive_v.size):
+        drive_plate(s, p, drive_v[i])
+        s.ring_re, s.ring_im = turn_re * s.ring_re - turn_im * s.ring_im, turn_re * s.ring_im + turn_im * s.ring_re
+        move_ball(s, p, rng)
+        run_circuit(s, p)
+        a = plate_acceleration(s, p, 1.0, s.mode_m, s.mode_mps, s.state != FLIGHT)[0]
+        a += p.accelerometer_reads_gravity * gravity(p) + G_MPS2 * p.ring_g_s_per_m * s.ring_im
+        accelerometer_v = zero_v + per_mps2 * a + p.accelerometer_v_per_g * p.accelerometer_noise_g * noise[i, 1]
+        codes[i, 0] = _code(s.continuity_v + p.continuity_noise_v * noise[i, 0], scale_v, limit)
+        codes[i, 1] = _code(accelerometer_v, scale_v, limit)
+        codes[i, 2] = _code(drive_v[i] + p.drive_noise_v * noise[i, 2], scale_v, limit)
+        s.t_s += s.dt_s
+
+
+class Plant:
+    """A simulated rig with one hidden scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What the rig hides.
+    rate_hz : float
+        Sampling rate of drive and channels.
+    rng : numpy.random.Generator
+        Source of the sensors' noise and of random contact bounce.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Names of the columns that `exchange` returns.
+    rate_hz : float
+    channel_scales : dict of str to float
+        Volts per code of each channel.
+    scenario_sha256 : str
+        All that a recording may know of the scenario.
+    """
+
+    def __init__(self, scenario: Scenario, rate_hz: float, rng: np.random.Generator) -> None:
+        self.channels = CHANNELS
+        self.rate_hz = float(rate_hz)
+        self.scenario_sha256 = scenario.sha256
+        self._params, self._drift = scenario.parameters()
+        scale_v = float(self._params["adc_range_v"][0]) / 2.0 ** (float(self._params["adc_bits"][0]) - 1.0)
+        self.channel_scales = dict.fromkeys(CHANNELS, scale_v)
+        self._state = initial_state()
+        self._noise_rng, self._event_rng = rng.spawn(2)
+
+    def exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
+        """Drive the rig and record it over the same samples.
+
+        Parameters
+        ----------
+        drive_v : float64 array (n,)
+            Volts at the amplifier's input; finite.
+
+        Returns
+        -------
+        int16 array (n, 3)
+            Codes of continuity, accelerometer and looped-back drive.
+
+        Raises
+        ------
+        ValueError
+            Where `drive_v` is not one-dimensional or not finite.
+        """
+        drive = np.ascontiguousarray(drive_v, dtype=np.float64)
+        if drive.ndim != 1 or not np.isfinite(drive).all():
+            raise ValueError(f"drive: wanted a 1-D array of finite volts, got shape {drive.shape}; check the sequencer")
+        codes = np.empty((drive.size, len(CHANNELS)), np.int16)
+        for start in range(0, drive.size, NOISE_BLOCK):
+            stop = min(start + NOISE_BLOCK, drive.size)
+            noise = self._noise_rng.standard_normal((stop - start, 3), dtype=np.float32)
+            _run(
+                self._state, self._params, self._drift, drive[start:stop], noise, 1.0 / self.rate_hz,
+                codes[start:stop], self._event_rng,
+            )
+        return codes

@@ -1,0 +1,47 @@
+"""Layout of the compiled plant's state: everything carried from one sample to the next.
+
+The rule kept here: a block boundary is invisible, so whatever a later sample needs is a field of this record.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+EDGE_CAPACITY = 64
+
+CONTACT, FLIGHT, HANGING = 0, 1, 2
+OPEN, CLOSE, BOUNCE_OPEN, BOUNCE_CLOSE = 0, 1, 2, 3
+
+_FLOATS = (
+    "t_s",  # time at the start of the interval
+    "dt_s",  # its length
+    "u",  # place within the interval, 0..1
+    "height_m", "speed_mps",  # ball relative to the plate
+    "mode_m", "mode_mps",  # slow mode of the table
+    "a0", "a1", "a2", "a3",  # driven plate acceleration in the interval: cubic in u
+    "node1", "node2", "node3",  # the last reconstruction nodes
+    "plate_mps",  # driven plate velocity, leaky
+    "mean_square_v2", "lagged_v", "last_v", "shaker_x", "shaker_v",  # drive chain
+    "landed_s", "left_s", "flight_s", "impact_mps", "hold_until_s", "contact_since_s", "closed_s",
+    "rocking", "rocking_s",
+    "ring_re", "ring_im",
+    "continuity_v",
+)
+_INTEGERS = ("state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts")
+
+STATE_DTYPE = np.dtype(
+    [(name, "f8") for name in _FLOATS]
+    + [(name, "i8") for name in _INTEGERS]
+    + [("edge_s", "f8", (EDGE_CAPACITY,)), ("edge_kind", "i8", (EDGE_CAPACITY,))]
+)
+
+
+def initial_state() -> np.ndarray:
+    """One-record array: the ball at rest on a plate at rest, circuit closed, nothing driven."""
+    state = np.zeros(1, STATE_DTYPE)
+    state["state"] = CONTACT
+    state["direction"] = 1
+    state["closed"] = 1
+    state["left_s"] = state["landed_s"] = state["contact_since_s"] = state["closed_s"] = -1.0
+    state["rocking_s"] = -1.0
+    return state
