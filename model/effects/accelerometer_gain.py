@@ -1,0 +1,23 @@
+"""The accelerometer reads too much (or too little).
+The rule kept here: the plate moves less than it seems, and flights know the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="accelerometer_gain",
+    summary="the accelerometer's sensitivity is not the declared one",
+    parameters=(Parameter("relative", "1", -0.5, 1.0, 0.01, calibration=0.005, meaning="reading over truth, minus 1"),),
+    seen_in=("plate", "takeoff", "landing", "bounce"),
+    confused_with={"drive_gain": "landing times", "local_gravity": "an absolute scale: flip test"},
+    reference="calibration, mounting",
+)
+
+
+def reading(p: Mapping[str, float]) -> float:
+    """Reading over truth."""
+    return 1.0 + p["relative"]

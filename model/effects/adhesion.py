@@ -1,0 +1,31 @@
+"""Adhesion to the plate: a pull that must be overcome at take-off, growing with the time spent in contact.
+The rule kept here: it ends the moment the ball has left.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="adhesion",
+    summary="the ball sticks to the plate and leaves late",
+    parameters=(
+        Parameter("a_mps2", "m/s^2", 0.0, 30.0, 0.2, scan=(1.0,), meaning="pull-off force over mass"),
+        Parameter("dwell_s", "s", 0.0, 1.0, 0.01, shape=True, meaning="contact time over which it builds up; 0 at once"),
+    ),
+    seen_in=("takeoff", "landing"),
+    confused_with={"contact_gap": "landing times, dwell time", "coulomb_friction": "landing times of long flights"},
+    reference="Johnson, Kendall and Roberts, Proc. R. Soc. A 324, 301 (1971)",
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def hold(dwell_s: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Acceleration to be overcome at take-off, m/s^2."""
+    if p[k] <= 0.0 or p[k + 1] <= 0.0:
+        return p[k]
+    return p[k] * (1.0 - math.exp(-dwell_s / p[k + 1]))

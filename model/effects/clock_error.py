@@ -1,0 +1,23 @@
+"""The recorder's clock runs fast or slow against the commanded frequency.
+The rule kept here: with one clock for drive and recorder it cannot be seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="clock_error",
+    summary="the recorder's clock differs from the one that made the drive",
+    parameters=(Parameter("relative", "1", -0.05, 0.05, 1e-4, calibration=2e-6, meaning="recorded over true time, minus 1"),),
+    seen_in=("plate",),
+    confused_with={"local_gravity": "the drive's frequency"},
+    reference="quartz: 50 ppm; a wrong rate in a file: anything",
+)
+
+
+def time_scale(p: Mapping[str, float]) -> float:
+    """Recorded over true time."""
+    return 1.0 + p["relative"]

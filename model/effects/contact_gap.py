@@ -1,0 +1,26 @@
+"""The circuit opens only when the ball has risen by a gap: take-offs are seen late, landings are not.
+The rule kept here: a nuisance, always fitted; an alarm when it leaves its prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="contact_gap",
+    summary="the circuit opens late because contact is kept over a small height",
+    parameters=(
+        Parameter("gap_m", "m", 0.0, 2e-4, 2e-7, calibration=2e-6, scan=(3e-7, 3e-6), meaning="height kept in contact"),
+    ),
+    seen_in=("takeoff",),
+    confused_with={"adhesion": "landing times, dwell time, two comparator levels"},
+    nuisance=True,
+    reference="a cubic tangency: 0.3 micrometres delay the opening by 0.7 ms",
+)
+
+
+def gap_m(p: Mapping[str, float]) -> float:
+    """Height that the ball must reach before the circuit opens."""
+    return p["gap_m"]

@@ -1,0 +1,25 @@
+"""The continuity channel lags the others, both edges alike.
+The rule kept here: the events happened earlier than they were seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="contact_latency",
+    summary="the contact circuit reports both edges late",
+    parameters=(
+        Parameter("delay_s", "s", -5e-3, 5e-3, 1e-5, calibration=2e-6, scan=(-1e-3, 1e-3), meaning="event to edge"),
+    ),
+    seen_in=("takeoff", "landing"),
+    confused_with={"phase_lag": "drive -> plate", "contact_gap": "landing times"},
+    reference="filter of the contact circuit, multiplexed sampling",
+)
+
+
+def shift_s(p: Mapping[str, float]) -> float:
+    """Delay of both edges."""
+    return p["delay_s"]

@@ -1,0 +1,31 @@
+"""Coulomb friction of the rod, ``-mu g sign(v)`` against the motion relative to the plate; holds in mid-air when it can.
+The rule kept here: static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="coulomb_friction",
+    summary="dry friction of the rod, the same at any speed",
+    parameters=(
+        Parameter("mu_up", "g", 0.0, 3.0, 0.02, scan=(0.1, 0.3), meaning="friction over weight, moving up"),
+        Parameter("mu_down", "g", 0.0, 3.0, 0.02, scan=(0.1, 0.3), meaning="friction over weight, moving down"),
+    ),
+    seen_in=("takeoff", "landing", "bounce"),
+    confused_with={
+        "stribeck_friction": "slow and fast passages: high gamma",
+        "viscous_damping": "gamma far into the irregular range",
+        "local_gravity": "c = 2, or drops up and down",
+    },
+    reference="Coulomb (1785); seed paper: about 0.3 g on the rod",
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Friction as an acceleration, m/s^2."""
+    return p[-1] * (p[k] if direction > 0.0 else p[k + 1])

@@ -1,0 +1,26 @@
+"""Drive volts give more plate motion than declared.
+The rule kept here: the accelerometer reads the true motion, so flights do not notice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="drive_gain",
+    summary="a volt of drive moves the plate by more (or less) than declared",
+    parameters=(Parameter("relative", "1", -0.9, 5.0, 0.01, calibration=0.005, meaning="true over declared, minus 1"),),
+    seen_in=("plate",),
+    confused_with={"accelerometer_gain": "landing times", "gain_compression": "a range of amplitudes"},
+    reference="amplifier knob, shaker sensitivity",
+)
+
+
+def transfer(p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: float) -> NDArray[np.complex128]:
+    """Factor on drive -> plate."""
+    return np.full(omega_radps.shape, 1.0 + p["relative"], dtype=np.complex128)

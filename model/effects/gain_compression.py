@@ -1,0 +1,27 @@
+"""The plate's motion falls behind the drive as the amplitude grows.
+The rule kept here: to lowest order the loss goes with the square of the amplitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="gain_compression",
+    summary="the plate's motion falls behind the drive as the amplitude grows",
+    parameters=(Parameter("per_g2", "1/g^2", -0.2, 0.5, 1e-3, meaning="relative loss per square of the asked g"),),
+    seen_in=("plate",),
+    confused_with={"drive_gain": "a range of amplitudes", "parameter_drift": "steps in shuffled or up-and-down order"},
+    reference="saturation of amplifier and magnet, first even term",
+)
+
+
+def transfer(p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: float) -> NDArray[np.complex128]:
+    """Factor on drive -> plate."""
+    loss = p["per_g2"] * accel_g**2
+    return np.full(omega_radps.shape, 1.0 / (1.0 + loss) if loss > -0.9 else 10.0, dtype=np.complex128)

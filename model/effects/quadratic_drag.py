@@ -1,0 +1,24 @@
+"""Air drag, ``-k |u| u`` with the absolute velocity ``u``: the air does not move with the plate.
+The rule kept here: the air is at rest in the laboratory.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="quadratic_drag",
+    summary="air drag, proportional to the square of the absolute velocity",
+    parameters=(Parameter("k_per_m", "1/m", 0.0, 50.0, 0.1, scan=(0.5,), meaning="rho C_d S / (2 m)"),),
+    seen_in=("landing", "bounce"),
+    confused_with={"viscous_damping": "fast flights at high gamma"},
+    reference="Rayleigh's drag equation",
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Acceleration of the ball, m/s^2."""
+    return -p[k] * abs(u) * u

@@ -1,0 +1,28 @@
+"""Restitution relative to the plate, ``e = e0 - e1 v`` with ``v`` the impact speed.
+The rule kept here: e is never below 0.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="restitution",
+    summary="the ball rebounds: its impacts are not completely inelastic",
+    parameters=(
+        Parameter("e0", "1", 0.0, 0.95, 0.02, scan=(0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8),
+                  meaning="coefficient of restitution of a slow impact"),
+        Parameter("e1_s_per_m", "s/m", -1.0, 2.0, 0.05, meaning="loss of restitution with impact speed"),
+    ),
+    seen_in=("landing", "bounce"),
+    confused_with={"coulomb_friction": "undeclared friction biases restitution: they are fitted jointly"},
+    reference="Gilet, Vandewalle and Dorbolo, Phys. Rev. E 79, 055201 (2009), for e = 0",
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def rebound(v: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Contribution to the coefficient of restitution."""
+    return max(p[k] - p[k + 1] * v, 0.0) if p[k] > 0.0 else 0.0

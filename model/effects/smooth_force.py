@@ -1,0 +1,39 @@
+"""A force that is a smooth function of one quantity of the flight: the missing term itself, where no cause is named.
+The rule kept here: piecewise linear between knots, constant beyond them; never part of the named library.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+KNOTS = 8
+HEIGHT, VELOCITY, ABSOLUTE_VELOCITY, SINCE_TAKEOFF = 1.0, 2.0, 3.0, 4.0
+
+EFFECT = Effect(
+    name="smooth_force",
+    summary="a force as a smooth function of one quantity of the flight",
+    parameters=(
+        Parameter("of", "1", 0.0, 4.0, 1.0, shape=True, meaning="0 none, 1 height, 2 velocity, 3 absolute, 4 time"),
+        Parameter("start", "1", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
+        Parameter("spacing", "1", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
+        *(Parameter(f"c{i}", "m/s^2", -1e3, 1e3, 0.1, meaning="force at the knot") for i in range(KNOTS)),
+    ),
+    seen_in=("takeoff", "landing", "bounce"),
+    reference="penalised regression spline",
+    library=False,
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Acceleration of the ball, m/s^2."""
+    of = p[k]
+    if of == 0.0:
+        return 0.0
+    x = h if of == 1.0 else v if of == 2.0 else u if of == 3.0 else s
+    place = min(max((x - p[k + 1]) / p[k + 2], 0.0), KNOTS - 1.0)
+    i = min(int(place), KNOTS - 2)
+    part = place - i
+    return p[k + 3 + i] * (1.0 - part) + p[k + 4 + i] * part

@@ -1,0 +1,32 @@
+"""Dry friction that weakens with speed: ``mu_kinetic + mu_extra exp(-(v / v_s)^2)``.
+The rule kept here: at rest the whole of it must be overcome.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    summary="dry friction that weakens with speed",
+    parameters=(
+        Parameter("mu_kinetic", "g", 0.0, 3.0, 0.02, scan=(0.1, 0.3), meaning="friction over weight at high speed"),
+        Parameter("mu_extra", "g", 0.0, 3.0, 0.03, scan=(0.1,), meaning="what is added at standstill"),
+        Parameter("v_s_mps", "m/s", 1e-3, 2.0, 0.05, absent=0.1, scan=(0.03, 0.1, 0.3), shape=True,
+                  meaning="speed over which it weakens"),
+    ),
+    seen_in=("takeoff", "landing", "bounce"),
+    confused_with={"coulomb_friction": "slow and fast passages", "adhesion": "landing times of fast flights"},
+    reference="Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1083 (1994)",
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Friction as an acceleration, m/s^2."""
+    ratio = speed / p[k + 2]
+    return p[-1] * (p[k] + p[k + 1] * math.exp(-ratio * ratio))

@@ -1,0 +1,24 @@
+"""Viscous damping relative to the plate, ``-rate v``.
+The rule kept here: it acts on the velocity relative to the plate, since the rod moves with it.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="viscous_damping",
+    summary="a drag proportional to the speed along the rod",
+    parameters=(Parameter("rate_per_s", "1/s", 0.0, 200.0, 0.5, scan=(3.0,), meaning="deceleration over speed"),),
+    seen_in=("landing", "bounce"),
+    confused_with={"coulomb_friction": "take-off times", "position_force": "irregular flights at high gamma"},
+    reference="linear (lubricated) friction",
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Acceleration of the ball, m/s^2."""
+    return -p[k] * v

@@ -1,0 +1,231 @@
+"""Flights with any set of effects, in SI units: one event ahead of a measurement, or marching on from a start.
+
+The rule kept here: all effects are compiled into one kernel, composed from the files in `model.effects`, and kept on
+disk under the hash of their sources; an effect whose parameters are absent costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.effects import absent_row, registry, row
+from model.effects.base import COMPILED_HOOKS
+
+Array = NDArray[np.float64]
+
+_SIGNATURES = {
+    "force": ("s, h, v, u, p", "0.0"),
+    "dry": ("h, speed, direction, p", "0.0"),
+    "hold": ("dwell_s, p", "0.0"),
+    "rebound": ("v, p", "0.0"),
+}
+
+
+def _composed_source() -> str:
+    """Header that sums the hooks of all effects, then the kernel's own text."""
+    template = Path(__file__).with_name("roll_kernel.py").read_text(encoding="utf-8")
+    lines = ["import math", "import numpy as np", "from numba import njit"]
+    entries = registry()
+    for entry in entries:
+        for hook in entry.hooks.keys() & set(COMPILED_HOOKS):
+            lines.append(f"from {entry.module} import {hook} as {hook}_{entry.effect.name}")
+    for hook, (arguments, nothing) in _SIGNATURES.items():
+        terms = [f"{hook}_{e.effect.name}({arguments}, {e.offset})" for e in entries if hook in e.hooks]
+        lines += ["", "@njit(error_model='numpy')", f"def {hook}({arguments}):", f"    return {' + '.join(terms) or nothing}"]
+    modes = [f"mode_{e.effect.name}(p, {e.offset})" for e in entries if "mode" in e.hooks]
+    if len(modes) > 1:
+        raise ValueError("only one effect may bring a plate mode")
+    lines += ["", "@njit(error_model='numpy')", "def mode(p):", f"    return {modes[0] if modes else '1.0, 0.0, 0.0'}", ""]
+    return "\n".join(lines) + template.split("# ---- kernel ----", 1)[1]
+
+
+@functools.cache
+def kernel() -> ModuleType:
+    """The compiled kernel of all effects; built once and cached on disk under the hash of its sources."""
+    source = _composed_source()
+    parts = [Path(sys.modules[e.module].__file__ or "").read_bytes() for e in registry()]
+    digest = hashlib.sha256(source.encode() + b"".join(parts)).hexdigest()[:16]
+    name = f"_rolled_{digest}"
+    for folder in (Path(__file__).parent / "__pycache__", Path(tempfile.gettempdir()) / "shakerbench"):
+        path = folder / f"{name}.py"
+        try:
+            if not path.exists():
+                folder.mkdir(parents=True, exist_ok=True)
+                part = path.with_suffix(f".{id(source)}.tmp")
+                part.write_text(source, encoding="utf-8")
+                part.replace(path)
+        except OSError:
+            continue  # a read-only installation: the next folder serves
+        break
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"cannot load the composed kernel from {path}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@functools.cache
+def _columns(hook: str) -> NDArray[np.intp]:
+    """Places in the row of all parameters of the effects that define ``hook``."""
+    return np.array([e.offset + i for e in registry() if hook in e.hooks for i, q in enumerate(e.effect.parameters)
+                     if not q.shape or q.name == "of"], dtype=np.intp)
+
+
+def _active(rows: Array, hook: str) -> bool:
+    columns = _columns(hook)
+    return bool(np.any(rows[..., columns] != absent_row(0.0)[columns]))
+
+
+@dataclass(frozen=True)
+class PlateSteps:
+    """The plate's motion in each step: tones on one time axis.
+
+    Parameters
+    ----------
+    omega_radps, acceleration_mps2
+        Angular frequencies and complex amplitudes, shape (m, k); the plate's acceleration is
+        ``Re sum acceleration exp(i omega t)``. Unused places hold zeros and any positive frequency.
+    period_s
+        Period of the forcing, shape (m,).
+    """
+
+    omega_radps: Array
+    acceleration_mps2: NDArray[np.complex128]
+    period_s: Array
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measured flights in order, as the predictions need them; arrays of shape (n,).
+
+    Parameters
+    ----------
+    opening_s, landing_s
+        When the circuit opened and closed.
+    at_once
+        The ball left at the landing before, not after a rest.
+    linked
+        The flight before in the table is the flight before in reality.
+    step
+        Row of `PlateSteps`.
+    """
+
+    opening_s: Array
+    landing_s: Array
+    at_once: NDArray[np.bool_]
+    linked: NDArray[np.bool_]
+    step: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What one event ahead says of each measured flight; arrays of shape (n,), NaN where nothing can be said.
+
+    ``kind`` is 1 when thrown or bounced at once, 0 after a rest, -1 when there is no prediction; ``launch_mps`` and
+    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one.
+    """
+
+    takeoff_s: Array
+    predicted_launch_mps: Array
+    landing_s: Array
+    predicted_impact_mps: Array
+    opening_s: Array
+    hidden: Array
+    kind: Array
+    launch_mps: Array
+    impact_mps: Array
+    pull_mps2: Array
+
+
+def one_ahead(
+    measured: Measured, plate: PlateSteps, rows: Array, *, gap_m: Array | float = 0.0, unseen_s: float = 1e-4,
+    passable_s: float = 2e-3,
+) -> Predicted:
+    """Predict each flight's take-off and landing from the measured landing before it.
+
+    Parameters
+    ----------
+    measured, plate
+        The events and the plate's motion.
+    rows
+        All parameters, shape (P + 1,) or one row an event (n, P + 1): see `model.effects.row`.
+    gap_m
+        Height at which the circuit opens, one number or (n,).
+    unseen_s
+        Flights shorter than this are passed over: no instrument has seen them.
+    passable_s
+        Flights shorter than this may have escaped the instrument: they are passed over when they end before the
+        measured flight begins.
+    """
+    n = len(measured.landing_s)
+    rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
+    out = np.full((n, 10), np.nan)
+    elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1) | np.any(rows[:, _columns("mode")] > 0.0, axis=1)
+    kernel().one_ahead(
+        measured.opening_s, measured.landing_s, measured.at_once, measured.linked, measured.step,
+        plate.period_s, plate.omega_radps, np.ascontiguousarray(plate.acceleration_mps2.real),
+        np.ascontiguousarray(plate.acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"),
+        elastic, np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)), unseen_s,
+        passable_s, out,
+    )
+    missing = out[:, 6] < 0
+    out[missing, :6] = np.nan
+    return Predicted(*out.T)
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Flights one after another, shape (n,) each: SI units, velocities relative to the plate."""
+
+    takeoff_s: Array
+    launch_mps: Array
+    landing_s: Array
+    impact_mps: Array
+    after_rest: NDArray[np.bool_]
+    hidden: NDArray[np.int64]
+
+
+def march(
+    effects: Mapping[str, Mapping[str, float]],
+    *,
+    g_mps2: float,
+    period_s: float,
+    omega_radps: Array,
+    acceleration_mps2: NDArray[np.complex128],
+    flights: int,
+    start_s: float = 0.0,
+    impact_mps: float = 0.0,
+    unseen_s: float = 0.0,
+) -> Orbit:
+    """Fly ``flights`` flights from an impact at ``start_s``; fewer come back when the ball stays on the plate.
+
+    Raises
+    ------
+    ValueError
+        For unknown effects or parameters, or values out of bounds.
+    """
+    rows = row(effects, g_mps2)
+    out = np.empty((flights, 6))
+    n, *_ = kernel().march(
+        start_s, impact_mps, 0.0, 0.0, period_s, omega_radps, np.ascontiguousarray(acceleration_mps2.real),
+        np.ascontiguousarray(acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"), 0.0,
+        unseen_s, out,
+    )
+    out = out[:n]
+    return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))
+
+
