@@ -68,118 +68,220 @@ def _size(name: str, lo: float, hi: float, low: float = -np.inf, high: float = n
     return Parameter(name, (lo, hi), True, 0.0, low, high)
 
 
-def _shape(name: str, lo: float, hi: float, neutral: float = 1.0, low: float = 1e-12, high: float = np.inf) -> Parameter:
-    return Parameter(name, (lo, hi), False, neutral, low, high)
+def _shape(name: str, lo: float, hi: float, neutral: float, low: float = 1e-12) -> Parameter:
+    return Parameter(name, (lo, hi), False, neutral, low, np.inf)
 
 
-def _beyond(name: str, parameters: tuple[Parameter, ...], words: str, term: str, covariate: str = "") -> EffectEntry:
+def _named(name: str, term: str, words: str, *parameters: Parameter) -> EffectEntry:
+    return EffectEntry(name, parameters, words, True, term)
+
+
+def _beyond(name: str, term: str, covariate: str, words: str, *parameters: Parameter) -> EffectEntry:
     return EffectEntry(name, parameters, words, False, term, covariate)
 
 
 NAMED: tuple[EffectEntry, ...] = (
-    EffectEntry(
-        "coulomb_friction",
-        (_size("mu_up", 0.05, 0.3, 0.0, 2.0), _size("mu_down", 0.05, 0.3, 0.0, 2.0)),
+    _named(
+        "coulomb_friction", "force",
         "dry friction on the rod, in units of the local weight, against motion relative to the plate",
+        _size("mu_up", 0.05, 0.3, 0.0, 2.0),
+        _size("mu_down", 0.05, 0.3, 0.0, 2.0),
     ),
-    EffectEntry(
-        "stribeck_friction",
-        (_size("mu_static", 0.1, 0.3, 0.0, 2.0), _size("mu_kinetic", 0.02, 0.08, 0.0, 2.0), _shape("speed_mps", 0.02, 0.2)),
-        "dry friction falling from its static to its kinetic value as speed grows",
+    _named(
+        "stribeck_friction", "force", "dry friction falling from its static to its kinetic value as speed grows",
+        _size("mu_static", 0.1, 0.3, 0.0, 2.0),
+        _size("mu_kinetic", 0.02, 0.08, 0.0, 2.0),
+        _shape("speed_mps", 0.02, 0.2, 1.0),
     ),
-    EffectEntry("viscous_damping", (_size("rate_per_s", 1.0, 6.0, 0.0, 200.0),), "force against relative velocity"),
-    EffectEntry(
-        "quadratic_drag", (_size("coefficient_per_m", 0.5, 3.0, 0.0, 100.0),), "force against absolute velocity squared"
+    _named(
+        "viscous_damping", "force", "force against relative velocity",
+        _size("rate_per_s", 1.0, 6.0, 0.0, 200.0),
     ),
-    EffectEntry(
-        "restitution",
-        (_size("e0", 0.1, 0.55, 0.0, 0.99), _size("e1_s_per_m", 0.0, 0.15, -2.0, 2.0)),
-        "rebound e = e0 - e1 v, v the impact speed relative to the plate",
-        term="restitution",
+    _named(
+        "quadratic_drag", "force", "force against absolute velocity squared",
+        _size("coefficient_per_m", 0.5, 3.0, 0.0, 100.0),
     ),
-    EffectEntry(
-        "adhesion", (_size("pull_g", 0.05, 0.3, 0.0, 5.0),), "extra pull in contact that is gone once apart", term="threshold"
+    _named(
+        "restitution", "restitution", "rebound e = e0 - e1 v, v the impact speed relative to the plate",
+        _size("e0", 0.1, 0.55, 0.0, 0.99),
+        _size("e1_s_per_m", 0.0, 0.15, -2.0, 2.0),
     ),
-    EffectEntry(
-        "position_force",
-        (_size("stiffness_per_s2", 50.0, 300.0, -1e4, 1e4), _size("magnet_g", 0.0, 0.1, -2.0, 2.0), _shape("range_m", 0.001, 0.005)),
-        "spring towards the plate, and a magnet whose pull decays with height",
+    _named(
+        "adhesion", "threshold", "extra pull in contact that is gone once apart",
+        _size("pull_g", 0.05, 0.3, 0.0, 5.0),
     ),
-    EffectEntry("local_gravity", (_size("relative", 0.02, 0.08, -0.5, 0.5),), "gravity differs from the standard one"),
-    EffectEntry(
-        "table_resonance",
-        (_shape("frequency_hz", 4.0, 12.0, 5.0), _shape("damping", 0.02, 0.1, 0.05), _size("mass_ratio", 0.01, 0.04, 0.0, 1.0)),
-        "a slow mode of the whole shaker, driven by the impacts and the ball's weight",
-        term="plate",
+    _named(
+        "position_force", "force", "spring towards the plate, and a magnet whose pull decays with height",
+        _size("stiffness_per_s2", 50.0, 300.0, -10000.0, 10000.0),
+        _size("magnet_g", 0.0, 0.1, -2.0, 2.0),
+        _shape("range_m", 0.001, 0.005, 1.0),
     ),
-    EffectEntry("drive_gain", (_size("relative", 0.03, 0.12, -0.9, 5.0),), "the amplifier's gain is off", term="plate"),
-    EffectEntry(
-        "gain_compression", (_size("per_v2", 0.05, 0.2, 0.0, 10.0),), "gain falls with the drive's mean square", term="plate"
+    _named(
+        "local_gravity", "force", "gravity differs from the standard one",
+        _size("relative", 0.02, 0.08, -0.5, 0.5),
     ),
-    EffectEntry("phase_lag", (_size("time_constant_s", 2e-4, 1e-3, 0.0, 0.02),), "first-order lag of the shaker", term="plate"),
-    EffectEntry(
-        "harmonic_distortion",
-        (_size("second_per_v", 0.01, 0.04, -1.0, 1.0), _size("third_per_v2", 0.01, 0.04, -1.0, 1.0)),
-        "the amplifier bends: second and third harmonics",
-        term="plate",
+    _named(
+        "table_resonance", "plate", "a slow mode of the whole shaker, driven by the impacts and the ball's weight",
+        _shape("frequency_hz", 4.0, 12.0, 5.0),
+        _shape("damping", 0.02, 0.1, 0.05),
+        _size("mass_ratio", 0.01, 0.04, 0.0, 1.0),
     ),
-    EffectEntry(
-        "mains_hum",
-        (_size("amplitude_g", 0.03, 0.12, 0.0, 5.0), _shape("frequency_hz", 49.95, 50.05, 50.0), _shape("phase_rad", 0.0, 6.28, 0.0, 0.0)),
-        "motion of the plate at the mains frequency",
-        term="plate",
+    _named(
+        "drive_gain", "plate", "the amplifier's gain is off",
+        _size("relative", 0.03, 0.12, -0.9, 5.0),
     ),
-    EffectEntry(
-        "amplitude_modulation",
-        (_size("depth", 0.02, 0.08, 0.0, 0.9), _shape("frequency_hz", 0.3, 2.0)),
-        "the drive's amplitude breathes",
-        term="plate",
+    _named(
+        "gain_compression", "plate", "gain falls with the drive's mean square",
+        _size("per_v2", 0.05, 0.2, 0.0, 10.0),
     ),
-    EffectEntry("accelerometer_gain", (_size("relative", 0.03, 0.1, -0.9, 5.0),), "the accelerometer's scale is off", term="sensor"),
-    EffectEntry("accelerometer_offset", (_size("offset_g", 0.05, 0.3, -20.0, 20.0),), "the accelerometer's zero is off", term="sensor"),
-    EffectEntry("contact_latency", (_size("delay_s", 2e-4, 8e-4, 0.0, 0.02),), "the contact circuit reports both edges late", term="sensor"),
-    EffectEntry("contact_gap", (_size("gap_m", 1e-7, 5e-7, 0.0, 1e-3),), "the circuit opens only at this height", term="sensor"),
-    EffectEntry("clock_error", (_size("relative", 2e-3, 1e-2, -0.1, 0.1),), "the card's true rate differs from its nominal one", term="sensor"),
-    EffectEntry("mass_loading", (_size("mass_ratio", 0.02, 0.08, 0.0, 1.0),), "the ball in contact loads the table", term="plate"),
-    EffectEntry("contact_closure", (_size("duration_s", 2e-4, 1e-3, 0.0, 0.01),), "an impact keeps the circuit closed for a while", term="sensor"),
+    _named(
+        "phase_lag", "plate", "first-order lag of the shaker",
+        _size("time_constant_s", 0.0002, 0.001, 0.0, 0.02),
+    ),
+    _named(
+        "harmonic_distortion", "plate", "the amplifier bends: second and third harmonics",
+        _size("second_per_v", 0.01, 0.04, -1.0, 1.0),
+        _size("third_per_v2", 0.01, 0.04, -1.0, 1.0),
+    ),
+    _named(
+        "mains_hum", "plate", "motion of the plate at the mains frequency",
+        _size("amplitude_g", 0.03, 0.12, 0.0, 5.0),
+        _shape("frequency_hz", 49.95, 50.05, 50.0),
+        _shape("phase_rad", 0.0, 6.28, 0.0, 0.0),
+    ),
+    _named(
+        "amplitude_modulation", "plate", "the drive's amplitude breathes",
+        _size("depth", 0.02, 0.08, 0.0, 0.9),
+        _shape("frequency_hz", 0.3, 2.0, 1.0),
+    ),
+    _named(
+        "accelerometer_gain", "sensor", "the accelerometer's scale is off",
+        _size("relative", 0.03, 0.1, -0.9, 5.0),
+    ),
+    _named(
+        "accelerometer_offset", "sensor", "the accelerometer's zero is off",
+        _size("offset_g", 0.05, 0.3, -20.0, 20.0),
+    ),
+    _named(
+        "contact_latency", "sensor", "the contact circuit reports both edges late",
+        _size("delay_s", 0.0002, 0.0008, 0.0, 0.02),
+    ),
+    _named(
+        "contact_gap", "sensor", "the circuit opens only at this height",
+        _size("gap_m", 1e-07, 5e-07, 0.0, 0.001),
+    ),
+    _named(
+        "clock_error", "sensor", "the card's true rate differs from its nominal one",
+        _size("relative", 0.002, 0.01, -0.1, 0.1),
+    ),
+    _named(
+        "mass_loading", "plate", "the ball in contact loads the table",
+        _size("mass_ratio", 0.02, 0.08, 0.0, 1.0),
+    ),
+    _named(
+        "contact_closure", "sensor", "an impact keeps the circuit closed for a while",
+        _size("duration_s", 0.0002, 0.001, 0.0, 0.01),
+    ),
 )
 
 BEYOND: tuple[EffectEntry, ...] = (
-    _beyond("height_friction", (_size("mu_per_m", 20.0, 60.0, 0.0, 1e3),), "friction grows with height", "force", "height"),
     _beyond(
-        "velocity_friction",
-        (_size("mu", 0.1, 0.3, 0.0, 2.0), _shape("centre_mps", 0.1, 0.25), _shape("width_mps", 0.05, 0.1)),
-        "friction has a hump at one speed", "force", "velocity",
+        "height_friction", "force", "height", "friction grows with height",
+        _size("mu_per_m", 20.0, 60.0, 0.0, 1000.0),
     ),
-    _beyond("latch_force", (_size("pull_g", 0.05, 0.2, -2.0, 2.0), _shape("height_m", 0.001, 0.003), _shape("width_m", 2e-4, 1e-3)),
-            "a magnet on the rod pulls back above a height", "force", "height"),
-    _beyond("level_friction", (_size("mu_per_v2", 0.1, 0.4, 0.0, 10.0),), "friction grows with the level of the drive", "force", "gamma"),
-    _beyond("warming_force", (_size("pull_g", 0.05, 0.2, -2.0, 2.0), _shape("time_constant_s", 5.0, 20.0)),
-            "a downward pull that builds up as the rig warms, and saturates", "force", "time in run"),
-    _beyond("charge_force", (_size("pull_g", 0.05, 0.2, -2.0, 2.0), _shape("flight_s", 0.02, 0.05)),
-            "a pull set by how long the previous flight rubbed the rod", "force", "previous flight"),
-    _beyond("ageing_threshold", (_size("pull_g", 0.05, 0.2, 0.0, 5.0), _shape("time_constant_s", 0.002, 0.02)),
-            "the stick threshold grows with the time spent in contact", "threshold", "dwell time"),
-    _beyond("impact_restitution", (_size("e", 0.1, 0.4, 0.0, 0.95), _shape("centre_mps", 0.2, 0.4), _shape("width_mps", 0.05, 0.15)),
-            "rebound only around one impact speed", "restitution", "impact speed"),
-    _beyond("memory_restitution", (_size("e", 0.1, 0.4, 0.0, 0.95), _shape("flight_s", 0.02, 0.05)),
-            "rebound grows with the previous flight's length", "restitution", "previous flight"),
-    _beyond("acceleration_restitution", (_size("e", 0.1, 0.4, 0.0, 0.95), _shape("scale_g", 1.0, 3.0)),
-            "rebound grows with the plate's acceleration at impact", "restitution", "plate acceleration"),
-    _beyond("recovery_friction", (_size("mu", 0.1, 0.4, 0.0, 2.0), _shape("time_constant_s", 0.005, 0.02)),
-            "friction high just after an impact, then decaying", "force", "time since impact"),
-    _beyond("air_cushion", (_size("rate_per_s", 20.0, 100.0, 0.0, 5e3), _shape("height_m", 5e-5, 3e-4)),
-            "squeezed air resists motion near the plate", "force"),
-    _beyond("oil_film", (_size("pull_g", 0.3, 1.5, 0.0, 20.0), _shape("height_m", 5e-5, 2e-4), _shape("speed_mps", 0.01, 0.05)),
-            "a film holds the ball back as it leaves, the more the faster", "force"),
-    _beyond("rod_rocking", (_size("mu", 0.2, 0.6, 0.0, 3.0), _shape("frequency_hz", 30.0, 90.0, 50.0), _shape("decay_s", 0.02, 0.08)),
-            "impacts set the block rocking on the rod, which modulates friction until it dies out", "force"),
-    _beyond("alternate_seat", (_size("mu", 0.05, 0.25, 0.0, 2.0),), "two seats taken in turn: friction after every other impact only", "force"),
-    _beyond("rod_angle_friction", (_size("mu", 0.1, 0.3, 0.0, 2.0), _shape("period_s", 1.0, 5.0)),
-            "the block turns slowly about the rod, which is rough on one side", "force"),
-    _beyond("impact_hold", (_size("hold_s_per_mps", 0.01, 0.05, 0.0, 1.0),), "a soft table holds the ball for a time set by the impact speed", "threshold"),
-    _beyond("worn_bearing", (_size("mu", 0.05, 0.25, 0.0, 2.0), _shape("since_s", 5.0, 15.0)), "friction appears at one moment of the run", "force"),
-    _beyond("scattered_restitution", (_size("e", 0.1, 0.4, 0.0, 0.95),), "rebound drawn anew at each impact, from nothing to this", "restitution"),
+    _beyond(
+        "velocity_friction", "force", "velocity", "friction has a hump at one speed",
+        _size("mu", 0.1, 0.3, 0.0, 2.0),
+        _shape("centre_mps", 0.1, 0.25, 1.0),
+        _shape("width_mps", 0.05, 0.1, 1.0),
+    ),
+    _beyond(
+        "latch_force", "force", "height", "a magnet on the rod pulls back above a height",
+        _size("pull_g", 0.05, 0.2, -2.0, 2.0),
+        _shape("height_m", 0.001, 0.003, 1.0),
+        _shape("width_m", 0.0002, 0.001, 1.0),
+    ),
+    _beyond(
+        "level_friction", "force", "gamma", "friction grows with the level of the drive",
+        _size("mu_per_v2", 0.1, 0.4, 0.0, 10.0),
+    ),
+    _beyond(
+        "warming_force", "force", "time in run", "a downward pull that builds up as the rig warms, and saturates",
+        _size("pull_g", 0.05, 0.2, -2.0, 2.0),
+        _shape("time_constant_s", 5.0, 20.0, 1.0),
+    ),
+    _beyond(
+        "charge_force", "force", "previous flight", "a pull set by how long the previous flight rubbed the rod",
+        _size("pull_g", 0.05, 0.2, -2.0, 2.0),
+        _shape("flight_s", 0.02, 0.05, 1.0),
+    ),
+    _beyond(
+        "ageing_threshold", "threshold", "dwell time", "the stick threshold grows with the time spent in contact",
+        _size("pull_g", 0.05, 0.2, 0.0, 5.0),
+        _shape("time_constant_s", 0.002, 0.02, 1.0),
+    ),
+    _beyond(
+        "impact_restitution", "restitution", "impact speed", "rebound only around one impact speed",
+        _size("e", 0.1, 0.4, 0.0, 0.95),
+        _shape("centre_mps", 0.2, 0.4, 1.0),
+        _shape("width_mps", 0.05, 0.15, 1.0),
+    ),
+    _beyond(
+        "memory_restitution", "restitution", "previous flight", "rebound grows with the previous flight's length",
+        _size("e", 0.1, 0.4, 0.0, 0.95),
+        _shape("flight_s", 0.02, 0.05, 1.0),
+    ),
+    _beyond(
+        "acceleration_restitution", "restitution", "plate acceleration",
+        "rebound grows with the plate's acceleration at impact",
+        _size("e", 0.1, 0.4, 0.0, 0.95),
+        _shape("scale_g", 1.0, 3.0, 1.0),
+    ),
+    _beyond(
+        "recovery_friction", "force", "time since impact", "friction high just after an impact, then decaying",
+        _size("mu", 0.1, 0.4, 0.0, 2.0),
+        _shape("time_constant_s", 0.005, 0.02, 1.0),
+    ),
+    _beyond(
+        "air_cushion", "force", "", "squeezed air resists motion near the plate",
+        _size("rate_per_s", 20.0, 100.0, 0.0, 5000.0),
+        _shape("height_m", 5e-05, 0.0003, 1.0),
+    ),
+    _beyond(
+        "oil_film", "force", "", "a film holds the ball back as it leaves, the more the faster",
+        _size("pull_g", 0.3, 1.5, 0.0, 20.0),
+        _shape("height_m", 5e-05, 0.0002, 1.0),
+        _shape("speed_mps", 0.01, 0.05, 1.0),
+    ),
+    _beyond(
+        "rod_rocking", "force", "",
+        "impacts set the block rocking on the rod, which modulates friction until it dies out",
+        _size("mu", 0.2, 0.6, 0.0, 3.0),
+        _shape("frequency_hz", 30.0, 90.0, 50.0),
+        _shape("decay_s", 0.02, 0.08, 1.0),
+    ),
+    _beyond(
+        "alternate_seat", "force", "", "two seats taken in turn: friction after every other impact only",
+        _size("mu", 0.05, 0.25, 0.0, 2.0),
+    ),
+    _beyond(
+        "rod_angle_friction", "force", "", "the block turns slowly about the rod, which is rough on one side",
+        _size("mu", 0.1, 0.3, 0.0, 2.0),
+        _shape("period_s", 1.0, 5.0, 1.0),
+    ),
+    _beyond(
+        "impact_hold", "threshold", "", "a soft table holds the ball for a time set by the impact speed",
+        _size("hold_s_per_mps", 0.01, 0.05, 0.0, 1.0),
+    ),
+    _beyond(
+        "worn_bearing", "force", "", "friction appears at one moment of the run",
+        _size("mu", 0.05, 0.25, 0.0, 2.0),
+        _shape("since_s", 5.0, 15.0, 1.0),
+    ),
+    _beyond(
+        "scattered_restitution", "restitution", "", "rebound drawn anew at each impact, from nothing to this",
+        _size("e", 0.1, 0.4, 0.0, 0.95),
+    ),
 )
 
 EFFECTS: dict[str, EffectEntry] = {entry.name: entry for entry in (*NAMED, *BEYOND)}
@@ -210,8 +312,9 @@ RIG_DEFAULTS: dict[str, float] = {
 
 
 def parameter_dtype() -> np.dtype[np.void]:
-    """Layout of the parameter record handed to the compiled plant: rig numbers, then ``effect_parameter`` fields."""
+    """Layout of the compiled plant's parameters: rig numbers, ``effect_parameter`` fields, then switches."""
     fields = [(name, "f8") for name in RIG_DEFAULTS]
     fields += [(f"{e.name}_{p.name}", "f8") for e in EFFECTS.values() for p in e.parameters]
-    fields += [(f"has_{name}", "f8") for name in ("friction", "force", "hold", "mode")]
+    switches = ("has_friction", "has_unusual_friction", "has_force", "has_hold", "has_mode", "is_ballistic")
+    fields += [(name, "f8") for name in switches]
     return np.dtype(fields)

@@ -13,20 +13,26 @@ from numba import njit
 
 from rig.sim.forces import G_MPS2
 
-MEAN_SQUARE_S = 0.5
-LEAK_S = 20.0
+MEAN_SQUARE_S = 0.05
+"""Time constant of each of the two stages that follow the drive's mean square."""
+
+LEAK_S = 1.0
+"""The suspension's memory of the plate's mean velocity."""
 
 
 @njit(cache=True)
 def _amplifier(s: Any, p: Any, volts: float) -> float:
     """Gain errors, bending and clipping; volts that would drive an ideal shaker."""
     t = s.t_s + s.dt_s
-    s.mean_square_v2 += (volts * volts - s.mean_square_v2) * s.dt_s / MEAN_SQUARE_S
+    rate = s.dt_s / MEAN_SQUARE_S
+    s.mean_square_1 += (volts * volts - s.mean_square_1) * rate
+    s.mean_square_v2 += (s.mean_square_1 - s.mean_square_v2) * rate
     out = volts * (1.0 + p.drive_gain_relative) / (1.0 + p.gain_compression_per_v2 * s.mean_square_v2)
-    out *= 1.0 + p.amplitude_modulation_depth * math.sin(2.0 * math.pi * p.amplitude_modulation_frequency_hz * t)
+    if p.amplitude_modulation_depth != 0.0:
+        out *= 1.0 + p.amplitude_modulation_depth * math.sin(2.0 * math.pi * p.amplitude_modulation_frequency_hz * t)
     out += p.harmonic_distortion_second_per_v * (volts * volts - s.mean_square_v2)
     out += p.harmonic_distortion_third_per_v2 * volts * volts * volts
-    return min(max(out, -p.clip_v), p.clip_v)
+    return float(min(max(out, -p.clip_v), p.clip_v))
 
 
 @njit(cache=True)
@@ -40,15 +46,15 @@ def _shaker(s: Any, p: Any, volts: float) -> float:
         s.last_v = volts
         volts = s.lagged_v
     if p.shaker_frequency_hz <= 0.0:
-        return volts
-    w = 2.0 * math.pi * p.shaker_frequency_hz
-    drive = volts
-    x, v = s.shaker_x, s.shaker_v
-    a = drive - w * w * x - 2.0 * p.shaker_damping * w * v
-    mid_x, mid_v = x + 0.5 * s.dt_s * v, v + 0.5 * s.dt_s * a
-    a_mid = drive - w * w * mid_x - 2.0 * p.shaker_damping * w * mid_v
-    s.shaker_x, s.shaker_v = x + s.dt_s * mid_v, v + s.dt_s * a_mid
-    return drive - w * w * s.shaker_x - 2.0 * p.shaker_damping * w * s.shaker_v
+        return float(volts)
+    w, damping = 2.0 * math.pi * p.shaker_frequency_hz, p.shaker_damping
+    x, v, h = s.shaker_x, s.shaker_v, s.dt_s
+    a = s.shaker_drive - w * w * x - 2.0 * damping * w * v
+    middle = 0.5 * (s.shaker_drive + volts)
+    mid_x, mid_v = x + 0.5 * h * v, v + 0.5 * h * a
+    s.shaker_x, s.shaker_v = x + h * mid_v, v + h * (middle - w * w * mid_x - 2.0 * damping * w * mid_v)
+    s.shaker_drive = volts
+    return float(volts - w * w * s.shaker_x - 2.0 * damping * w * s.shaker_v)
 
 
 @njit(cache=True)

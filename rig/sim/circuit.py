@@ -92,7 +92,7 @@ def run_circuit(s: Any, p: Any) -> None:
         at, kind = max(s.edge_s[done], now), s.edge_kind[done]
         _relax(s, p, at - now)
         now = at
-        if kind == OPEN or kind == CLOSE:
+        if kind in (OPEN, CLOSE):
             s.closed = 1 if kind == CLOSE else 0
             s.bouncing = 0
         else:

@@ -11,7 +11,6 @@ from typing import Any
 
 from numba import njit
 
-
 G_MPS2 = 9.80665
 """Standard gravity: the unit of every ``_g`` parameter."""
 
@@ -19,7 +18,7 @@ G_MPS2 = 9.80665
 @njit(cache=True, inline="always")
 def gravity(p: Any) -> float:
     """Local gravity, m/s^2."""
-    return G_MPS2 * (1.0 + p.local_gravity_relative)
+    return float(G_MPS2 * (1.0 + p.local_gravity_relative))
 
 
 @njit(cache=True)
@@ -43,18 +42,63 @@ def plate_acceleration(s: Any, p: Any, u: float, y: float, yv: float, touching: 
 
 
 @njit(cache=True)
-def friction(s: Any, p: Any, h: float, v: float, t: float, direction: int) -> float:
-    """Friction over local weight, >= 0: at rest (``v`` = 0) the largest that can be held."""
-    mu = p.coulomb_friction_mu_up if direction > 0 else p.coulomb_friction_mu_down
-    if direction == 0:
-        mu = max(p.coulomb_friction_mu_up, p.coulomb_friction_mu_down)
-    return mu
+def _bell(x: float, centre: float, width: float) -> float:
+    return math.exp(-(((x - centre) / width) ** 2))
 
 
 @njit(cache=True)
-def other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> float:
-    """Sum of the smooth forces on the ball in flight beside weight and friction, m/s^2."""
-    return 0.0
+def _unusual_friction(s: Any, p: Any, h: float, v: float, t: float) -> float:
+    """Friction that depends on more than the direction, over local weight."""
+    mu = p.height_friction_mu_per_m * h + p.level_friction_mu_per_v2 * s.mean_square_v2
+    if p.stribeck_friction_mu_static > 0.0:
+        drop = p.stribeck_friction_mu_static - p.stribeck_friction_mu_kinetic
+        mu += p.stribeck_friction_mu_kinetic + drop * math.exp(-abs(v) / p.stribeck_friction_speed_mps)
+    if p.velocity_friction_mu > 0.0:
+        mu += p.velocity_friction_mu * _bell(abs(v), p.velocity_friction_centre_mps, p.velocity_friction_width_mps)
+    if p.recovery_friction_mu > 0.0:
+        mu += p.recovery_friction_mu * math.exp(-(t - s.landed_s) / p.recovery_friction_time_constant_s)
+    if p.rod_rocking_mu > 0.0:
+        since = t - s.landed_s
+        swing = 0.5 + 0.5 * math.cos(2.0 * math.pi * p.rod_rocking_frequency_hz * since)
+        mu += p.rod_rocking_mu * s.rocking * math.exp(-since / p.rod_rocking_decay_s) * swing
+    if p.rod_angle_friction_mu > 0.0:
+        mu += p.rod_angle_friction_mu * (0.5 + 0.5 * math.cos(2.0 * math.pi * t / p.rod_angle_friction_period_s))
+    mu += p.alternate_seat_mu * s.parity
+    if t > p.worn_bearing_since_s:
+        mu += p.worn_bearing_mu
+    return float(max(mu, 0.0))
+
+
+@njit(cache=True)
+def friction(s: Any, p: Any, h: float, v: float, t: float, direction: int) -> float:
+    """Friction over local weight, >= 0, against sliding in ``direction``; at ``v`` = 0 the most that can be held."""
+    mu = p.coulomb_friction_mu_up if direction > 0 else p.coulomb_friction_mu_down
+    if p.has_unusual_friction != 0.0:
+        mu += _unusual_friction(s, p, h, v, t)
+    return float(mu)
+
+
+@njit(cache=True)
+def _other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> float:
+    """Sum of the forces on the ball beside weight and friction, over its mass, m/s^2."""
+    force = -p.viscous_damping_rate_per_s * v - p.position_force_stiffness_per_s2 * h
+    if p.quadratic_drag_coefficient_per_m != 0.0:
+        gained = u * (s.a0 + u * (s.a1 / 2.0 + u * (s.a2 / 3.0 + u * s.a3 / 4.0)))
+        absolute = v + s.plate_mps + s.dt_s * gained + yv
+        force -= p.quadratic_drag_coefficient_per_m * abs(absolute) * absolute
+    pull = p.position_force_magnet_g * math.exp(-h / p.position_force_range_m)
+    if p.latch_force_pull_g != 0.0:
+        pull += p.latch_force_pull_g * 0.5 * (1.0 + math.tanh((h - p.latch_force_height_m) / p.latch_force_width_m))
+    if p.warming_force_pull_g != 0.0:
+        t = s.t_s + u * s.dt_s
+        pull += p.warming_force_pull_g * (1.0 - math.exp(-t / p.warming_force_time_constant_s))
+    if p.charge_force_pull_g != 0.0:
+        pull += p.charge_force_pull_g * (1.0 - math.exp(-s.flight_s / p.charge_force_flight_s))
+    if p.air_cushion_rate_per_s != 0.0:
+        force -= p.air_cushion_rate_per_s * v / (1.0 + max(h, 0.0) / p.air_cushion_height_m) ** 3
+    if p.oil_film_pull_g != 0.0 and v > 0.0:
+        pull += p.oil_film_pull_g * math.exp(-h / p.oil_film_height_m) * v / (v + p.oil_film_speed_mps)
+    return float(force - G_MPS2 * pull)
 
 
 @njit(cache=True)
@@ -63,8 +107,8 @@ def pull_free(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float,
     a, _ = plate_acceleration(s, p, u, y, yv, touching)
     free = -(gravity(p) + a)
     if p.has_force != 0.0:
-        free += other_forces(s, p, h, v, u, yv)
-    return free
+        free += _other_forces(s, p, h, v, u, yv)
+    return float(free)
 
 
 @njit(cache=True)
@@ -81,11 +125,14 @@ def release_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
     """Upward relative pull in excess of what holds the ball on the plate, m/s^2: it leaves when this is positive."""
     t = s.t_s + u * s.dt_s
     held = p.adhesion_pull_g * G_MPS2
+    if p.ageing_threshold_pull_g != 0.0:
+        rested = 1.0 - math.exp(-(t - s.contact_since_s) / p.ageing_threshold_time_constant_s)
+        held += G_MPS2 * p.ageing_threshold_pull_g * rested
     if p.has_friction != 0.0:
         held += gravity(p) * friction(s, p, 0.0, 0.0, t, 1)
     if p.has_hold != 0.0 and t < s.hold_until_s:
         held += 1e6
-    return pull_free(s, p, 0.0, 0.0, u, y, yv, True) - held
+    return float(pull_free(s, p, 0.0, 0.0, u, y, yv, True) - held)
 
 
 @njit(cache=True)
@@ -97,9 +144,14 @@ def hang_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
 
 
 @njit(cache=True)
-def rebound(s: Any, p: Any, impact_mps: float, t: float) -> float:
-    """Coefficient of restitution for this impact, 0 to 0.99."""
-    e = p.restitution_e0 - p.restitution_e1_s_per_m * impact_mps
-    return min(max(e, 0.0), 0.99)
-
-
+def rebound(s: Any, p: Any, impact_mps: float, chance: float) -> float:
+    """Coefficient of restitution for this impact, 0 to 0.99; ``chance`` is uniform in [0, 1)."""
+    e = p.restitution_e0 - p.restitution_e1_s_per_m * impact_mps + p.scattered_restitution_e * chance
+    if p.impact_restitution_e > 0.0:
+        e += p.impact_restitution_e * _bell(impact_mps, p.impact_restitution_centre_mps, p.impact_restitution_width_mps)
+    if p.memory_restitution_e > 0.0:
+        e += p.memory_restitution_e * (1.0 - math.exp(-s.flight_s / p.memory_restitution_flight_s))
+    if p.acceleration_restitution_e > 0.0:
+        a = plate_acceleration(s, p, s.u, s.mode_m, s.mode_mps, False)[0] / G_MPS2
+        e += p.acceleration_restitution_e * 0.5 * (1.0 + math.tanh(a / p.acceleration_restitution_scale_g))
+    return float(min(max(e, 0.0), 0.99))

@@ -7,6 +7,7 @@ moved there exactly, and the rest of the interval is stepped anew.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from numba import njit
@@ -14,6 +15,12 @@ from numba import njit
 from rig.sim.circuit import landing_edges, push_edge, ring_now
 from rig.sim.forces import hang_margin, net, plate_acceleration, rebound, release_margin
 from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN
+
+ROCKING_MPS = 0.5
+"""Impact speed that sets the block rocking by one unit."""
+
+LOWEST_TURN_M = 1e-9
+"""A ball that turns below this height never came off."""
 
 MOST_EVENTS = 400
 """Events allowed in one interval; beyond it a chattering ball is put to rest."""
@@ -33,9 +40,24 @@ def _slope(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float) ->
 
 
 @njit(cache=True)
-def _runge_kutta(s: Any, p: Any, step_s: float) -> tuple[float, float, float, float]:
-    """State (height, speed, mode, mode speed) one classical fourth-order step later."""
+def _ballistic(s: Any, p: Any, step_s: float) -> tuple[float, float, float, float]:
+    """Exact step where weight and constant friction are all that acts: the plate's cubic integrated twice."""
+    u, du = s.u, step_s / s.dt_s
+    b0 = net(s, p, s.height_m, s.speed_mps, u, 0.0, 0.0)
+    b1 = -du * (s.a1 + u * (2.0 * s.a2 + 3.0 * u * s.a3))
+    b2 = -du * du * (s.a2 + 3.0 * u * s.a3)
+    b3 = -du * du * du * s.a3
+    v = s.speed_mps + step_s * (b0 + b1 / 2.0 + b2 / 3.0 + b3 / 4.0)
+    h = s.height_m + step_s * (s.speed_mps + step_s * (b0 / 2.0 + b1 / 6.0 + b2 / 12.0 + b3 / 20.0))
+    return h, v, s.mode_m, s.mode_mps
+
+
+@njit(cache=True)
+def _step(s: Any, p: Any, step_s: float) -> tuple[float, float, float, float]:
+    """State (height, speed, mode, mode speed) one step later: exact where it can be, else Runge-Kutta of order 4."""
     h, v, y, yv, u = s.height_m, s.speed_mps, s.mode_m, s.mode_mps, s.u
+    if p.is_ballistic != 0.0 and s.state == FLIGHT:
+        return _ballistic(s, p, step_s)
     half, du = 0.5 * step_s, step_s / s.dt_s
     a1, b1, c1, d1 = _slope(s, p, h, v, u, y, yv)
     a2, b2, c2, d2 = _slope(s, p, h + half * a1, v + half * b1, u + 0.5 * du, y + half * c1, yv + half * d1)
@@ -62,12 +84,12 @@ def _hermite(
 
 @njit(cache=True)
 def _height(c: Any, x: float) -> float:
-    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+    return float(c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5])))))
 
 
 @njit(cache=True)
 def _speed(c: Any, x: float) -> float:
-    return c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5])))
+    return float(c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5]))))
 
 
 @njit(cache=True)
@@ -138,8 +160,11 @@ def _settle(s: Any, p: Any, v: float) -> None:
 def _land(s: Any, p: Any, v: float, rng: Any) -> None:
     """Impact with relative speed ``v`` <= 0 at the current place: recoil of the table, ringing, rebound."""
     t, impact = s.t_s + s.u * s.dt_s, max(-v, 0.0)
-    e = rebound(s, p, impact, t)
-    s.flight_s, s.landed_s, s.impact_mps = t - s.left_s, t, impact
+    chance = rng.random() if p.scattered_restitution_e > 0.0 else 0.0
+    e = rebound(s, p, impact, chance)
+    if p.rod_rocking_mu > 0.0:
+        s.rocking = s.rocking * math.exp(-(t - s.landed_s) / p.rod_rocking_decay_s) + impact / ROCKING_MPS
+    s.flight_s, s.landed_s = t - s.left_s, t
     s.impacts += 1
     s.parity = 1 - s.parity
     if p.has_mode != 0.0:
@@ -165,9 +190,9 @@ def _fly(s: Any, p: Any, rng: Any) -> None:
     """One flight step: to the end of the interval, or to the first event before it."""
     step = (1.0 - s.u) * s.dt_s
     h0, v0 = s.height_m, s.speed_mps
-    h1, v1, y1, yv1 = _runge_kutta(s, p, step)
+    h1, v1, y1, yv1 = _step(s, p, step)
     turned = p.has_friction != 0.0 and s.direction * v1 < 0.0
-    dipped = v0 < 0.0 and v1 > 0.0 and h1 >= 0.0 and h0 + 0.25 * step * min(v0, -v1) < 0.0
+    dipped = v0 < 0.0 and v1 > 0.0 and h1 >= 0.0 and h0 + 0.5 * step * v0 < 0.0
     if h1 >= 0.0 and not turned and not dipped:
         if s.commanded_open == 0 and h1 > p.contact_gap_gap_m:
             a0, a1 = net(s, p, h0, v0, s.u, s.mode_m, s.mode_mps), net(s, p, h1, v1, 1.0, y1, yv1)
@@ -186,13 +211,13 @@ def _fly(s: Any, p: Any, rng: Any) -> None:
         landing = _root(c, apex if v0 > 0.0 else 0.0, 1.0, False, 0.0)
     if turned and apex < landing and v0 * v1 < 0.0:
         _advance(s, p, apex * step)
-        _turn(s, p)
+        _turn(s, p, rng)
     elif landing <= 1.0:
         _advance(s, p, landing * step)
         _land(s, p, min(s.speed_mps, 0.0), rng)
     elif turned:
         _move_to(s, 1.0, h1, 0.0, y1, yv1)
-        _turn(s, p)
+        _turn(s, p, rng)
     else:
         _move_to(s, 1.0, h1, v1, y1, yv1)
 
@@ -200,15 +225,18 @@ def _fly(s: Any, p: Any, rng: Any) -> None:
 @njit(cache=True)
 def _advance(s: Any, p: Any, step_s: float) -> None:
     """Move to an event located inside the step; a step that ends the interval ends it exactly."""
-    h, v, y, yv = _runge_kutta(s, p, step_s)
+    h, v, y, yv = _step(s, p, step_s)
     u = s.u + step_s / s.dt_s
     _move_to(s, min(u, 1.0), h, v, y, yv)
 
 
 @njit(cache=True)
-def _turn(s: Any, p: Any) -> None:
+def _turn(s: Any, p: Any, rng: Any) -> None:
     """At a standstill in mid-air under friction: hang on the rod, or slide on in the direction of the pull."""
-    s.height_m, s.speed_mps = max(s.height_m, 0.0), 0.0
+    s.speed_mps = 0.0
+    if s.height_m < LOWEST_TURN_M:
+        _land(s, p, 0.0, rng)
+        return
     s.state = HANGING
     if hang_margin(s, p, s.u, s.mode_m, s.mode_mps) > 0.0:
         _slide(s, p)
@@ -236,8 +264,7 @@ def _stay(s: Any, p: Any) -> None:
             if u - lo < 1e-12:
                 break
     if p.has_mode != 0.0:
-        h, v, y, yv = _runge_kutta(s, p, (min(u, 1.0) - s.u) * s.dt_s)
-        s.mode_m, s.mode_mps = y, yv
+        _, _, s.mode_m, s.mode_mps = _step(s, p, (min(u, 1.0) - s.u) * s.dt_s)
     s.u = min(u, 1.0)
     if u <= 1.0:
         if s.state == CONTACT:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,6 +20,20 @@ import numpy as np
 from daq.errors import InputError
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, parameter_dtype
 
+DRIFT = "parameter_drift"
+"""Table under ``[effects]`` that makes parameters of other effects drift: ``"effect.parameter" = per_minute``."""
+
+DRIFT_DTYPE = np.dtype([("place", "i8"), ("base", "f8"), ("rate_per_s", "f8"), ("low", "f8"), ("high", "f8")])
+
+_UNUSUAL_FRICTION = (
+    "stribeck_friction", "height_friction", "velocity_friction", "level_friction", "recovery_friction", "rod_rocking",
+    "rod_angle_friction", "alternate_seat", "worn_bearing",
+)  # fmt: skip
+_FORCES = (
+    "viscous_damping", "quadratic_drag", "position_force", "latch_force", "warming_force", "charge_force",
+    "air_cushion", "oil_film",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -27,12 +42,19 @@ class Scenario:
     Attributes
     ----------
     name : str
+        For people; covered by the hash.
     effects : mapping of effect name to mapping of parameter to value
+        Names and parameters of `rig.sim.catalogue`; parameters not given are neutral.
     rig : mapping
         Overrides of `rig.sim.catalogue.RIG_DEFAULTS`.
     drift_per_minute : mapping of ``"effect.parameter"`` to change a minute
     nonce : str
         Random text that keeps the hash from being guessed.
+
+    Raises
+    ------
+    ValueError
+        Where an effect, a parameter or a rig key does not exist, or a value lies outside its limits.
     """
 
     name: str
@@ -41,43 +63,141 @@ class Scenario:
     drift_per_minute: Mapping[str, float] = field(default_factory=dict)
     nonce: str = ""
 
+    def __post_init__(self) -> None:
+        problems = [*_effect_problems(self.effects), *_rig_problems(self.rig), *_drift_problems(self)]
+        if problems:
+            raise ValueError("; ".join(problems))
+
     @property
     def sha256(self) -> str:
         """SHA-256 of the canonical content, nonce included, as hexadecimal."""
         content = {
-            "name": self.name, "effects": {k: dict(v) for k, v in self.effects.items()}, "rig": dict(self.rig),
-            "drift_per_minute": dict(self.drift_per_minute), "nonce": self.nonce,
+            "name": self.name,
+            "effects": {name: dict(table) for name, table in self.effects.items()},
+            "rig": dict(self.rig),
+            "drift_per_minute": dict(self.drift_per_minute),
+            "nonce": self.nonce,
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def parameters(self) -> tuple[np.ndarray, np.ndarray]:
-        """Records (1,) for the compiled plant: values, and their drift per second."""
+        """What the compiled plant runs on.
+
+        Returns
+        -------
+        parameters : structured array (1,)
+            Layout of `rig.sim.catalogue.parameter_dtype`.
+        drift : structured array (n,) of `DRIFT_DTYPE`
+            The drifting fields by their place in the record, with rates per second and limits.
+        """
         dtype = parameter_dtype()
-        params, drift = np.zeros(1, dtype), np.zeros(1, dtype)
+        params = np.zeros(1, dtype)
         for key, value in {**RIG_DEFAULTS, **self.rig}.items():
             params[key] = value
         for entry in EFFECTS.values():
             given = self.effects.get(entry.name, {})
             for parameter in entry.parameters:
                 params[f"{entry.name}_{parameter.name}"] = given.get(parameter.name, parameter.neutral)
-        params["has_friction"] = float("coulomb_friction" in self.effects)
-        params["has_mode"] = float("table_resonance" in self.effects)
+        unusual, forced = self._has(*_UNUSUAL_FRICTION), self._has(*_FORCES)
+        params["has_unusual_friction"], params["has_force"] = unusual, forced
+        params["has_friction"] = unusual or self._has("coulomb_friction")
+        params["has_hold"], params["has_mode"] = self._has("impact_hold"), self._has("table_resonance")
+        params["is_ballistic"] = not (unusual or forced or self._has("table_resonance"))
+        places = {name: place for place, name in enumerate(dtype.names or ())}
+        drift = np.zeros(len(self.drift_per_minute), DRIFT_DTYPE)
+        for row, (dotted, per_minute) in enumerate(self.drift_per_minute.items()):
+            effect, name = dotted.split(".")
+            parameter = next(p for p in EFFECTS[effect].parameters if p.name == name)
+            key = f"{effect}_{name}"
+            drift[row] = (places[key], params[key][0], per_minute / 60.0, parameter.low, parameter.high)
         return params, drift
+
+    def _has(self, *names: str) -> bool:
+        return any(name in self.effects for name in names)
+
+    def to_toml(self) -> str:
+        """The scenario as a file that `load_scenario` reads back to the same hash."""
+        lines = [f"name = {json.dumps(self.name)}", f"nonce = {json.dumps(self.nonce)}"]
+        if self.rig:
+            lines += ["", "[rig]", *(f"{key} = {float(value)!r}" for key, value in self.rig.items())]
+        for name, table in self.effects.items():
+            lines += ["", f"[effects.{name}]", *(f"{key} = {float(value)!r}" for key, value in table.items())]
+        if self.drift_per_minute:
+            rates = (f'"{key}" = {float(value)!r}' for key, value in self.drift_per_minute.items())
+            lines += ["", f"[effects.{DRIFT}]  # per minute", *rates]
+        return "\n".join(lines) + "\n"
+
+
+def _effect_problems(effects: Mapping[str, Mapping[str, float]]) -> list[str]:
+    problems = []
+    for name, table in effects.items():
+        if name not in EFFECTS:
+            problems.append(f"effects.{name}: wanted one of {', '.join(EFFECTS)}")
+            continue
+        known = {parameter.name: parameter for parameter in EFFECTS[name].parameters}
+        for key, value in table.items():
+            if key not in known:
+                problems.append(f"effects.{name}.{key}: wanted one of {', '.join(known)}")
+            elif not _is_number(value) or not known[key].low <= value <= known[key].high:
+                wanted = f"a number from {known[key].low:g} to {known[key].high:g}"
+                problems.append(f"effects.{name}.{key}: wanted {wanted}, got {value!r}")
+    return problems
+
+
+def _rig_problems(rig: Mapping[str, float]) -> list[str]:
+    problems = [f"rig.{key}: wanted one of {', '.join(RIG_DEFAULTS)}" for key in rig if key not in RIG_DEFAULTS]
+    problems += [f"rig.{key}: wanted a number, got {value!r}" for key, value in rig.items() if not _is_number(value)]
+    return problems
+
+
+def _drift_problems(scenario: Scenario) -> list[str]:
+    problems = []
+    for dotted, rate in scenario.drift_per_minute.items():
+        effect, _, name = dotted.partition(".")
+        present = effect in scenario.effects and any(p.name == name for p in EFFECTS[effect].parameters)
+        if not present:
+            problems.append(f"effects.{DRIFT}.{dotted!r}: wanted effect.parameter of an effect in this scenario")
+        elif not _is_number(rate):
+            problems.append(f"effects.{DRIFT}.{dotted!r}: wanted a change per minute, got {rate!r}")
+    return problems
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def load_scenario(path: Path) -> Scenario:
     """Read a scenario file.
 
+    Parameters
+    ----------
+    path : pathlib.Path
+        TOML with ``name``, and optionally ``nonce``, ``[rig]``, ``[effects.NAME]`` tables and
+        ``[effects.parameter_drift]`` with ``"effect.parameter" = change per minute``.
+
     Raises
     ------
     InputError
-        Where the file is missing, is no TOML, or names an effect or parameter that does not exist.
+        Where the file is missing, is no TOML, or names something that does not exist; all faults at once.
     """
-    path = Path(path)
     try:
         raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: wanted a scenario file, got: {error.strerror}; name an existing file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: wanted TOML, got: {error}; correct that line") from error
-    return Scenario(raw.get("name", path.stem), raw.get("effects", {}), raw.get("rig", {}), {}, raw.get("nonce", ""))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: wanted TOML text, got: {error}; correct that line") from error
+    unknown = set(raw) - {"name", "nonce", "rig", "effects"}
+    tables = {"rig": raw.get("rig", {}), "effects": raw.get("effects", {})}
+    if isinstance(tables["effects"], dict):
+        tables |= {f"effects.{name}": table for name, table in tables["effects"].items()}
+    wrong = [key for key, table in tables.items() if not isinstance(table, dict)]
+    if unknown or wrong:
+        found = ", ".join([*sorted(unknown), *wrong])
+        wanted = "name, nonce, and the tables [rig], [effects.NAME]"
+        raise InputError(f"{path}: {found}: wanted {wanted}; see docs/scenarios.md")
+    effects = dict(tables["effects"])
+    drift = effects.pop(DRIFT, {})
+    try:
+        return Scenario(str(raw.get("name", path.stem)), effects, tables["rig"], drift, str(raw.get("nonce", "")))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; see docs/scenarios.md for the names") from error

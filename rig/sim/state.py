@@ -21,27 +21,29 @@ _FLOATS = (
     "a0", "a1", "a2", "a3",  # driven plate acceleration in the interval: cubic in u
     "node1", "node2", "node3",  # the last reconstruction nodes
     "plate_mps",  # driven plate velocity, leaky
-    "mean_square_v2", "lagged_v", "last_v", "shaker_x", "shaker_v",  # drive chain
-    "landed_s", "left_s", "flight_s", "impact_mps", "hold_until_s", "contact_since_s", "closed_s",
-    "rocking", "rocking_s",
+    "mean_square_1", "mean_square_v2", "lagged_v", "last_v", "shaker_x", "shaker_v", "shaker_drive",  # drive chain
+    "landed_s", "left_s", "flight_s", "hold_until_s", "contact_since_s", "closed_s",
+    "rocking",
     "ring_re", "ring_im",
+    "turn_re", "turn_im", "volts_per_mps2", "zero_v",  # derived from the parameters
     "continuity_v",
 )
-_INTEGERS = ("state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts")
+_INTEGERS = ("state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts", "sample")
 
 STATE_DTYPE = np.dtype(
     [(name, "f8") for name in _FLOATS]
     + [(name, "i8") for name in _INTEGERS]
+    + [("noise_key", "u8")]
     + [("edge_s", "f8", (EDGE_CAPACITY,)), ("edge_kind", "i8", (EDGE_CAPACITY,))]
 )
 
 
-def initial_state() -> np.ndarray:
+def initial_state(noise_key: int) -> np.ndarray:
     """One-record array: the ball at rest on a plate at rest, circuit closed, nothing driven."""
     state = np.zeros(1, STATE_DTYPE)
     state["state"] = CONTACT
+    state["noise_key"] = noise_key
     state["direction"] = 1
     state["closed"] = 1
     state["left_s"] = state["landed_s"] = state["contact_since_s"] = state["closed_s"] = -1.0
-    state["rocking_s"] = -1.0
     return state
