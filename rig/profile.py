@@ -84,6 +84,9 @@ class Limits(Frozen):
     plate_mps2: float = Field(gt=0)
     displacement_m: float = Field(gt=0)
     velocity_mps: float | None = Field(default=None, gt=0)
+    contact_cycles: int = Field(
+        default=20, ge=0, description="longest time without a contact, or a flight where one must be; 0: unwatched"
+    )
 
 
 class BackendTable(Frozen):

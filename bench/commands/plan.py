@@ -1,0 +1,95 @@
+"""`bench plan`: every step of a ramp in figures, before anything moves; what a limit forbids is refused."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rig.profile import Profile
+    from rig.ramp import Peaks, Programme, Step
+
+
+def command(
+    profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+) -> None:
+    """Print every step of a profile's ramp, and refuse (exit 2) what a limit forbids.
+
+    Example: bench plan simulated
+    """
+    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.profiles import load
+    from daq.errors import InputError
+
+    try:
+        checked, _ = load(profile)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    programme, rows, faults = planned(checked)
+    write_json(as_json(checked, programme, rows, faults), json)
+    if json != "-":
+        _print(checked, programme, rows)
+    if faults:
+        fail(refusal(profile, faults), EXIT_USAGE)
+
+
+def planned(profile: Profile) -> tuple[Programme, list[tuple[Step, Peaks]], list[str]]:
+    """The programme, what each step asks for, and one line for each limit that a step would exceed."""
+    from rig.ramp import forbidden, peaks, plan
+
+    programme = plan(profile)
+    by_gamma = {gamma: peaks(profile, gamma) for gamma in {step.gamma for step in programme.steps}}
+    rows = [(step, by_gamma[step.gamma]) for step in programme.steps]
+    faults = [line for step, asked in rows for line in forbidden(profile.limits, step, asked)]
+    return programme, rows, faults
+
+
+def refusal(profile: str, faults: list[str]) -> str:
+    """The message that refuses a ramp."""
+    shown = "\n".join(f"  {line}" for line in faults[:20])
+    more = f"\n  and {len(faults) - 20} more" if len(faults) > 20 else ""
+    return f"{profile}: limits forbid this ramp; lower ramp.gamma or change [limits]\n{shown}{more}"
+
+
+def as_json(
+    profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]], faults: list[str]
+) -> dict[str, Any]:
+    """The plan for a machine; the keys are the table's columns with their units."""
+    return {
+        "profile": profile.name,
+        "frequency_hz": profile.forcing.frequency_hz,
+        "ratio": profile.forcing.ratio,
+        "rate_hz": programme.rate_hz,
+        "n_samples": programme.n_samples,
+        "seconds": programme.n_samples / programme.rate_hz,
+        "steps": [
+            asdict(step) | asdict(asked) | {"seconds": step.n_samples / programme.rate_hz} for step, asked in rows
+        ],
+        "forbidden": faults,
+    }
+
+
+def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]]) -> None:
+    """The table for a person."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s²)", "speed\n(m/s)", "displ\n(mm)",
+                    "start\n(s)", "length\n(s)"):  # fmt: skip
+        table.add_column(heading, justify="right", no_wrap=True)
+    for step, asked in rows:
+        table.add_row(
+            str(step.index), f"{step.gamma:.5g}", f"{asked.gamma_peak:.5g}", f"{asked.drive_v:.4g}",
+            f"{asked.acceleration_mps2:.4g}", f"{asked.velocity_mps:.4g}", f"{asked.displacement_m * 1e3:.4g}",
+            f"{step.first_sample / programme.rate_hz:.3f}", f"{step.n_samples / programme.rate_hz:.3f}",
+        )  # fmt: skip
+    console = Console()
+    console.print(f"{profile.name}: {profile.forcing.frequency_hz:g} Hz, c = {profile.forcing.ratio}; peaks from rest")
+    console.print(table)
+    seconds = programme.n_samples / programme.rate_hz
+    console.print(f"{len(rows)} steps, {seconds:.1f} s, {programme.n_samples} samples at {programme.rate_hz:g} Hz")

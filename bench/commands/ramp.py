@@ -1,0 +1,160 @@
+"""`bench ramp`: drive a profile's ramp through its back end and record it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rig.backends.base import Backend
+    from rig.profile import Profile
+    from rig.run import RunSummary, Status
+
+
+def command(
+    profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
+    out: Path = typer.Option(..., "--out", metavar="REC.h5", help="The recording; never overwritten."),
+    real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),
+    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
+    seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
+    replay: Path | None = typer.Option(None, "--replay", metavar="REC.h5", help="What a replay back end plays."),
+    note: str | None = typer.Option(None, "--note", help="The operator's note."),
+    set_: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="A free key, as knob=3; repeatable."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
+) -> None:
+    """Run a profile's ramp and record it; Ctrl-C ramps the drive down and keeps the recording.
+
+    Example: bench ramp simulated --out first.h5 --note "first light"
+
+    Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is kept), 2 when the call
+    was wrong.
+    """
+    from bench.commands.plan import planned, refusal
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.profiles import load
+    from daq.errors import InputError
+
+    try:
+        checked, text = load(profile)
+        extra = free_keys(set_)
+        _, _, faults = planned(checked)
+        if faults:
+            raise InputError(refusal(profile, faults))
+        backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
+        summary = record(checked, text, backend, out, note=note, extra=extra, quiet=json == "-")
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(str(error), EXIT_FAILED)
+    write_json({"recording": out, "backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
+    if json != "-":
+        typer.echo(_sentence(summary, out))
+    if summary.how != "complete":
+        fail(f"{summary.how}: {summary.why}", EXIT_FAILED)
+
+
+def free_keys(settings: list[str]) -> dict[str, Any]:
+    """``KEY=VALUE`` texts as a mapping; a value that reads as a number is one. Raises `InputError`."""
+    from daq.errors import InputError
+
+    keys: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not key.strip() or not equals:
+            raise InputError(f"--set {setting}: wanted KEY=VALUE, as amplifier_knob=3")
+        try:
+            keys[key.strip()] = float(value)
+        except ValueError:
+            keys[key.strip()] = value.strip()
+    return keys
+
+
+def make_backend(
+    profile: Profile,
+    *,
+    scenario: Path | None = None,
+    seed: int = 0,
+    real_time: bool = False,
+    replay: Path | None = None,
+) -> Backend:
+    """The back end that ``profile`` asks for, and no other. Raises `InputError`."""
+    from daq.errors import InputError
+
+    if profile.backend.kind == "replay":
+        from rig.backends.replay import ReplayBackend
+
+        if replay is None:
+            raise InputError("backend.kind is replay: name the recording to play by --replay REC.h5")
+        return ReplayBackend(replay)
+    from rig.backends.simulated import SimulatedBackend
+    from rig.sim.scenario import Scenario, load_scenario
+
+    hidden = Scenario("ideal") if scenario is None else load_scenario(scenario)
+    return SimulatedBackend(profile.sampling.rate_hz, hidden, seed, real_time=real_time)
+
+
+def record(
+    profile: Profile,
+    text: str,
+    backend: Backend,
+    out: Path,
+    *,
+    note: str | None = None,
+    extra: dict[str, Any] | None = None,
+    quiet: bool = False,
+) -> RunSummary:
+    """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly."""
+    from bench.signals import stop_on_signals
+    from daq.recording import RecordingWriter
+    from rig.run import run_ramp
+
+    with stop_on_signals() as request, _progress(quiet) as progress:
+        writer = RecordingWriter(
+            out,
+            profile.setup(),
+            profile_text=text,
+            channels=backend.channels,
+            scales=backend.scales,
+            backend=backend.name,
+            simulated=backend.simulated,
+            note=note,
+            extra=extra,
+            scenario_sha256=backend.scenario_sha256,
+        )
+        return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[Status], None]]:
+    """A bar on standard error: step, gamma, plate."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    text = TextColumn("{task.description}")
+    columns = (TextColumn("ramp"), BarColumn(), TaskProgressColumn(), text, TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(status: Status) -> None:
+            bar.update(
+                task,
+                total=status.n_samples,
+                completed=min(status.sample, status.n_samples),
+                description=f"step {status.step.index + 1}/{status.n_steps} gamma {status.step.gamma:.4g} "
+                f"{status.state.value}, plate {status.peak_acceleration_mps2:.3g} m/s², lost {status.lost_samples}",
+            )
+
+        yield show
+
+
+def _sentence(summary: RunSummary, out: Path) -> str:
+    """What happened, in one line."""
+    return (
+        f"{summary.how}: {summary.steps_driven} of {summary.steps_planned} steps, {summary.n_samples} samples, "
+        f"{summary.lost_samples} lost, in {summary.wall_s:.1f} s -> {out}"
+    )

@@ -1,0 +1,92 @@
+"""What every back end is: drive volts in, frames out, one call a block.
+
+The rule kept here: a back end never hides a fault. What it cannot do it raises as `BackendError`; it never falls back
+to another source of samples. ``tests/contract`` holds every back end to what is written here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.block import Block
+
+
+class BackendError(RuntimeError):
+    """The device failed or went away; the message says what happened and what to do."""
+
+
+class Backend(Protocol):
+    """A device that plays drive samples and records channels on one clock.
+
+    Attributes
+    ----------
+    name
+        The kind, as ``[backend] kind`` has it.
+    simulated
+        Whether no real plate moves.
+    channels
+        Names, in the order of a frame's columns.
+    scales
+        ``(volts_per_code, offset_v)`` by channel name.
+    rate_hz
+        Samples a second, of drive and frames alike.
+    scenario_sha256
+        Fingerprint of what the simulated rig was given; None for a device.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def simulated(self) -> bool: ...
+    @property
+    def channels(self) -> tuple[str, ...]: ...
+    @property
+    def scales(self) -> Mapping[str, tuple[float, float]]: ...
+    @property
+    def rate_hz(self) -> float: ...
+    @property
+    def scenario_sha256(self) -> str | None: ...
+
+    def start(self) -> None:
+        """Open the device; the drive is at 0 V afterwards. Raises `BackendError`."""
+
+    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+        """Play ``drive_v`` (n,) and return n frames: same order, indices without holes, losses declared in the block.
+
+        Raises
+        ------
+        BackendError
+            When the device failed, went away, or is not started.
+        ValueError
+            When ``drive_v`` is not one-dimensional, or holds something not finite.
+        """
+
+    def stop(self) -> None:
+        """Leave the drive at 0 V and let the device go. May be called at any time, any number of times."""
+
+
+class Running:
+    """A back end started on entry and stopped on exit, whatever happened between."""
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+
+    def __enter__(self) -> Self:
+        self._backend.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._backend.stop()
+
+
+def checked_drive(drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``drive_v`` as contiguous float64; raises `ValueError` for a wrong shape or a value that is not finite."""
+    drive = np.ascontiguousarray(drive_v, dtype=np.float64)
+    if drive.ndim != 1 or not np.all(np.isfinite(drive)):
+        raise ValueError(f"wanted finite drive volts of shape (n,), came shape {drive.shape}")
+    return drive

@@ -1,0 +1,77 @@
+"""The simulated back end: `rig.sim.plant.Plant` behind the interface of a device, at full speed or paced.
+
+The rule kept here: pacing changes when a block comes, never what is in it.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.block import Block
+from rig.backends.base import BackendError, checked_drive
+from rig.sim.plant import Plant
+from rig.sim.scenario import Scenario
+
+
+class SimulatedBackend:
+    """A simulated rig.
+
+    Parameters
+    ----------
+    rate_hz
+        Samples a second.
+    scenario
+        What the rig hides; the recording gets its hash alone.
+    seed
+        Of the sensors' noise and the contact's bounce.
+    real_time
+        Whether a block takes as long as it lasts.
+    """
+
+    name = "simulated"
+    simulated = True
+
+    def __init__(self, rate_hz: float, scenario: Scenario, seed: int, *, real_time: bool = False) -> None:
+        self.rate_hz = rate_hz
+        self.scenario_sha256: str | None = scenario.sha256
+        self._scenario, self._seed, self._real_time = scenario, seed, real_time
+        self._new_plant()
+        self._running = False
+
+    def _new_plant(self) -> None:
+        self._plant = Plant(self._scenario, self.rate_hz, np.random.default_rng(self._seed))
+        self.channels = self._plant.channels
+        self.scales = {name: (scale, 0.0) for name, scale in self._plant.channel_scales.items()}
+        self._n_samples = 0
+
+    def start(self) -> None:
+        """A plate at rest with the ball on it; starting again starts over, with the same noise."""
+        self._new_plant()
+        self._running = True
+        self._began_ns = time.monotonic_ns()
+
+    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+        """Move the plant by ``drive_v`` (n,) and return what its converters read.
+
+        Raises
+        ------
+        BackendError
+            When not started.
+        """
+        drive = checked_drive(drive_v)
+        if not self._running:
+            raise BackendError("not started")
+        first = self._n_samples
+        codes = self._plant.exchange(drive)
+        self._n_samples += len(codes)
+        if self._real_time:
+            due_ns = self._began_ns + round(self._n_samples / self.rate_hz * 1e9)
+            time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+        return Block(first_sample=first, codes=codes, flags=0, clock_ns=time.monotonic_ns(), lost_before=0)
+
+    def stop(self) -> None:
+        """Leave the plate at rest."""
+        self._running = False

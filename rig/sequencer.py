@@ -1,0 +1,233 @@
+"""From a programme to blocks of drive samples and step marks: a state machine without I/O.
+
+The rule kept here: which state follows which is data (`TRANSITIONS`), and a sample depends on the programme, the stops
+asked for and its index, never on how the run was cut into blocks. `commanded` says the same samples again from the
+step table alone.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.setup import Setup
+from rig.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
+from rig.ramp import Programme, Step
+
+# A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.
+STOP_FADE_CYCLES = Fraction(3, 2)
+BLOCKS_PER_CYCLE = 4
+
+
+class State(enum.Enum):
+    """Where a run is."""
+
+    FADING = "fading"
+    SETTLING = "settling"
+    HOLDING = "holding"
+    STOPPING = "stopping"
+    RESTING = "resting"
+    DONE = "done"
+
+
+class Event(enum.Enum):
+    """What takes a run from one state to the next."""
+
+    FADED = "faded"
+    SETTLED = "settled"
+    NEXT = "held, another step follows"
+    LAST = "held, no step follows"
+    STOP = "asked to ramp down"
+    CUT = "asked to be at zero now"
+    ZERO = "drive at zero"
+    RESTED = "rested"
+
+
+class Stop(enum.IntEnum):
+    """How to stop; the higher wins."""
+
+    FINISH_STEP = 1
+    RAMP_DOWN = 2
+    NOW = 3
+
+
+_MOVING = (State.FADING, State.SETTLING, State.HOLDING)
+_STILL = (State.RESTING, State.DONE)
+
+TRANSITIONS: dict[tuple[State, Event], State] = {
+    (State.FADING, Event.FADED): State.SETTLING,
+    (State.SETTLING, Event.SETTLED): State.HOLDING,
+    (State.HOLDING, Event.NEXT): State.FADING,
+    (State.HOLDING, Event.LAST): State.STOPPING,
+    **{(state, Event.STOP): State.STOPPING for state in (*_MOVING, State.STOPPING)},
+    **{(state, Event.CUT): State.RESTING for state in (*_MOVING, State.STOPPING)},
+    **{(state, event): state for state in _STILL for event in (Event.STOP, Event.CUT)},
+    (State.STOPPING, Event.ZERO): State.RESTING,
+    (State.RESTING, Event.RESTED): State.DONE,
+}
+"""The whole machine. A pair that is not here cannot happen."""
+
+
+class Sequencer:
+    """Drive samples of a programme, a block at a time.
+
+    Parameters
+    ----------
+    programme
+        The steps.
+    setup
+        Forcing and drive scale.
+
+    Attributes
+    ----------
+    state : State
+    position : int
+        Index of the next sample to be made.
+    step : Step
+        The step under way (the last one when stopping).
+    marks : list of Step
+        Steps begun (as planned) and ended (with the samples they really had) since the caller last emptied the list.
+    """
+
+    def __init__(self, programme: Programme, setup: Setup) -> None:
+        self.programme = programme
+        self.state = State.FADING
+        self.position = 0
+        self.step = programme.steps[0]
+        self.marks: list[Step] = []
+        self._setup = setup
+        self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
+        self._zero = tuple(0j for _ in self._multiples)
+        self._finish_step = False
+        self._fade = Fade(0, self.step.fade_samples, self._zero, drive_amplitudes(setup, self.step.gamma))
+        self._until = self.step.fade_samples
+
+    @property
+    def done(self) -> bool:
+        """Whether the drive is at zero and has rested there."""
+        return self.state is State.DONE
+
+    def take(self, n_samples: int) -> Floats:
+        """The next drive volts, shape ``(n_samples,)``; zeros once the run is done."""
+        out = np.zeros(n_samples)
+        filled = 0
+        while filled < n_samples and not self.done:
+            if self.state is State.FADING and self.position == self.step.first_sample:
+                self.marks.append(self.step)
+            piece = min(n_samples - filled, self._until - self.position)
+            out[filled : filled + piece] = self._piece(piece)
+            filled += piece
+            self.position += piece
+            while self.position == self._until and not self.done:
+                self._handle(self._ended())
+        self.position += n_samples - filled
+        return out
+
+    def stop(self, how: Stop) -> None:
+        """Stop as asked, from the next sample on; a stop already under way is never made slower."""
+        if how is Stop.FINISH_STEP:
+            self._finish_step = True
+        else:
+            self._handle(Event.STOP if how is Stop.RAMP_DOWN else Event.CUT)
+
+    def _piece(self, n_samples: int) -> Floats:
+        if self.state in _STILL:
+            return np.zeros(n_samples)
+        return synthesise(self.programme.clock, self._multiples, self._fade, self.position, n_samples)
+
+    def _ended(self) -> Event:
+        """The event that the end of the present state is."""
+        if self.state is State.HOLDING:
+            last = self._finish_step or self.step.index + 1 == len(self.programme.steps)
+            return Event.LAST if last else Event.NEXT
+        return {
+            State.FADING: Event.FADED,
+            State.SETTLING: Event.SETTLED,
+            State.STOPPING: Event.ZERO,
+            State.RESTING: Event.RESTED,
+        }[self.state]
+
+    def _handle(self, event: Event) -> None:
+        """Go where the table says and set up what that state needs."""
+        before, self.state = self.state, TRANSITIONS[self.state, event]
+        if before is self.state and event in (Event.STOP, Event.CUT):
+            return
+        if before in _MOVING and (before is State.HOLDING or self.state not in _MOVING):
+            self._mark_end()
+        clock = self.programme.clock
+        if self.state is State.FADING:
+            self.step = self.programme.steps[self.step.index + 1]
+            target = drive_amplitudes(self._setup, self.step.gamma)
+            self._fade = Fade(self.position, self.step.fade_samples, self._fade.end, target)
+            self._until = self.position + self.step.fade_samples
+        elif self.state is State.SETTLING:
+            self._until = self.step.first_sample + self.step.settle_samples
+        elif self.state is State.HOLDING:
+            self._until = self.step.end_sample
+        elif self.state is State.STOPPING:
+            self._fade = Fade(self.position, stop_fade_samples(clock), self._fade.at(self.position), self._zero)
+            self._until = self.position + self._fade.n_samples
+        elif self.state is State.RESTING:
+            self._until = self.position + clock.cycle_start(1)
+
+    def _mark_end(self) -> None:
+        n = self.position - self.step.first_sample
+        if n > 0:
+            self.marks.append(replace(self.step, n_samples=n, settle_samples=min(self.step.settle_samples, n)))
+
+
+def stop_fade_samples(clock: PhaseClock) -> int:
+    """Samples of the fade to zero."""
+    return int(STOP_FADE_CYCLES * clock.den / clock.num)
+
+
+def largest_block(clock: PhaseClock, wanted: int) -> int:
+    """Samples a block may have so that a stop is seen within a quarter of a cycle; at most ``wanted``."""
+    return max(1, min(wanted, clock.den // (BLOCKS_PER_CYCLE * clock.num)))
+
+
+def commanded(
+    setup: Setup, steps: NDArray[np.void], first_sample: int, n_samples: int, *, zero_from: int | None = None
+) -> Floats:
+    """The drive samples of a recording again, bit for bit, from its setup and step table.
+
+    Parameters
+    ----------
+    setup
+        The recording's measuring part.
+    steps
+        Its step table (`daq.block.STEP_DTYPE`): of each row the first sample, length, fade and gamma are used.
+    first_sample, n_samples
+        Which samples.
+    zero_from
+        First sample of a hard zero, where the run was stopped *now* (the recording's ``why`` names it).
+
+    Returns
+    -------
+    array, shape (n_samples,)
+        Commanded volts; zero before the first step and after the fade that follows the last.
+    """
+    clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
+    multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
+    zero = tuple(0j for _ in multiples)
+    pieces: list[tuple[Fade, int]] = []
+    before = zero
+    for row in steps:
+        target = drive_amplitudes(setup, float(row["gamma"]))
+        fade = Fade(int(row["first_sample"]), int(row["fade_samples"]), before, target)
+        pieces.append((fade, fade.first_sample + int(row["n_samples"])))
+        before = target
+    if pieces:
+        fade, end = pieces[-1]
+        pieces.append((Fade(end, stop_fade_samples(clock), fade.at(end), zero), end + stop_fade_samples(clock)))
+    out = np.zeros(n_samples)
+    last = first_sample + n_samples if zero_from is None else min(first_sample + n_samples, zero_from)
+    for fade, end in pieces:
+        start, stop = max(first_sample, fade.first_sample), min(last, end)
+        if start < stop:
+            out[start - first_sample : stop - first_sample] = synthesise(clock, multiples, fade, start, stop - start)
+    return out
