@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from model.compiled import Floats, compiled
+from model.compiled import Floats, compiled, sincos
 
 TWO_PI = 2.0 * math.pi
 NARROWEST = 1e-9  # q cannot change by more than its rounding over a stretch this narrow about a turning point
@@ -25,9 +25,10 @@ def q_and_slope(tones: Floats, phi: float) -> tuple[float, float]:
     slope = 0.0
     for j in range(tones.shape[0]):
         n = tones[j, 0]
+        sine, cosine = sincos(n * phi + tones[j, 2])
         weight = tones[j, 1] * n * n
-        q += weight * math.sin(n * phi + tones[j, 2])
-        slope += weight * n * math.cos(n * phi + tones[j, 2])
+        q += weight * sine
+        slope += weight * n * cosine
     return q, slope
 
 
@@ -38,9 +39,10 @@ def _slope_and_curvature(tones: Floats, phi: float) -> tuple[float, float]:
     curvature = 0.0
     for j in range(tones.shape[0]):
         n = tones[j, 0]
+        sine, cosine = sincos(n * phi + tones[j, 2])
         weight = tones[j, 1] * n * n * n
-        slope += weight * math.cos(n * phi + tones[j, 2])
-        curvature -= weight * n * math.sin(n * phi + tones[j, 2])
+        slope += weight * cosine
+        curvature -= weight * n * sine
     return slope, curvature
 
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import branches, ideal_kernel
+from model import branches, ideal_kernel, stage
 from model.tones import Forcing
 
 SNAP = 4.5e-16  # a phase this near to a threshold, relative, is that threshold
@@ -26,7 +26,7 @@ class FlightFlag(enum.IntFlag):
 
     RESET = ideal_kernel.RESET
     """It started from rest, at a threshold."""
-    UNDECIDED = ideal_kernel.UNDECIDED
+    UNDECIDED = stage.UNDECIDED
     """It grazed the plate closer than double precision can tell."""
     RESTS = ideal_kernel.RESTS
     """There was none: the ball does not leave."""

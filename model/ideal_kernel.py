@@ -1,13 +1,7 @@
-"""One ideal flight, compiled: the first landing, proven first.
+"""Ideal flights, compiled: the first landing, proven first, and orbits of such flights.
 
-The height above the plate after a take-off at ``phi0`` with relative speed ``v0`` (the paper's eq. 4 at 0) is
-
-    h(tau) = gamma [s(phi0) - s(phi0 + tau)] + gamma s'(phi0) tau + v0 tau - tau^2 / 2,
-    s(phi) = sum_j b_j sin(n_j phi + p_j).
-
-The rule kept here: a landing is returned only when every earlier branch (see `model.branches`) is proven free of roots.
-A concave branch entered above the plate holds a root only if it ends below, and then one; in a convex one Newton from
-the left cannot pass the first root, and ``h > 0`` with ``h' >= 0`` proves there is none.
+The rule kept here: a landing is returned only when every earlier branch of the flight (`model.branches`) is proven
+free of roots (`model.stage`).
 """
 
 from __future__ import annotations
@@ -18,149 +12,44 @@ import numpy as np
 
 from model.branches import TWO_PI, branch_of, fill_edges, fold, q_and_slope
 from model.compiled import Flags, Floats, compiled
+from model.stage import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape
 
 RESET = 1  # this flight started from rest at a threshold
-UNDECIDED = 2  # a graze closer than double precision can tell
 RESTS = 4  # the ball does not leave at this phase
-
-Start = tuple[float, float, float, float, float]
-
-SHORT = 0.125  # flights shorter than this have their height computed as tau^2 times a series
-ROUNDING = 32 * 2.2e-16  # bound on the relative rounding of a height
+TINY = 1e-7  # a window left sooner than this may have lifted the ball by less than rounding
 
 
 @compiled
-def shape(tones: Floats, phi: float) -> tuple[float, float, float]:
-    """``s(phi)``, ``s'(phi)`` and ``q(phi) = -s''(phi)``."""
-    s = 0.0
-    slope = 0.0
-    q = 0.0
+def _surely_above(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float]:
+    """Times between which the plate at its highest stays below the ball's path; empty (1, 0) when there are none."""
+    highest = 0.0
     for j in range(tones.shape[0]):
-        n = tones[j, 0]
-        angle = n * phi + tones[j, 2]
-        sine = tones[j, 1] * math.sin(angle)
-        s += sine
-        slope += tones[j, 1] * n * math.cos(angle)
-        q += n * n * sine
-    return s, slope, q
+        highest += tones[j, 1]
+    v = gamma * stage[2] + stage[4]
+    discriminant = v * v - 2.0 * gamma * (highest - stage[1])
+    if v <= 0.0 or discriminant <= 0.0:
+        return 1.0, 0.0
+    root = math.sqrt(discriminant)
+    return v - root, v + root
 
 
 @compiled
-def _remainders(x: float) -> tuple[float, float, float, float]:
-    """``(1 - cos x)/x^2 - 1/2``, ``(x - sin x)/x^2``, ``sin x/x - 1`` and ``(1 - cos x)/x`` without cancellation."""
-    y = x * x
-    if y < 1.0:
-        cosine = 0.0  # sum_{m >= 1} (-y)^m / (2 m + 2)!
-        sine = 0.0  # sum_{m >= 1} (-y)^m / (2 m + 1)!
-        for m in range(8, 0, -1):
-            cosine = -y * (1.0 + cosine) / ((2 * m + 1) * (2 * m + 2))
-            sine = -y * (1.0 + sine) / ((2 * m) * (2 * m + 1))
-        cosine *= 0.5
-        return cosine, -sine / x if x != 0.0 else 0.0, sine, x * (0.5 + cosine)
-    sine_half = math.sin(0.5 * x)
-    one_minus_cos = 2.0 * sine_half * sine_half
-    sine = math.sin(x)
-    return one_minus_cos / y - 0.5, (x - sine) / y, sine / x - 1.0, one_minus_cos / x
+def _guess_in_concave(stage: Stage, lo: float, hi: float, h_hi: float, h1_hi: float) -> float:
+    """Where a parabola through the branch's end, with the slope there and the full pull, crosses zero."""
+    pull = -0.5 * stage[6]
+    root = math.sqrt(max(h1_hi * h1_hi - 4.0 * pull * h_hi, 0.0))
+    return max(hi + 2.0 * h_hi / (root - h1_hi), lo)
 
 
 @compiled
-def height_short(
-    tones: Floats, gamma: float, phi0: float, a0: float, v0: float, tau: float
-) -> tuple[float, float, float]:
-    """``h, h', h''`` at a small ``tau`` with a small *relative* error; ``a0`` is h'' at take-off (0 at a threshold)."""
-    g = 0.5 * a0
-    g_slope = a0
-    a = a0
-    for j in range(tones.shape[0]):
-        n = tones[j, 0]
-        angle = n * phi0 + tones[j, 2]
-        weight = gamma * tones[j, 1] * n * n
-        sine = weight * math.sin(angle)
-        cosine = weight * math.cos(angle)
-        x = n * tau
-        cos_part, sin_part, sinc_part, vers_part = _remainders(x)
-        g += sine * cos_part + cosine * sin_part
-        g_slope += sine * sinc_part + cosine * vers_part
-        a += x * (cosine * (1.0 + sinc_part) - sine * vers_part)
-    return tau * (v0 + tau * g), v0 + tau * g_slope, a
-
-
-@compiled
-def height(tones: Floats, gamma: float, start: Start, phi: float, tau: float) -> tuple[float, float, float]:
-    """``h, h', h''`` at the folded phase ``phi``, ``tau`` after the take-off ``start = (phi0, s0, s0', a0, v0)``."""
-    phi0, s0, slope0, a0, v0 = start
-    if tau < SHORT:
-        return height_short(tones, gamma, phi0, a0, v0, tau)
-    s, slope, q = shape(tones, phi)
-    h = gamma * (s0 + slope0 * tau - s) + tau * (v0 - 0.5 * tau)
-    return h, gamma * (slope0 - slope) + v0 - tau, gamma * q - 1.0
-
-
-@compiled
-def _rounding_of_height(tones: Floats, gamma: float, start: Start, tau: float) -> float:
-    """Bound on the rounding error of `height` at ``tau``."""
-    size = 0.0
-    if tau < SHORT:
-        for j in range(tones.shape[0]):
-            size += abs(tones[j, 1]) * tones[j, 0] ** 2
-        return ROUNDING * tau * (start[4] + tau * (1.0 + gamma * size))
-    for j in range(tones.shape[0]):
-        size += abs(tones[j, 1])
-    return ROUNDING * (gamma * (size + abs(start[2]) * tau) + tau * (start[4] + tau))
-
-
-@compiled
-def _root_in_concave(
-    tones: Floats, gamma: float, start: Start, turns: float, lo: float, hi: float
-) -> tuple[float, float]:
-    """The one root in ``(lo, hi]`` of a concave branch with ``h(lo) >= 0 >= h(hi)``: Halley inside a bracket."""
-    left = lo
-    x = hi
-    h1 = 0.0
-    for _ in range(100):
-        tau = x - start[0] + turns
-        h, h1, h2 = height(tones, gamma, start, x, tau)
-        if h > 0.0:
-            left = x
-        else:
-            hi = x
-        determinant = 2.0 * h1 * h1 - h * h2
-        new = x - 2.0 * h * h1 / determinant if determinant > h1 * h1 else x - h / h1
-        if not left < new < hi:
-            new = 0.5 * (left + hi)
-        if abs(new - x) <= 2e-16 * (abs(x) if tau > SHORT else tau):
-            return new, -h1
-        x = new
-    return x, -h1
-
-
-@compiled
-def _root_in_convex(
-    tones: Floats, gamma: float, start: Start, turns: float, lo: float, hi: float
-) -> tuple[bool, float, float, int]:
-    """First root in ``(lo, hi]`` of a convex branch entered with ``h > 0 > h'``: ``(found, phase, -h', flag)``.
-
-    Newton from the left climbs to the first root without passing it; where ``h' >= 0`` comes first there is none. A
-    minimum nearer to zero than the rounding of h is flagged: double precision cannot decide it.
-    """
-    x = lo
-    flag = 0
-    for _ in range(200):
-        tau = x - start[0] + turns
-        h, h1, h2 = height(tones, gamma, start, x, tau)
-        if abs(h - 0.5 * h1 * h1 / h2) < _rounding_of_height(tones, gamma, start, tau):
-            flag = UNDECIDED
-        if h1 >= 0.0:
-            return False, x, 0.0, flag
-        if h <= 0.0:
-            return True, x, -h1, flag
-        step = -h / h1
-        if step <= 2e-16 * (abs(x) if tau > SHORT else tau):
-            return True, x, -h1, flag
-        x += step
-        if x > hi:
-            return False, x, 0.0, flag
-    return True, x, -h1, UNDECIDED
+def _land_below_threshold(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float, float, int]:
+    """`land` where the plate never lifts a ball: the flight is concave for ever, any point below ends the bracket."""
+    phi0 = stage[0]
+    reach = 1.0
+    while motion(tones, gamma, stage, phi0 + reach, reach)[0] > 0.0:
+        reach *= 2.0
+    x, speed = root_in_concave(tones, gamma, stage, 0.0, phi0, phi0 + reach, phi0 + min(2.0 * stage[4], reach))
+    return x - phi0, x, speed, 0
 
 
 @compiled
@@ -187,43 +76,44 @@ def land(
     tau, landing phase (folded into the period of ``edge``), impact speed, flag
     """
     s0, slope0, _ = shape(tones, phi0)
-    start = (phi0, s0, slope0, a0, v0)
-    if n_windows == 0:  # concave for ever: any point below the plate closes the bracket
-        hi = phi0 + 1.0
-        while height(tones, gamma, start, hi, hi - phi0)[0] > 0.0:
-            hi = phi0 + 2.0 * (hi - phi0)
-        x, speed = _root_in_concave(tones, gamma, start, 0.0, phi0, hi)
-        return x - phi0, x, speed, 0
+    stage = (phi0, s0, slope0, a0, v0, 0.0, 1.0)
+    if n_windows == 0:
+        return _land_below_threshold(tones, gamma, stage)
+    safe_from, safe_to = _surely_above(tones, gamma, stage)
     i = branch_of(edge, n_windows, phi0)
     turns = 0.0
     lo = phi0
-    fresh = True
     slope_lo = v0
-    undecided = 0
+    flag = 0
+    if i % 2 == 0:  # lifted through the rest of the window
+        lo = edge[i + 1]
+        tau = lo - phi0
+        if tau < TINY and motion(tones, gamma, stage, lo, tau)[0] <= 0.0:  # by less than rounding
+            return 3.0 * tau, fold(phi0 + 3.0 * tau, edge[0]), 0.0, UNDECIDED
+        i += 1
     while True:
-        hi = edge[i + 1]
-        tau = hi - phi0 + turns
-        h, h1, _ = height(tones, gamma, start, hi, tau)
         if i % 2 == 1:
+            hi = edge[i + 1]
+            h, slope_lo, _ = motion(tones, gamma, stage, hi, hi - phi0 + turns)
             if h <= 0.0:
-                x, speed = _root_in_concave(tones, gamma, start, turns, lo, hi)
-                return x - phi0 + turns, x, speed, undecided
-        elif fresh:
-            if h <= 0.0:  # lifted less than rounding shows, at a window's end: three times what is left of it
-                return 3.0 * tau, fold(phi0 + 3.0 * tau, edge[0]), 0.0, UNDECIDED
+                guess = _guess_in_concave(stage, lo, hi, h, slope_lo)
+                x, speed = root_in_concave(tones, gamma, stage, turns, lo, hi, guess)
+                return x - phi0 + turns, x, speed, flag
+            tau = hi - phi0 + turns
+            if safe_from < tau < safe_to - TWO_PI:
+                skipped = TWO_PI * math.floor((safe_to - tau) / TWO_PI)
+                turns += skipped
+                slope_lo -= skipped
         elif slope_lo < 0.0:
-            found, x, speed, flag = _root_in_convex(tones, gamma, start, turns, lo, hi)
-            undecided |= flag
+            found, x, speed, graze = root_in_convex(tones, gamma, stage, turns, edge[i], edge[i + 1])
+            flag |= graze
             if found:
-                return x - phi0 + turns, x, speed, undecided
-        fresh = False
-        slope_lo = h1
-        lo = hi
+                return x - phi0 + turns, x, speed, flag
         i += 1
         if i == 2 * n_windows:
             i = 0
-            lo = edge[0]
             turns += TWO_PI
+        lo = edge[i]
 
 
 @compiled
