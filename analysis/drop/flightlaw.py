@@ -1,0 +1,133 @@
+"""One flight above a floor at rest, in closed form: gravity, Coulomb friction, quadratic air drag.
+
+The rule kept here: every relation is exact (no time stepping). Going up the ball is slowed by ``g (1 + f)`` plus
+``k v^2``; coming down it is driven by ``g (1 - f)`` less ``k v^2`` (Rayleigh drag; Coulomb 1785). All functions are
+vectorised, work in any consistent units, and go over into the parabola as ``f`` and ``k`` go to zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_NO_DRAG = 1e-9  # k v^2 / g below this is a parabola to the last digit that matters
+
+
+@dataclass(frozen=True)
+class FlightLaw:
+    """Gravity with friction and drag.
+
+    Attributes
+    ----------
+    g_mps2 : float
+        Local gravity, m/s^2 (or any length per time squared).
+    friction : float
+        Coulomb friction over the weight, ``0 <= f < 1``: at 1 the ball would hang on its rod.
+    drag_per_m : float
+        ``k`` of ``-k |v| v``, 1/m.
+    """
+
+    g_mps2: float
+    friction: float = 0.0
+    drag_per_m: float = 0.0
+
+    @property
+    def up_mps2(self) -> float:
+        """Deceleration on the way up at zero speed."""
+        return self.g_mps2 * (1.0 + self.friction)
+
+    @property
+    def down_mps2(self) -> float:
+        """Acceleration on the way down at zero speed."""
+        return self.g_mps2 * (1.0 - self.friction)
+
+    def apex_m(self, speed_mps: Any) -> Array:
+        """Height reached from take-off at ``speed_mps``."""
+        v = np.asarray(speed_mps, dtype=np.float64)
+        return _log1p_over(self.drag_per_m, v * v / self.up_mps2) / 2.0
+
+    def landing_speed_mps(self, height_m: Any) -> Array:
+        """Speed after a fall from rest through ``height_m``."""
+        h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
+        k = self.drag_per_m
+        if k <= _NO_DRAG:
+            return np.sqrt(2.0 * self.down_mps2 * h)
+        return np.sqrt(self.down_mps2 / k * -np.expm1(-2.0 * k * h))
+
+    def fall_m(self, speed_mps: Any) -> Array:
+        """Height of a fall from rest that ends at ``speed_mps`` (infinite at the terminal speed and beyond)."""
+        v = np.asarray(speed_mps, dtype=np.float64)
+        ratio = v * v / self.down_mps2
+        if self.drag_per_m <= _NO_DRAG:
+            return ratio / 2.0
+        inside = 1.0 - self.drag_per_m * ratio
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(inside > 0.0, -np.log(np.maximum(inside, 1e-300)) / (2.0 * self.drag_per_m), np.inf)
+
+    def rise_s(self, speed_mps: Any) -> Array:
+        """Time from take-off to the apex."""
+        v = np.asarray(speed_mps, dtype=np.float64)
+        if self.drag_per_m <= _NO_DRAG:
+            return v / self.up_mps2
+        rate = np.sqrt(self.drag_per_m * self.up_mps2)
+        return np.arctan(v * np.sqrt(self.drag_per_m / self.up_mps2)) / rate
+
+    def fall_s(self, height_m: Any) -> Array:
+        """Time of a fall from rest through ``height_m``."""
+        h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
+        k = self.drag_per_m
+        if k <= _NO_DRAG:
+            return np.sqrt(2.0 * h / self.down_mps2)
+        x = np.expm1(k * h)  # acosh(1 + x) without the cancellation of acosh near 1
+        return np.log1p(x + np.sqrt(x * (x + 2.0))) / np.sqrt(k * self.down_mps2)
+
+    def duration_s(self, speed_mps: Any) -> Array:
+        """Flight time from take-off at ``speed_mps`` to the next landing."""
+        return self.rise_s(speed_mps) + self.fall_s(self.apex_m(speed_mps))
+
+    def return_speed_mps(self, speed_mps: Any) -> Array:
+        """Speed at the next landing, of a flight that took off at ``speed_mps``."""
+        return self.landing_speed_mps(self.apex_m(speed_mps))
+
+    def takeoff_speed_mps(self, duration_s: Any) -> Array:
+        """Take-off speed of a flight of ``duration_s``: Newton on `duration_s`, which grows with the speed."""
+        t = np.asarray(duration_s, dtype=np.float64)
+        v = t / (1.0 / self.up_mps2 + 1.0 / np.sqrt(self.up_mps2 * self.down_mps2))
+        if self.drag_per_m <= _NO_DRAG:
+            return v
+        for _ in range(30):
+            u = np.maximum(self.return_speed_mps(v), 1e-12)
+            growth = 1.0 + self.drag_per_m * v * v / self.up_mps2
+            slope = (1.0 + v / u) / (self.up_mps2 * growth)
+            v = np.maximum(v + (t - self.duration_s(v)) / slope, 0.5 * v)
+        return v
+
+    def drop_m(self, since_apex_s: Any) -> Array:
+        """Distance below the apex ``since_apex_s`` after it (negative: before it)."""
+        t = np.asarray(since_apex_s, dtype=np.float64)
+        if self.drag_per_m <= _NO_DRAG:
+            return np.where(t < 0.0, self.up_mps2, self.down_mps2) * t * t / 2.0
+        k = self.drag_per_m
+        rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)  # tan's pole: no flight gets there
+        fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)
+        return np.where(t < 0.0, -np.log(np.cos(rise)), np.logaddexp(fall, -fall) - np.log(2.0)) / k
+
+    def velocity_mps(self, since_apex_s: Any) -> Array:
+        """Upward velocity ``since_apex_s`` after the apex."""
+        t = np.asarray(since_apex_s, dtype=np.float64)
+        if self.drag_per_m <= _NO_DRAG:
+            return -np.where(t < 0.0, self.up_mps2, self.down_mps2) * t
+        k = self.drag_per_m
+        rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)
+        fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)
+        up = np.sqrt(self.up_mps2 / k) * np.tan(rise)
+        return np.where(t < 0.0, up, -np.sqrt(self.down_mps2 / k) * np.tanh(fall))
+
+
+def _log1p_over(k: float, x: Array) -> Array:
+    """``log(1 + k x) / k``, and its limit ``x``."""
+    return x if k <= _NO_DRAG else np.log1p(k * x) / k

@@ -1,0 +1,233 @@
+"""What a table says: impact times, or tracked positions.
+
+The rule kept here: content decides. Two columns of which one is the differences of the other are event times with
+their intervals, in whatever language; a column that advances evenly beside others is a clock beside positions.
+Headings only break ties, and give units.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.tables import Cell, Grid
+from daq.errors import InputError
+
+Array = NDArray[np.float64]
+
+_TIME = {"t", "time", "times", "zeit", "tempo", "temps", "tijd", "tiempo", "czas", "seconds", "sekunden", "secondi", "clock"}
+_FRAME = {"frame", "frames", "bild", "bildnummer", "fotogramma", "image", "slice", "beeld", "step", "pas"}
+_HEIGHT = {"y", "h", "height", "höhe", "hoehe", "altezza", "hoogte", "hauteur", "altura", "z", "s", "position", "posizione",
+           "positie", "quota", "y1"}
+_ACROSS = {"x", "x1"}
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
+_INTERVAL = {"interval", "intervals", "intervall", "intervalle", "intervallo", "intervalli", "difference", "differenz",
+             "differenza", "verschil", "durata", "dauer", "duur", "dt", "flight"}
+
+
+@dataclass(frozen=True)
+class Points:
+    """Tracked positions, one or more at each instant.
+
+    Attributes
+    ----------
+    clock : (n,) float64
+        Frame number, or seconds.
+    x, y : (n,) float64
+        Positions in pixels, or in metres where ``metres`` is set.
+    in_seconds : bool
+        Whether ``clock`` is in seconds.
+    metres : bool
+        Whether positions are metres.
+    """
+
+    clock: Array
+    x: Array
+    y: Array
+    in_seconds: bool
+    metres: bool
+
+
+@dataclass(frozen=True)
+class _Columns:
+    names: list[str]
+    values: Array  # (rows, columns), NaN where there is no number
+
+
+def read_table(grids: list[Grid], where: str) -> Array | Points:
+    """Impact times (n,) in seconds, or `Points`.
+
+    Raises
+    ------
+    InputError
+        Neither can be found.
+    """
+    tables = [(grid, _columns(grid)) for grid in grids]
+    for _, columns in tables:
+        found = _paired_events(columns)
+        if found is not None:
+            return found
+    for grid, columns in tables:
+        points = _wide_tracks(grid) or _positions(columns)
+        if points is not None:
+            return points
+    for _, columns in tables:
+        found = _lone_events(columns)
+        if found is not None:
+            return found
+    raise InputError(
+        f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
+        f"found in {len(grids)} table(s); first heading: {', '.join(tables[0][1].names[:6]) or 'none'}"
+    )
+
+
+def _columns(grid: Grid) -> _Columns:
+    """Split a grid into headings and numbers: data are the rows with as many numbers as most have."""
+    counts = np.array([sum(isinstance(cell, float) for cell in row) for row in grid.rows])
+    wanted = int(np.median(counts[counts > 0]))
+    data = [i for i in range(len(grid.rows)) if counts[i] >= max(1, 0.5 * wanted)]
+    width = max(len(grid.rows[i]) for i in data)
+    values = np.full((len(data), width), np.nan)
+    for k, i in enumerate(data):
+        for j, cell in enumerate(grid.rows[i]):
+            if isinstance(cell, float):
+                values[k, j] = cell
+    heads = [row for row in grid.rows[: data[0]] if row]
+    return _Columns(_names(heads, width), values)
+
+
+def _names(heads: list[list[Cell]], width: int) -> list[str]:
+    """Headings of the fullest row above the data, with a row of units right below it joined on."""
+    if not heads:
+        return [""] * width
+    full = max(range(len(heads)), key=lambda i: (sum(bool(str(c)) for c in heads[i]), i))
+    rows = [heads[full]]
+    below = heads[full + 1 :]
+    if full > 0 and all(_unit(str(c)) for c in heads[full] if str(c)):
+        rows = [heads[full - 1], heads[full]]
+    elif below and all(_unit(str(c)) for c in below[0] if str(c)):
+        rows.append(below[0])
+    return [" ".join(str(row[j]) for row in rows if j < len(row)).strip().lower() for j in range(width)]
+
+
+def _unit(text: str) -> bool:
+    return text.strip("()[] ").lower() in {*_METRES, *_SECONDS, "px", "pixel", "pixels", "frame"}
+
+
+def _words(name: str) -> set[str]:
+    """Words of a heading, its unit in brackets left out."""
+    bare = re.sub(r"[(\[].*?[)\]]", " ", name)
+    return set(re.split(r"[^\w]+|_", bare)) - {""}
+
+
+def _unit_factor(name: str, table: dict[str, float]) -> float | None:
+    """Factor to the SI unit named in a heading as ``y (cm)``, ``y [cm]``, ``y / cm`` or ``y_cm``."""
+    for token in re.findall(r"[(\[]\s*([a-z]+)\s*[)\]]|/\s*([a-z]+)$|[_ ]([a-z]+)$", name):
+        unit = next(part for part in token if part)
+        if unit in table:
+            return table[unit]
+    return None
+
+
+def _paired_events(columns: _Columns) -> Array | None:
+    """Event times beside their own differences, whichever comes first."""
+    v = columns.values
+    for a in range(v.shape[1]):
+        for b in range(v.shape[1]):
+            times, intervals = v[:, a], v[:, b]
+            good = np.isfinite(times)
+            times, intervals = times[good], intervals[good]
+            if a == b or len(times) < 3 or np.any(np.diff(times) <= 0):
+                continue
+            steps = np.diff(times)
+            slack = 2e-3 * float(steps.max()) + 1e-6
+            if np.ptp(steps) <= slack:
+                continue  # a clock
+            for shifted in (intervals[:-1], intervals[1:]):
+                if np.isfinite(shifted).sum() >= 2 and np.nanmax(np.abs(shifted - steps)) <= slack:
+                    return times * (_unit_factor(columns.names[a], _SECONDS) or 1.0)
+    return None
+
+
+def _lone_events(columns: _Columns) -> Array | None:
+    """One column of times or intervals, or one row of start and stops."""
+    v = columns.values
+    if v.shape[0] == 1 and v.shape[1] >= 3:
+        row = v[0][np.isfinite(v[0])]
+        return row if len(row) >= 3 and np.all(np.diff(row) > 0) else None
+    best: Array | None = None
+    for j in range(v.shape[1]):
+        column = v[np.isfinite(v[:, j]), j]
+        if len(column) < 2 or np.any(column < 0):
+            continue
+        factor = _unit_factor(columns.names[j], _SECONDS) or 1.0
+        rising, counting = bool(np.all(np.diff(column) > 0)), np.ptp(np.diff(column)) < 1e-9
+        if _words(columns.names[j]) & _INTERVAL or (not rising and np.all(column > 0)):
+            trailing = column[:-1] if column[-1] == 0.0 else column
+            return np.concatenate(([0.0], np.cumsum(trailing))) * factor
+        if rising and not counting and len(column) >= 3 and best is None:
+            best = column * factor
+    return best
+
+
+def _wide_tracks(grid: Grid) -> Points | None:
+    """ImageJ's table: frame, then x, y (and a flag) for each track; blanks may have been lost on the way."""
+    head = next((row for row in grid.rows[:8] if len(row) >= 3 and _words(str(row[0]).lower()) & _FRAME), None)
+    if head is None or not re.fullmatch(r"x\s*_?1", str(head[1]).strip().lower()):
+        return None
+    found: list[tuple[float, float, float]] = []
+    for row in grid.rows:
+        numbers = [cell for cell in row if isinstance(cell, float)]
+        if len(numbers) >= 3 and len(numbers) % 2 == 1 and isinstance(row[0], float) and numbers[0] == round(numbers[0]):
+            found += [(numbers[0], numbers[i], numbers[i + 1]) for i in range(1, len(numbers), 2)]
+    if len(found) < 6:
+        return None
+    table = np.array(sorted(found, key=lambda point: point[0]))
+    return Points(table[:, 0], table[:, 1], table[:, 2], in_seconds=False, metres=False)
+
+
+def _positions(columns: _Columns) -> Points | None:
+    """A clock column and a height column; further columns may be the position across, speeds, anything."""
+    v, words = columns.values, [_words(name) for name in columns.names]
+    clock = next((j for j in range(v.shape[1]) if words[j] & _TIME and _advances(v[:, j])), None)
+    frames = next((j for j in range(v.shape[1]) if words[j] & _FRAME and _advances(v[:, j])), None)
+    chosen = clock if clock is not None else frames
+    if chosen is None:
+        chosen = next((j for j in range(v.shape[1]) if _even(v[:, j])), None)
+    others = [j for j in range(v.shape[1]) if j not in (clock, frames, chosen) and np.isfinite(v[:, j]).sum() >= 6]
+    if chosen is None or not others:
+        return None
+    named = [j for j in others if words[j] & _HEIGHT]
+    if not named:
+        named = sorted((j for j in others if not words[j] & _ACROSS), key=lambda j: -float(np.nanmax(v[:, j]) - np.nanmin(v[:, j])))
+    height = (named or others)[0]
+    across = next((j for j in others if words[j] & _ACROSS), None)
+    good = np.isfinite(v[:, chosen]) & np.isfinite(v[:, height])
+    if across is not None:
+        good &= np.isfinite(v[:, across])
+    unit = _unit_factor(columns.names[height], _METRES)
+    in_seconds = clock is not None or (frames is None and not _whole(v[good, chosen]))
+    order = np.argsort(v[good, chosen], kind="stable")
+    y = v[good, height][order] * (unit or 1.0)
+    x = v[good, across][order] * (unit or 1.0) if across is not None else np.zeros_like(y)
+    seconds = (_unit_factor(columns.names[chosen], _SECONDS) or 1.0) if in_seconds else 1.0
+    return Points(v[good, chosen][order] * seconds, x, y, in_seconds=in_seconds, metres=unit is not None)
+
+
+def _advances(column: Array) -> bool:
+    column = column[np.isfinite(column)]
+    return len(column) >= 6 and column[-1] > column[0]
+
+
+def _even(column: Array) -> bool:
+    column = column[np.isfinite(column)]
+    steps = np.diff(column)
+    return len(column) >= 6 and bool(np.all(steps > 0)) and float(np.median(np.abs(steps - np.median(steps)))) < 0.05 * float(np.median(steps))
+
+
+def _whole(column: Array) -> bool:
+    return bool(np.all(column == np.round(column)))
