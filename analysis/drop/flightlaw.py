@@ -99,7 +99,7 @@ class FlightLaw:
         v = t / (1.0 / self.up_mps2 + 1.0 / np.sqrt(self.up_mps2 * self.down_mps2))
         if self.drag_per_m <= _NO_DRAG:
             return v
-        for _ in range(30):
+        for _ in range(12):
             u = np.maximum(self.return_speed_mps(v), 1e-12)
             growth = 1.0 + self.drag_per_m * v * v / self.up_mps2
             slope = (1.0 + v / u) / (self.up_mps2 * growth)

@@ -1,0 +1,164 @@
+"""Which rung the bounces call for: held-out bounces, the tie set, and what the data cannot tell.
+
+The rule kept here: an effect is added only when bounces that were not fitted are predicted better beyond doubt (twice
+the standard error of the paired gain, and three nats), and rivals that are not worse beyond doubt are all named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.bouncelaw import CONSTANT, FRICTION, LADDER, BounceModel
+from analysis.drop.ladder import Fit, converge, fit, usable_rows
+from analysis.drop.rows import Drop, Rows, noise_of, predict_s
+
+Array = NDArray[np.float64]
+
+LEAST_GAIN_NATS = 3.0
+_ENOUGH_DROPS = 4
+_MOST_FOLDS = 8
+_LEAST_ROWS = 5  # fewer bounces than this leave nothing to hold out
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A rung, fitted and tried on bounces it did not see.
+
+    Attributes
+    ----------
+    fit : Fit
+    rms_s, held_out_rms_s : float
+        Of the flight durations, in sample and held out (NaN where nothing could be held out).
+    scores : (units,) float64
+        Held-out log likelihood of each drop (or bounce, where there are few drops).
+    identifiable : bool
+        False where another rung with fewer parameters predicts exactly the same times.
+    """
+
+    fit: Fit
+    rms_s: float
+    held_out_rms_s: float
+    scores: Array
+    identifiable: bool = True
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The ladder judged.
+
+    Attributes
+    ----------
+    rungs : tuple of Judged
+        In the ladder's order.
+    chosen : str
+    tie_set : tuple of str
+        Rungs that the data cannot tell apart, the chosen one first.
+    left_out : (drops,) int64
+        Irregular bounces left out of each drop.
+    """
+
+    rungs: tuple[Judged, ...]
+    chosen: str
+    tie_set: tuple[str, ...]
+    left_out: NDArray[np.int64]
+
+    def rung(self, name: str) -> Judged:
+        """The rung called ``name``."""
+        return next(r for r in self.rungs if r.fit.model.name == name)
+
+
+def judge(drops: Sequence[Drop], g_mps2: float, rng: np.random.Generator) -> Verdict:
+    """Fit every rung to ``drops`` and say which the bounces call for."""
+    rows, left_out = usable_rows(drops, g_mps2)
+    folds = _folds(rows)
+    with_height = bool((rows.from_height & rows.valid).any())
+    rungs: list[Judged] = []
+    for model in LADDER:
+        if model is FRICTION and not with_height:
+            rungs.append(_same_times(rungs[0]))
+        elif model is not CONSTANT and rows.count <= len(model.parameters):
+            continue
+        else:
+            rungs.append(_try(model, rows, folds, g_mps2, rng))
+    chosen, ties = choose([r for r in rungs if r.identifiable])
+    if chosen == CONSTANT.name and not with_height:
+        ties = (*ties, FRICTION.name)  # friction shortens every flight by one factor, as a lower restitution does
+    return Verdict(tuple(rungs), chosen, ties, left_out)
+
+
+def _same_times(constant: Judged) -> Judged:
+    """Friction without a known height: the same times as a constant restitution, whatever the friction."""
+    e = float(np.clip(constant.fit.theta[0], 0.0, 1.0))
+    pad = np.append(constant.fit.theta, 0.0)
+    most = (1.0 - e * e) / (1.0 + e * e)  # the friction at which the impact itself would have to be lossless
+    draws = np.column_stack([constant.fit.draws, np.zeros(len(constant.fit.draws))])
+    covariance = np.diag([constant.fit.covariance[0, 0], most**2 / 12.0])
+    same = replace(constant.fit, model=FRICTION, theta=pad, covariance=covariance, draws=draws)
+    return replace(constant, fit=same, identifiable=False)
+
+
+def _folds(rows: Rows) -> list[NDArray[np.bool_]]:
+    """Which rows each fold holds out: whole drops where there are enough, else every so many-th bounce."""
+    with_data = np.flatnonzero(rows.valid.any(axis=1))
+    fold_of = np.full(rows.valid.shape, -1)
+    if len(with_data) >= _ENOUGH_DROPS:
+        for k, d in enumerate(with_data):
+            fold_of[d] = k % _MOST_FOLDS
+    elif rows.count >= _LEAST_ROWS:
+        fold_of[rows.valid] = np.arange(rows.count) % min(_MOST_FOLDS, rows.count)
+    return [rows.valid & (fold_of == k) for k in range(int(fold_of.max()) + 1)]
+
+
+def _try(
+    model: BounceModel, rows: Rows, folds: Sequence[NDArray[np.bool_]], g_mps2: float, rng: np.random.Generator
+) -> Judged:
+    whole = fit(model, rows, g_mps2, rng)
+    widths = (whole.jitter_s, whole.scatter)
+    by_drop = bool(rows.valid.any(axis=1).sum() >= _ENOUGH_DROPS)
+    squares: list[Array] = []
+    scores: list[Array] = []
+    for held in folds:
+        theta = converge(model, whole.theta, rows.keep(~held), widths, g_mps2)
+        residual = rows.after_s - predict_s(model, theta, rows, g_mps2)
+        squares.append(residual[held] ** 2)
+        lower = noise_of(model, theta, rows.keep(held), g_mps2).lower(*widths)
+        white = np.linalg.solve(lower, np.where(held, residual, 0.0)[..., None])[..., 0]
+        log = -0.5 * white**2 - np.log(np.diagonal(lower, axis1=1, axis2=2)) - 0.5 * np.log(2 * np.pi)
+        log = np.where(held, log, 0.0)
+        scores.append(log.sum(axis=1)[held.any(axis=1)] if by_drop else log[held])
+    rms = float(np.sqrt(np.nanmean(whole.residuals_s**2)))
+    held_rms = float(np.sqrt(np.concatenate(squares).mean())) if squares else float("nan")
+    return Judged(whole, rms, held_rms, np.concatenate(scores) if scores else np.empty(0))
+
+
+def _gain(rival: Judged, than: Judged) -> tuple[float, float]:
+    """Held-out gain of ``rival`` in nats, and how much of it would be in doubt."""
+    difference = rival.scores - than.scores
+    if len(difference) < 2:
+        return 0.0, np.inf
+    return float(difference.sum()), 2.0 * float(difference.std(ddof=1)) * float(np.sqrt(len(difference)))
+
+
+def choose(rungs: Sequence[Judged]) -> tuple[str, tuple[str, ...]]:
+    """Climb from the simplest rung while the gain is beyond doubt; then name who is not worse beyond doubt."""
+    best = rungs[0]
+    while True:
+        gains = [(_gain(rival, best), rival) for rival in rungs if rival.fit.model.nests(best.fit.model)]
+        better = [(gain, rival) for (gain, doubt), rival in gains if gain > max(doubt, LEAST_GAIN_NATS)]
+        if not better:
+            break
+        fewest = min(len(rival.fit.model.parameters) for _, rival in better)
+        best = max((b for b in better if len(b[1].fit.model.parameters) == fewest), key=lambda b: b[0])[1]
+    ties = [best.fit.model.name]
+    for rival in rungs:
+        if rival is best or rival.fit.model.nests(best.fit.model) or best.fit.model.nests(rival.fit.model):
+            continue
+        behind, doubt = _gain(best, rival)
+        ahead, fuss = _gain(rival, rungs[0])
+        if len(rungs[0].scores) and behind <= max(doubt, LEAST_GAIN_NATS) and ahead > max(fuss, LEAST_GAIN_NATS):
+            ties.append(rival.fit.model.name)
+    return best.fit.model.name, tuple(ties)

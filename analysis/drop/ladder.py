@@ -1,0 +1,185 @@
+"""Fit the ladder of models to the impact times of one drop or many, together.
+
+The rule kept here: generalised least squares with the covariance of `rows`, whose two widths come from maximum
+likelihood and never from a guess; intervals are the wider of that fit's and a bootstrap's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from analysis.drop.bouncelaw import BOUNDS, SPEED_DRAG, START, BounceModel
+from analysis.drop.rows import Drop, Rows, noise_of, predict_s, rows_of
+
+Array = NDArray[np.float64]
+
+_OUTLIER_SIGMA = 4.5
+_SMALLEST_JITTER_S, _SMALLEST_SCATTER = 1e-7, 1e-6
+_FEW_DROPS = 6
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A rung fitted.
+
+    Attributes
+    ----------
+    model : BounceModel
+    theta, covariance : (p,), (p, p) float64
+        Parameters in the model's order.
+    jitter_s, scatter : float
+        Standard deviation of an impact time, and of the restitution from bounce to bounce.
+    residuals_s : (drops, longest) float64
+        Measured less predicted duration; NaN where there is no data.
+    draws : (m, p) float64
+        Bootstrap over drops, or over flights where there are few drops.
+    freedom : int
+        Rows less parameters.
+    """
+
+    model: BounceModel
+    theta: Array
+    covariance: Array
+    jitter_s: float
+    scatter: float
+    residuals_s: Array
+    draws: Array
+    freedom: int
+
+    def half_width(self, level: float = 0.95) -> Array:
+        """Half the interval of each parameter: the wider of the fit's and the bootstrap's."""
+        t = float(stats.t.ppf(0.5 + level / 2, max(self.freedom, 1)))
+        return t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0))
+
+
+def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.int64]]:
+    """The rows to fit, and how many bounces of each drop were left out.
+
+    A bounce is left out where not even the richest rung comes near it, judged by the spread of all the others.
+    """
+    rows = rows_of(drops)
+    kept = rows
+    for _ in range(2):
+        theta = _start(SPEED_DRAG, kept)
+        for _ in range(6):
+            theta = step(SPEED_DRAG, theta, kept, (2e-4, 0.01), g_mps2).theta
+        relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
+        pooled = relative[rows.valid]
+        centre = float(np.median(pooled))
+        width = 1.4826 * float(np.median(np.abs(pooled - centre))) + 5e-4
+        kept = rows.keep((np.abs(relative - centre) < _OUTLIER_SIGMA * width) | rows.from_height)
+    return kept, rows.valid.sum(axis=1) - kept.valid.sum(axis=1)
+
+
+def _start(model: BounceModel, rows: Rows) -> Array:
+    ratios = (rows.after_s / rows.before_s)[rows.valid & ~rows.from_height]
+    theta = np.array([START[name] for name in model.parameters])
+    if len(ratios):
+        theta[0] = float(np.median(ratios))
+    return theta
+
+
+def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator, boots: int = 200) -> Fit:
+    """Parameters and both widths of one rung, with bootstrap draws."""
+    theta, widths = _start(model, rows), (2e-4, 0.01)
+    for _ in range(4):
+        theta = converge(model, theta, rows, widths, g_mps2)
+        widths = _widths(model, theta, rows, g_mps2, widths)
+    theta = converge(model, theta, rows, widths, g_mps2)
+    last = step(model, theta, rows, widths, g_mps2)
+    residuals = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), np.nan)
+    draws = _bootstrap(theta, last, rng, boots)
+    return Fit(model, theta, last.covariance, *widths, residuals, draws, rows.count - len(theta))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One Gauss-Newton step: where it leads, and what it saw where it started."""
+
+    theta: Array
+    covariance: Array
+    chi_square: float
+    jacobian: Array  # whitened, (rows, p)
+    white: Array  # whitened residuals, (rows,)
+    owner: NDArray[np.int64]  # drop of each row
+
+
+def step(
+    model: BounceModel, theta: Array, rows: Rows, widths: tuple[float, float], g_mps2: float, damping: float = 0.0
+) -> Step:
+    """One (damped) generalised least-squares step from ``theta``."""
+    base = predict_s(model, theta, rows, g_mps2)
+    columns = []
+    for j in range(len(theta)):
+        moved = theta.copy()
+        moved[j] += 1e-5
+        columns.append((predict_s(model, moved, rows, g_mps2) - base) / 1e-5)
+    columns.append(rows.after_s - base)
+    stack = np.where(rows.valid[..., None], np.stack(columns, axis=-1), 0.0)
+    white = np.linalg.solve(noise_of(model, theta, rows, g_mps2).lower(*widths), stack)[rows.valid]
+    jacobian, residual = white[:, :-1], white[:, -1]
+    normal = jacobian.T @ jacobian
+    covariance = np.linalg.pinv(normal, rcond=1e-10, hermitian=True)
+    damped = np.linalg.pinv(normal + damping * np.diag(np.diag(normal)), rcond=1e-10, hermitian=True)
+    low, high = np.array([BOUNDS[name] for name in model.parameters]).T
+    reached = np.clip(theta + damped @ (jacobian.T @ residual), low, high)
+    return Step(reached, covariance, float(residual @ residual), jacobian, residual, np.nonzero(rows.valid)[0])
+
+
+def converge(model: BounceModel, theta: Array, rows: Rows, widths: tuple[float, float], g_mps2: float) -> Array:
+    """Levenberg-Marquardt to the minimum at fixed widths."""
+    damping = 1e-4
+    here = step(model, theta, rows, widths, g_mps2, damping)
+    for _ in range(12):
+        there = step(model, here.theta, rows, widths, g_mps2, damping)
+        if there.chi_square <= here.chi_square * (1.0 + 1e-9):
+            done = here.chi_square - there.chi_square < 1e-6 * (1.0 + here.chi_square)
+            theta, here, damping = here.theta, there, damping * 0.1
+            if done:
+                break
+        else:
+            damping = max(damping, 1e-4) * 30.0
+            here = step(model, theta, rows, widths, g_mps2, damping)
+    return theta
+
+
+def _widths(
+    model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: tuple[float, float]
+) -> tuple[float, float]:
+    """Jitter and scatter of greatest likelihood at ``theta``, with one degree of freedom given up per parameter."""
+    noise = noise_of(model, theta, rows, g_mps2)
+    residual = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), 0.0)[..., None]
+    inflate = rows.count / max(rows.count - len(theta), 1)
+
+    def minus_log(logs: Array) -> float:
+        lower = noise.lower(*np.exp(logs))
+        white = np.linalg.solve(lower, residual)
+        diagonal = np.diagonal(lower, axis1=1, axis2=2)
+        return float(np.log(diagonal).sum() + 0.5 * inflate * (white**2).sum())
+
+    found = optimize.minimize(
+        minus_log,
+        np.log(start),
+        method="Nelder-Mead",
+        bounds=[(np.log(_SMALLEST_JITTER_S), np.log(0.05)), (np.log(_SMALLEST_SCATTER), np.log(0.5))],
+        options={"xatol": 0.02, "fatol": 0.01, "maxiter": 100},
+    )
+    return float(np.exp(found.x[0])), float(np.exp(found.x[1]))
+
+
+def _bootstrap(theta: Array, last: Step, rng: np.random.Generator, boots: int) -> Array:
+    """Draws of the parameters: resample drops (or flights, where there are few drops)."""
+    drops = np.unique(last.owner)
+    groups = last.owner if len(drops) >= _FEW_DROPS else np.arange(len(last.white))
+    names, group = np.unique(groups, return_inverse=True)
+    draws = np.empty((boots, len(theta)))
+    for b in range(boots):
+        weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
+        normal = (last.jacobian * weight[:, None]).T @ last.jacobian
+        draws[b] = theta + np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ (last.jacobian.T @ (weight * last.white))
+    return draws
