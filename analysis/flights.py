@@ -1,0 +1,270 @@
+"""From the single pass to the table of flights.
+
+The rule kept here: continuity edges make the flights; the second witness only splits what they leave whole. Nothing is
+dropped: what is doubtful is marked.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.contact import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
+from analysis.flight_table import EdgeReport, FlightFlag, Flights, write_csv
+from analysis.impacts import LEAD, Impacts, WitnessOffset, calibrate, time_impacts
+from analysis.plate_motion import PlateMotion
+from analysis.scan import Progress, Scan, scan
+from daq.recording import Recording
+from daq.setup import Setup
+
+__all__ = ["FlightFlag", "Flights", "flights_of", "write_csv"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+_Table = tuple[Floats, Floats, Floats, Floats, Floats, Ints, EdgeReport]
+
+GLITCH_S = 2e-4  # an opening shorter than this is no flight
+BOUNCE_S = 4e-4  # nor is one shorter than this that comes within BOUNCE_AFTER_S of a landing
+BOUNCE_AFTER_S = 2e-3
+INSTANT_S = 1.5e-3  # a contact this short may be an impact's closure alone: the ball may have left as it landed
+REBOUND_CONTACT_S = 5e-3  # contacts shorter than this may be rebounds
+PUSHING = 0.8  # -a_p / g below this at take-off: the plate was pushing, a resting ball would have stayed
+HIDDEN = 0.1  # of the flight's height: how far below the plate the ideal path may dip before a landing is suspected
+
+
+def flights_of(recording: Recording, *, progress: Progress | None = None) -> Flights:
+    """Everything the recording says about the ball's flights and the plate, in one pass and bounded memory.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open.
+    progress : callable, optional
+        Called with the part done, 0 to 1, after each piece.
+
+    Raises
+    ------
+    InputError
+        When there is no accelerometer channel.
+    """
+    return assemble(scan(recording, progress), recording.setup, recording.rate_hz, recording.n_samples)
+
+
+def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Flights:
+    """Flights from what the pass found."""
+    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, rate_hz, n_samples)
+    step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
+    flags |= step_flags | _gaps(found.plate, takeoff, landing)
+    plate = found.plate
+    true = (flags & FlightFlag.FALSE) == 0
+    contact = _contacts(takeoff, landing, true)
+    flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, landing, contact, step, true)
+    flags |= _hidden(plate, setup.g_mps2.value, takeoff, landing, contact, step, flags)
+    return Flights(
+        takeoff_s=takeoff, landing_s=landing,
+        takeoff_uncertainty_s=takeoff_sigma, landing_uncertainty_s=landing_sigma,
+        takeoff_phase=plate.phase(takeoff, step), landing_phase=plate.phase(landing, step),
+        step=step, gamma=_gammas(found, step), contact_s=contact, impact=strength, flags=flags.astype(np.int32),
+        plate=plate, edges=report,
+    )
+
+
+def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
+    """Intervals in the air with both witnesses heard, and what the witnesses were worth."""
+    levels = found.survey.levels
+    if levels is None:
+        nothing = np.zeros(0)
+        return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), EdgeReport(None, SHARP, SHARP, None, 0)
+    edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
+    takeoff, landing, takeoff_sigma, landing_sigma, flags = _intervals(edges, found.starts_open, n_samples / rate_hz)
+    whole = (flags & (FlightFlag.FALSE | FlightFlag.CUT)) == 0
+    impacts, offset = _impacts(found, landing[whole], landing_sigma[whole], rate_hz)
+    takeoff, landing, takeoff_sigma, landing_sigma, flags = _split(
+        takeoff, landing, takeoff_sigma, landing_sigma, flags, _with_dips(impacts, edges, rate_hz), 3.0 / rate_hz
+    )
+    strength = _strength(landing, impacts, 4.0 / rate_hz)
+    report = EdgeReport(levels, opening, closing, offset, int(np.count_nonzero(edges.kind == DIP)))
+    return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
+
+
+def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, Floats, Floats, Floats, Ints]:
+    """Take-off and landing of every interval in the air, with uncertainties and the flags `CUT` and `FALSE`."""
+    known = edges.kind != DIP
+    time_s, sigma, kind = edges.time_s[known], edges.uncertainty_s[known], edges.kind[known]
+    first_cut = starts_open and (kind.size == 0 or kind[0] == CLOSES)
+    last_cut = kind.size > 0 and kind[-1] == OPENS or (kind.size == 0 and starts_open)
+    takeoff, landing = time_s[kind == OPENS], time_s[kind == CLOSES]
+    takeoff_sigma, landing_sigma = sigma[kind == OPENS], sigma[kind == CLOSES]
+    if first_cut:
+        takeoff, takeoff_sigma = np.append(0.0, takeoff), np.append(0.0, takeoff_sigma)
+    if last_cut:
+        landing, landing_sigma = np.append(landing, end_s), np.append(landing_sigma, 0.0)
+    flags = np.zeros(takeoff.size, dtype=np.int64)
+    if first_cut:
+        flags[0] |= FlightFlag.CUT
+    if last_cut:
+        flags[-1] |= FlightFlag.CUT
+    duration = landing - takeoff
+    since = takeoff - np.append(-np.inf, landing[:-1])
+    false = (duration < GLITCH_S) | ((duration < BOUNCE_S) & (since < BOUNCE_AFTER_S))
+    flags[false] |= FlightFlag.FALSE
+    return takeoff, landing, takeoff_sigma, landing_sigma, flags
+
+
+def _impacts(
+    found: Scan, landing: Floats, landing_sigma: Floats, rate_hz: float
+) -> tuple[Impacts, WitnessOffset | None]:
+    """The accelerometer's landings on the axis of the electrical edges; none where it shows no impacts."""
+    if found.survey.waveform is None:
+        return Impacts(np.zeros(0), np.zeros(0), np.zeros(0)), None
+    samples, snippets = found.candidates, found.snippets
+    apart = np.append(True, np.diff(samples) >= LEAD // 2)  # the same impact found on both sides of a piece's end
+    return calibrate(
+        time_impacts(samples[apart], snippets[apart], found.survey.waveform, rate_hz), landing, landing_sigma, 5.0 / rate_hz
+    )
+
+
+def _with_dips(impacts: Impacts, edges: Edges, rate_hz: float) -> Impacts:
+    """Dips of the continuity voltage are landings too, where the accelerometer has none."""
+    dips = edges.kind == DIP
+    time_s, sigma = edges.time_s[dips], edges.uncertainty_s[dips]
+    if impacts.time_s.size and time_s.size:
+        after = np.clip(np.searchsorted(impacts.time_s, time_s), 1, max(impacts.time_s.size - 1, 1))
+        near = np.minimum(
+            np.abs(time_s - impacts.time_s[after - 1]), np.abs(time_s - impacts.time_s[np.minimum(after, impacts.time_s.size - 1)])
+        )
+        alone = near > 5.0 / rate_hz
+        time_s, sigma = time_s[alone], sigma[alone]
+    merged = np.concatenate([impacts.time_s, time_s])
+    order = np.argsort(merged)
+    return Impacts(
+        merged[order], np.concatenate([impacts.uncertainty_s, sigma])[order],
+        np.concatenate([impacts.strength, np.full(time_s.size, np.nan)])[order],
+    )
+
+
+def _split(
+    takeoff: Floats, landing: Floats, takeoff_sigma: Floats, landing_sigma: Floats, flags: Ints,
+    impacts: Impacts, reach_s: float,
+) -> tuple[Floats, Floats, Floats, Floats, Ints]:
+    """Cut intervals in the air at impacts inside them (not at their ends: those are the edges' own)."""
+    if takeoff.size == 0 or impacts.time_s.size == 0:
+        return takeoff, landing, takeoff_sigma, landing_sigma, flags
+    host = np.searchsorted(takeoff, impacts.time_s) - 1
+    inside = host >= 0
+    margin = np.maximum(reach_s, 4.0 * impacts.uncertainty_s)
+    h = np.maximum(host, 0)
+    inside &= (impacts.time_s > takeoff[h] + margin) & (impacts.time_s < landing[h] - margin)
+    inside &= (flags[h] & FlightFlag.FALSE) == 0
+    at, sigma, h = impacts.time_s[inside], impacts.uncertainty_s[inside], h[inside]
+    starts, ends = np.concatenate([takeoff, at]), np.concatenate([landing, at])
+    start_sigma, end_sigma = np.concatenate([takeoff_sigma, sigma]), np.concatenate([landing_sigma, sigma])
+    start_order, end_order = np.argsort(starts, kind="stable"), np.argsort(ends, kind="stable")
+    by_witness_start = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[start_order]
+    by_witness_end = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[end_order]
+    out = np.concatenate([flags, flags[h] & ~int(FlightFlag.CUT)])[start_order]
+    out[by_witness_start | by_witness_end] |= FlightFlag.WITNESS
+    # a cut interval passes its mark to the piece that touches the cut
+    out = _pass_cut(out, starts[start_order], ends[end_order], takeoff, landing, flags)
+    return starts[start_order], ends[end_order], start_sigma[start_order], end_sigma[end_order], out
+
+
+def _pass_cut(out: Ints, starts: Floats, ends: Floats, takeoff: Floats, landing: Floats, flags: Ints) -> Ints:
+    """Only the first piece of an interval cut at its start, or the last of one cut at its end, stays cut."""
+    cut = np.flatnonzero(flags & FlightFlag.CUT)
+    out &= ~int(FlightFlag.CUT)
+    for i in cut:
+        out[starts == takeoff[i] if i == 0 and takeoff[i] == 0.0 else ends == landing[i]] |= FlightFlag.CUT
+    return out
+
+
+def _strength(landing: Floats, impacts: Impacts, reach_s: float) -> Floats:
+    """Strength of the accelerometer's impact at each landing; NaN where it saw none."""
+    if impacts.time_s.size == 0:
+        return np.full(landing.size, np.nan)
+    after = np.minimum(np.searchsorted(impacts.time_s, landing), impacts.time_s.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.where(
+        np.abs(impacts.time_s[before] - landing) < np.abs(impacts.time_s[after] - landing), before, after
+    )
+    return np.where(np.abs(impacts.time_s[nearer] - landing) < reach_s, impacts.strength[nearer], np.nan)
+
+
+def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_hz: float) -> tuple[Ints, Ints]:
+    """Step of each flight (-1: in none), and the flags `SETTLING` and `CUT` at a change of step."""
+    first = steps["first_sample"] / rate_hz
+    settled = (steps["first_sample"] + steps["settle_samples"]) / rate_hz
+    last = (steps["first_sample"] + steps["n_samples"]) / rate_hz
+    step = np.searchsorted(first, takeoff, side="right") - 1
+    k = np.maximum(step, 0)
+    outside = (step < 0) | (takeoff >= last[k])
+    flags = np.where(outside, 0, np.where(takeoff < settled[k], int(FlightFlag.SETTLING), 0))
+    flags = np.where(~outside & (landing > last[k]), flags | int(FlightFlag.CUT), flags)
+    return np.where(outside, -1, step), flags.astype(np.int64)
+
+
+def _gaps(plate: PlateMotion, takeoff: Floats, landing: Floats) -> Ints:
+    """Flag `GAP` where samples were lost in the flight or at its edges."""
+    flags = np.zeros(takeoff.size, dtype=np.int64)
+    for sample, _ in plate.gaps:
+        at = sample / plate.rate_hz
+        flags[(takeoff <= at + 2.0 / plate.rate_hz) & (landing >= at - 2.0 / plate.rate_hz)] |= int(FlightFlag.GAP)
+    return flags
+
+
+def _contacts(takeoff: Floats, landing: Floats, true: npt.NDArray[np.bool_]) -> Floats:
+    """Time since the last true landing; NaN before the first."""
+    contact = np.full(takeoff.size, np.nan)
+    index = np.flatnonzero(true)
+    if index.size > 1:
+        contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]
+    return contact
+
+
+def _launch_flags(
+    plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Ints, true: npt.NDArray[np.bool_]
+) -> Ints:
+    """Flags `RELAUNCHED` (the plate was falling away where the ball had just landed) and `DOUBLE_HIT` (it was pushing)."""
+    flags = np.zeros(takeoff.size, dtype=np.int64)
+    brief = true & (contact < REBOUND_CONTACT_S)
+    if not brief.any():
+        return flags
+    leaving = -plate.acceleration_mps2(takeoff, step) / g
+    landed_at = takeoff - np.where(np.isfinite(contact), contact, 0.0)
+    landed = -plate.acceleration_mps2(landed_at, step) / g
+    flags[brief & (contact < INSTANT_S) & (landed >= 1.0)] |= int(FlightFlag.RELAUNCHED)
+    flags[brief & (leaving < PUSHING)] |= int(FlightFlag.DOUBLE_HIT)
+    return flags
+
+
+def _hidden(
+    plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Ints, flags: Ints
+) -> Ints:
+    """Flag `UNSURE` where a ball that left at rest, falling freely, would have met the plate well before it landed."""
+    out = np.zeros(takeoff.size, dtype=np.int64)
+    skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT
+    rest = ((flags & int(skip)) == 0) & ((contact > INSTANT_S) | np.isnan(contact))
+    for k in np.unique(step[rest]):
+        fitted = plate.steps[k] if 0 <= k < len(plate.steps) else None
+        if fitted is None:
+            continue
+        motion = fitted.plate()
+        index = np.flatnonzero(rest & (step == k))
+        start = plate.true_time_s(takeoff[index])[:, None]
+        since = np.linspace(0.0, 1.0, 65)[None, 1:] * (landing - takeoff)[index, None]
+        moved = motion.position_at(start + since) - motion.position_at(start)
+        height = motion.velocity_at(start) * since - 0.5 * g * since**2 - moved
+        early = height[:, :55]
+        suspicious = early.min(axis=1) < -HIDDEN * np.maximum(np.abs(height).max(axis=1), 1e-6)
+        out[index[suspicious]] |= int(FlightFlag.UNSURE)
+    return out
+
+
+def _gammas(found: Scan, step: Ints) -> Floats:
+    """Gamma of each flight's step: measured on the plate, else what the rig says it achieved, else what was asked."""
+    best = np.array([
+        plate.gamma if plate is not None and np.isfinite(plate.gamma)
+        else row["achieved_gamma"] if np.isfinite(row["achieved_gamma"]) else row["gamma"]
+        for plate, row in zip(found.plate.steps, found.steps, strict=True)
+    ] or [np.nan])
+    return np.where(step >= 0, best[np.maximum(step, 0)], np.nan)

@@ -1,0 +1,187 @@
+"""Accelerometer volts to what the plate really did: every tone of every step, against the drive.
+
+The rule kept here: an amplitude is stated with its covariance, impacts are masked for as long as they ring, and what
+belongs to contact and to flight is also fitted apart. Phases refer to sample 0 of the recording; positive is up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.tones import ToneFit
+from model.tones import Plate
+
+Floats = npt.NDArray[np.float64]
+TWO_PI = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in the plate's motion below the forcing: frequency, amplitude, and odds of seeing it in noise alone."""
+
+    frequency_hz: float
+    amplitude_mps2: float
+    false_alarm: float
+
+
+@dataclass(frozen=True)
+class SlowMotion:
+    """What is left of the plate's acceleration below the forcing, at a low rate: ``mps2`` at ``time_s``, NaN where masked."""
+
+    time_s: Floats
+    mps2: Floats
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The tones' amplitudes within a step, a few cycles at a time: slow modulation shows here.
+
+    Attributes
+    ----------
+    time_s : array, shape (w,)
+        Middle of each window.
+    amplitudes : complex array, shape (w, tones)
+        m/s^2, same phase reference as the step's fit; NaN where too much is masked.
+    uncertainty_mps2 : array, shape (w, tones)
+        Of each quadrature.
+    """
+
+    time_s: Floats
+    amplitudes: npt.NDArray[np.complex128]
+    uncertainty_mps2: Floats
+
+
+@dataclass(frozen=True)
+class StepPlate:
+    """The plate in the hold part of one step.
+
+    Attributes
+    ----------
+    step : int
+    first_sample, last_sample : int
+        The part that was fitted, ``[first, last)``.
+    frequency_hz, frequency_uncertainty_hz : float
+        Of the first tone, on the recording's clock (measured on the drive where that tells more than the step table).
+    nominal_hz : float
+        The step table's.
+    ratio : int
+        c.
+    multiples : tuple of int
+        Which multiple of the frequency each of the first fitted tones is; mains lines follow after them.
+    acceleration : ToneFit
+        m/s^2, masked after impacts.
+    drive : ToneFit or None
+        V, looped back; None where it was not recorded.
+    contact, flight : ToneFit or None
+        The forcing's tones alone, fitted to contact and to flight apart (the other tones held).
+    gamma, gamma_uncertainty : float
+        ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
+    gamma_peak : float
+        ``max(-a_p) / g`` of the fitted motion.
+    gamma_drive : float
+        The same gamma from drive volts and ``g_per_volt``; NaN where that is unknown.
+    phase0_rad : float
+        ``phi(t) = 2 pi f t + phase0`` is zero where the first tone's displacement crosses zero going up.
+    masked : float
+        Fraction of the hold left out after impacts.
+    lines : tuple of Line
+    windows : Windows
+    slow : SlowMotion
+    """
+
+    step: int
+    first_sample: int
+    last_sample: int
+    frequency_hz: float
+    frequency_uncertainty_hz: float
+    nominal_hz: float
+    ratio: int
+    multiples: tuple[int, ...]
+    acceleration: ToneFit
+    drive: ToneFit | None
+    contact: ToneFit | None
+    flight: ToneFit | None
+    gamma: float
+    gamma_uncertainty: float
+    gamma_peak: float
+    gamma_drive: float
+    phase0_rad: float
+    masked: float
+    lines: tuple[Line, ...]
+    windows: Windows
+    slow: SlowMotion
+
+    @property
+    def omega_radps(self) -> float:
+        """Angular frequency of the first tone, on the recording's clock."""
+        return TWO_PI * self.frequency_hz
+
+    def tone(self, multiple: int) -> tuple[complex, Floats]:
+        """Amplitude of a multiple of the forcing (m/s^2) and its 2 x 2 covariance of (Re, Im)."""
+        i = self.multiples.index(multiple)
+        return complex(self.acceleration.amplitudes[i]), self.acceleration.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+
+    @property
+    def forcing_multiples(self) -> tuple[int, ...]:
+        """``(1,)`` at c = 1, else ``(1, c)``."""
+        return (1,) if self.ratio == 1 else (1, self.ratio)
+
+    def plate(self, significance: float = 4.0) -> Plate:
+        """The fitted motion: the forcing's tones, and harmonics and mains lines that stand out by ``significance``."""
+        fit = self.acceleration
+        strong = np.abs(fit.amplitudes) > significance * fit.amplitude_sigma()
+        strong[[i for i, m in enumerate(self.multiples) if m in self.forcing_multiples]] = True
+        return Plate(TWO_PI * fit.frequencies_hz[strong], fit.amplitudes[strong])
+
+    def forcing(self) -> Plate:
+        """The forcing's tones alone, as measured."""
+        rows = [self.multiples.index(m) for m in self.forcing_multiples]
+        fit = self.acceleration
+        return Plate(TWO_PI * fit.frequencies_hz[rows], fit.amplitudes[rows])
+
+
+@dataclass(frozen=True)
+class PlateMotion:
+    """The plate over a whole recording; ``steps[k]`` is None where a step has too little to fit."""
+
+    steps: tuple[StepPlate | None, ...]
+    noise_mps2: float
+    rate_hz: float
+    gaps: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+
+    def true_time_s(self, time_s: npt.ArrayLike) -> Floats:
+        """Recording time with the lost samples counted: the clock on which tones keep their phase through gaps."""
+        t = np.asarray(time_s, dtype=np.float64)
+        if not len(self.gaps):
+            return t
+        lost = np.concatenate([[0], np.cumsum(self.gaps[:, 1])])
+        return np.asarray(t + lost[np.searchsorted(self.gaps[:, 0] / self.rate_hz, t, side="right")] / self.rate_hz)
+
+    def phase(self, time_s: npt.ArrayLike, step: npt.ArrayLike) -> Floats:
+        """Phase of the plate's displacement at times within steps, in [0, 2 pi); NaN where the step was not fitted."""
+        omega, phase0 = self._table()
+        k = np.asarray(step, dtype=np.int64)
+        inside = (k >= 0) & (k < len(self.steps))
+        k = np.where(inside, k, 0)
+        if not len(self.steps):
+            return np.full(k.shape, np.nan)
+        phase = np.where(inside, omega[k] * self.true_time_s(time_s) + phase0[k], np.nan)
+        return np.asarray(np.mod(phase, TWO_PI))
+
+    def acceleration_mps2(self, time_s: Floats, step: npt.NDArray[np.int64]) -> Floats:
+        """Plate acceleration at times within steps (fitted tones), m/s^2; NaN where the step was not fitted."""
+        out = np.full(time_s.shape, np.nan)
+        t = self.true_time_s(time_s)
+        for k in np.unique(step):
+            fitted = self.steps[k] if 0 <= k < len(self.steps) else None
+            if fitted is not None:
+                out[step == k] = fitted.plate().acceleration_at(t[step == k])
+        return out
+
+    def _table(self) -> tuple[Floats, Floats]:
+        omega = np.array([np.nan if s is None else s.omega_radps for s in self.steps])
+        phase0 = np.array([np.nan if s is None else s.phase0_rad for s in self.steps])
+        return omega, phase0

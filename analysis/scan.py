@@ -1,0 +1,168 @@
+"""The single pass: contact crossings, impact candidates and folded tones from one reading of the recording.
+
+The rule kept here: a survey of a few pieces learns what this rig looks like (levels, noise, edge shapes, the waveform
+of an impact); then every sample is looked at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis import impacts
+from analysis.contact import CLOSES, OPENS, Crossings, CrossingScan, Levels, measure_levels, time_edges
+from analysis.folding import Folder
+from analysis.impacts import ImpactScan, Waveform, learn_waveform, white_noise
+from analysis.plate_motion import PlateMotion
+from analysis.stream import PAD, Piece, pieces, survey_pieces
+from daq.block import STEP_DTYPE
+from daq.errors import InputError
+from daq.recording import Recording
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Progress = Callable[[float], None]  # part done, 0 to 1
+
+DEFAULT_MASK_S = 2e-3  # left out after an impact where the accelerometer does not show how long it rings
+QUIET_FLIGHT_S = 2e-3  # flights at least this long teach the waveform of an impact
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a look at a few pieces said about the rig."""
+
+    levels: Levels | None
+    noise_v: float
+    waveform: Waveform | None
+
+    @property
+    def mask_s(self) -> float:
+        """How long after an impact the accelerometer is left out."""
+        return DEFAULT_MASK_S if self.waveform is None else self.waveform.ring_s
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Everything one pass found."""
+
+    survey: Survey
+    steps: npt.NDArray[np.void]
+    crossings: Crossings
+    starts_open: bool
+    candidates: Ints
+    snippets: npt.NDArray[np.float32]
+    plate: PlateMotion
+
+
+def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:
+    """The step table with frequencies filled in; one step for the whole recording where there is none."""
+    steps = np.array(recording.steps, dtype=STEP_DTYPE)
+    forcing = recording.setup.forcing
+    if not len(steps):
+        steps = np.zeros(1, dtype=STEP_DTYPE)
+        steps["n_samples"], steps["gamma"], steps["frequency_hz"] = recording.n_samples, np.nan, np.nan
+    steps["frequency_hz"] = np.where(steps["frequency_hz"] > 0, steps["frequency_hz"], forcing.frequency_hz)
+    steps["ratio"] = np.where(steps["ratio"] > 0, steps["ratio"], forcing.ratio)
+    steps["n_samples"] = np.clip(recording.n_samples - steps["first_sample"], 0, steps["n_samples"])
+    return steps
+
+
+def _channels(recording: Recording) -> tuple[str, ...]:
+    """The channels to read, in a fixed order."""
+    if "accelerometer" not in recording.channels:
+        raise InputError(
+            f"{recording.path}: wanted a channel 'accelerometer' (the plate's motion), found only "
+            f"{', '.join(recording.channels)}; import the recording again with --map"
+        )
+    return tuple(name for name in ("continuity", "accelerometer", "drive") if name in recording.channels)
+
+
+def survey(recording: Recording) -> Survey:
+    """Levels, noise and the impact's waveform from a few pieces."""
+    channels = tuple(name for name in _channels(recording) if name != "drive")
+    looked = list(survey_pieces(recording, channels))
+    noise = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in looked]))
+    contact = recording.setup.channels.continuity
+    if "continuity" not in channels or contact is None:
+        return Survey(None, noise, None)
+    sample = np.concatenate([p.own("continuity") for p in looked]).astype(np.float64)
+    levels = measure_levels(sample, contact.closed_v, contact.open_v)
+    snippets, fractions = _landing_snippets(looked, levels, recording.rate_hz)
+    return Survey(levels, noise, learn_waveform(snippets, fractions, noise, recording.rate_hz))
+
+
+def _fraction(piece: Piece, levels: Levels) -> npt.NDArray[np.float32]:
+    """Continuity as a fraction of the swing: 0 closed, 1 open."""
+    volts = piece.channels["continuity"]
+    return (volts - np.float32(levels.closed_v)) * np.float32(1.0 / levels.swing_v)
+
+
+def _landing_snippets(looked: list[Piece], levels: Levels, rate_hz: float) -> tuple[Floats, Floats]:
+    """Accelerometer around clean landings of the survey, and the landings' place before the sample."""
+    snippets, fractions = [], []
+    for piece in looked:
+        found = CrossingScan(levels)
+        found.add(_fraction(piece, levels), piece.first, PAD, piece.count)
+        crossings = found.crossings()
+        if crossings.sample.size < 2:
+            continue
+        edges, _, _ = time_edges(crossings, levels, rate_hz)
+        before = np.append(np.inf, np.diff(edges.time_s))
+        after = np.append(np.diff(edges.time_s), np.inf)
+        opened = np.append(False, crossings.kind[:-1] == OPENS)
+        clean = (crossings.kind == CLOSES) & opened & (before > QUIET_FLIGHT_S) & (after > impacts.ECHO / rate_hz)
+        place = edges.time_s[clean] * rate_hz
+        sample = np.ceil(place).astype(np.int64)
+        index = (sample - piece.first + PAD)[:, None] + np.arange(-impacts.LEAD, impacts.ECHO - impacts.LEAD)
+        inside = (index[:, 0] >= 0) & (index[:, -1] < piece.channels["accelerometer"].size)
+        snippets.append(piece.channels["accelerometer"][index[inside]].astype(np.float64))
+        fractions.append((sample - place)[inside])
+    if not snippets:
+        return np.zeros((0, impacts.ECHO)), np.zeros(0)
+    return np.concatenate(snippets), np.concatenate(fractions)
+
+
+def scan(recording: Recording, progress: Progress | None = None) -> Scan:
+    """Read the recording once and find everything.
+
+    Raises
+    ------
+    InputError
+        When there is no accelerometer channel.
+    """
+    channels = _channels(recording)
+    known = survey(recording)
+    steps = resolved_steps(recording)
+    contact = CrossingScan(known.levels) if known.levels is not None else None
+    witness = ImpactScan(known.waveform) if known.waveform is not None else None
+    folder = Folder(recording, steps, known.mask_s)
+    starts_open = False
+    for piece in pieces(recording, channels):
+        hits = [np.zeros(0, np.int64)]
+        if contact is not None and known.levels is not None:
+            fraction = _fraction(piece, known.levels)
+            piece.channels["continuity"] = fraction
+            found = contact.add(fraction, piece.first, PAD, piece.count)
+            hits.append(found.sample[found.kind != OPENS])
+            if piece.first == 0:
+                starts_open = contact.started_open
+        if witness is not None:
+            hits.append(witness.add(piece.channels["accelerometer"], piece.first, PAD, piece.count))
+        folder.add(piece, np.concatenate(hits))
+        if progress is not None:
+            progress(piece.last / recording.n_samples)
+    empty = CrossingScan(Levels(0.0, 1.0, 0.1))
+    candidates, snippets = (
+        witness.candidates() if witness is not None else (np.zeros(0, np.int64), np.zeros((0, impacts.LENGTH), np.float32))
+    )
+    plate = PlateMotion(folder.finish(), _noise_mps2(recording, known), recording.rate_hz, recording.gaps)
+    return Scan(known, steps, (contact or empty).crossings(), starts_open, candidates, snippets, plate)
+
+
+def _noise_mps2(recording: Recording, known: Survey) -> float:
+    """White noise of the accelerometer in m/s^2."""
+    return known.noise_v / abs(recording.setup.channels.accelerometer.volts_per_mps2)
+

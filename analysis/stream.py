@@ -1,0 +1,92 @@
+"""A recording piece by piece, in one pass and bounded memory, however long it is.
+
+The rule kept here: every sample is read once (the survey of a long recording reads a few pieces more), as float32
+volts, in pieces that overlap just enough for what looks around an event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from daq.recording import Recording
+
+PIECE = 1 << 16
+PAD = 128  # samples of neighbours on both sides of a piece
+SURVEY_PIECES = 8
+
+Volts = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Samples ``first, ..., first + count - 1`` with ``PAD`` neighbours (edge values repeated at the ends)."""
+
+    first: int
+    count: int
+    channels: dict[str, Volts]
+
+    @property
+    def last(self) -> int:
+        """One past the last sample."""
+        return self.first + self.count
+
+    def own(self, channel: str) -> Volts:
+        """The piece's own samples of a channel, without neighbours."""
+        return self.channels[channel][PAD : PAD + self.count]
+
+
+def read_piece(recording: Recording, channels: tuple[str, ...], first: int, count: int) -> Piece:
+    """Read one piece of the named channels."""
+    start, stop = max(first - PAD, 0), min(first + count + PAD, recording.n_samples)
+    volts = {}
+    for channel in channels:
+        factor, offset = recording.scale(channel)
+        codes = recording.codes(channel, start, stop)
+        own = np.empty(count + 2 * PAD, dtype=np.float32)
+        at = start - (first - PAD)
+        middle = own[at : at + codes.size]
+        np.multiply(codes, np.float32(factor), out=middle, casting="same_kind" if codes.dtype.kind == "f" else "unsafe")
+        if offset:
+            middle += np.float32(offset)
+        own[:at] = middle[0]
+        own[at + codes.size :] = middle[-1]
+        volts[channel] = own
+    return Piece(first, count, volts)
+
+
+def pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
+    """All pieces of a recording, in order."""
+    for first in range(0, recording.n_samples, PIECE):
+        yield read_piece(recording, channels, first, min(PIECE, recording.n_samples - first))
+
+
+def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
+    """A few pieces spread over the recording (all of it where it is short)."""
+    n = recording.n_samples
+    if n <= SURVEY_PIECES * PIECE:
+        yield from pieces(recording, channels)
+        return
+    for k in range(SURVEY_PIECES):
+        yield read_piece(recording, channels, (n - PIECE) * k // (SURVEY_PIECES - 1), PIECE)
+
+
+def block_means(x: Volts, width: int) -> npt.NDArray[np.float32]:
+    """Means over successive blocks of ``width`` samples; a remainder is left out."""
+    out = np.empty(x.size // width, dtype=np.float32)
+    _means(x, width, out)
+    return out
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _means(x, width, out):  # type: ignore[no-untyped-def]
+    scale = np.float32(1.0 / width)
+    for i in range(out.shape[0]):
+        total = np.float32(0.0)
+        for k in range(width):
+            total += x[i * width + k]
+        out[i] = total * scale
