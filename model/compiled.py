@@ -31,7 +31,7 @@ HALF_PI_2 = float.fromhex("0x1.0b4611a600000p-34")
 HALF_PI_3 = float.fromhex("0x1.3198a2e037073p-69")
 TWO_OVER_PI = 2.0 / math.pi
 S3, S5, S7, S9, S11, S13, S15, S17 = ((-1) ** m / math.factorial(2 * m + 1) for m in range(1, 9))
-C4, C6, C8, C10, C12, C14, C16 = ((-1) ** m / math.factorial(2 * m) for m in range(2, 9))
+C4, C6, C8, C10, C12, C14, C16, C18 = ((-1) ** m / math.factorial(2 * m) for m in range(2, 10))
 
 
 @compiled

@@ -12,25 +12,11 @@ import numpy as np
 
 from model.branches import TWO_PI, branch_of, fill_edges, fold, q_and_slope
 from model.compiled import Flags, Floats, compiled
-from model.stage import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape
+from model.stage import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape, surely_above
 
 RESET = 1  # this flight started from rest at a threshold
 RESTS = 4  # the ball does not leave at this phase
 TINY = 1e-7  # a window left sooner than this may have lifted the ball by less than rounding
-
-
-@compiled
-def _surely_above(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float]:
-    """Times between which the plate at its highest stays below the ball's path; empty (1, 0) when there are none."""
-    highest = 0.0
-    for j in range(tones.shape[0]):
-        highest += tones[j, 1]
-    v = gamma * stage[2] + stage[4]
-    discriminant = v * v - 2.0 * gamma * (highest - stage[1])
-    if v <= 0.0 or discriminant <= 0.0:
-        return 1.0, 0.0
-    root = math.sqrt(discriminant)
-    return v - root, v + root
 
 
 @compiled
@@ -79,7 +65,7 @@ def land(
     stage = (phi0, s0, slope0, a0, v0, 0.0, 1.0)
     if n_windows == 0:
         return _land_below_threshold(tones, gamma, stage)
-    safe_from, safe_to = _surely_above(tones, gamma, stage)
+    safe_from, safe_to = surely_above(tones, gamma, stage)
     i = branch_of(edge, n_windows, phi0)
     turns = 0.0
     lo = phi0

@@ -17,7 +17,27 @@ from __future__ import annotations
 
 import math
 
-from model.compiled import Floats, compiled, sincos
+from model.compiled import (
+    C4,
+    C6,
+    C8,
+    C10,
+    C12,
+    C14,
+    C16,
+    C18,
+    S3,
+    S5,
+    S7,
+    S9,
+    S11,
+    S13,
+    S15,
+    S17,
+    Floats,
+    compiled,
+    sincos,
+)
 
 UNDECIDED = 2  # a graze closer than double precision can tell
 SHORT = 0.125  # over shorter times the height is computed as tau^2 times a series: the plain sum is rounding noise
@@ -56,13 +76,10 @@ def _remainders(x: float) -> tuple[float, float, float, float]:
     """``(1 - cos x)/x^2 - 1/2``, ``(x - sin x)/x^2``, ``sin x/x - 1`` and ``(1 - cos x)/x`` without cancellation."""
     y = x * x
     if y < 1.0:
-        cosine = 0.0  # sum_{m >= 1} 2 (-y)^m / (2 m + 2)!
-        sine = 0.0  # sum_{m >= 1} (-y)^m / (2 m + 1)!
-        for m in range(8, 0, -1):
-            cosine = -y * (1.0 + cosine) / ((2 * m + 1) * (2 * m + 2))
-            sine = -y * (1.0 + sine) / ((2 * m) * (2 * m + 1))
-        cosine *= 0.5
-        return cosine, -sine / x if x != 0.0 else 0.0, sine, x * (0.5 + cosine)
+        z = y * y
+        cosine = y * ((C4 + y * C6) + z * (C8 + y * C10) + z * z * ((C12 + y * C14) + z * (C16 + y * C18)))
+        sine = (S3 + y * S5) + z * (S7 + y * S9) + z * z * ((S11 + y * S13) + z * (S15 + y * S17))
+        return -cosine, -x * sine, y * sine, x * (0.5 - cosine)
     sine_half = math.sin(0.5 * x)
     one_minus_cos = 2.0 * sine_half * sine_half
     sine = math.sin(x)
@@ -176,13 +193,13 @@ def root_in_convex(
 
 @compiled
 def standstill(
-    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float, rising: bool
+    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float, guess: float, rising: bool
 ) -> float:
     """The one phase in ``(lo, hi]`` where ``h' = 0``; ``rising`` says that it enters the branch below zero.
 
-    Newton inside a bracket: on a branch ``h'`` is monotone.
+    Newton inside a bracket, from ``guess``: on a branch ``h'`` is monotone.
     """
-    x = hi
+    x = guess if lo < guess <= hi else 0.5 * (lo + hi)
     for _ in range(100):
         tau = x - stage[0] + turns
         _, h1, h2 = motion(tones, gamma, stage, x, tau)
@@ -196,7 +213,31 @@ def standstill(
         if not lo < new < hi:
             new = 0.5 * (lo + hi)
         step = abs(new - x)
-        if step <= 4e-16 * (abs(x) if tau > SHORT else tau):
+        if step <= 1e-9 * tau or step <= 4e-16 * abs(x):  # Newton's next step: below 1e-18
             return new
         x = new
     return x
+
+
+@compiled
+def total_speed(tones: Floats) -> float:
+    """Bound on ``|s'|``."""
+    total = 0.0
+    for j in range(tones.shape[0]):
+        total += tones[j, 0] * tones[j, 1]
+    return total
+
+
+@compiled
+def surely_above(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float]:
+    """Times between which the plate at its highest stays below the ball's path; (1, 0) when there are none."""
+    _, s0, slope0, _, v0, h0, level = stage
+    highest = 0.0
+    for j in range(tones.shape[0]):
+        highest += tones[j, 1]
+    v = gamma * slope0 + v0
+    discriminant = v * v - 2.0 * level * (gamma * (highest - s0) - h0)
+    if discriminant <= 0.0:
+        return 1.0, 0.0
+    root = math.sqrt(discriminant)
+    return (v - root) / level, (v + root) / level
