@@ -70,7 +70,7 @@ def _fault_lines(error: ValidationError, data: dict[str, Any], model: type[BaseM
     """One line a fault, in the file's words."""
     lines: list[str] = []
     for fault in error.errors(include_url=False):
-        place = _place(fault["loc"], data)
+        place = _place(fault["loc"], data, missing=fault["type"] == "missing")
         came = _came(fault)
         line = f"{_dotted(place) or '(file)'}: {_wanted(fault, place, data, model)}{came}"
         if line not in lines:
@@ -78,7 +78,7 @@ def _fault_lines(error: ValidationError, data: dict[str, Any], model: type[BaseM
     return lines
 
 
-def _place(location: tuple[int | str, ...], data: Any) -> list[int | str]:
+def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> list[int | str]:
     """Drop the names of union branches from ``location``, keeping what stands in the file (and a missing last key)."""
     kept: list[int | str] = []
     here: Any = data
@@ -87,7 +87,7 @@ def _place(location: tuple[int | str, ...], data: Any) -> list[int | str]:
             here = here[key]
         elif isinstance(here, list) and isinstance(key, int):
             here = here[key] if key < len(here) else None
-        elif not (isinstance(here, Mapping) and i == len(location) - 1):
+        elif not (missing and i == len(location) - 1):
             continue
         kept.append(key)
     return kept

@@ -50,8 +50,8 @@ class PhaseClock:
         return -(-cycle * self.den // self.num)
 
     def cycle_after(self, sample: int) -> int:
-        """The first cycle that starts at or after ``sample``."""
-        return -(-sample * self.num // self.den)
+        """The first cycle whose first sample is ``sample`` or later."""
+        return (sample - 1) * self.num // self.den + 1
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,100 @@
+"""The interlock: each cause alone trips it, an ordinary run does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.interlock import Interlock
+from rig.run import run_ramp
+
+LONG = ("hold_cycles = 3", "hold_cycles = 30")
+
+GENEROUS = [("plate_mps2 = 120.0", "plate_mps2 = 9e3"), ("velocity_mps = 2.0", ""), ("m = 0.02", "m = 1.0")]
+
+
+class Tape:
+    """A recorder that only counts."""
+
+    def __init__(self) -> None:
+        self.n_samples, self.how, self.why, self.steps = 0, "", "", {}
+
+    def append(self, block) -> None:
+        self.n_samples += len(block.codes)
+
+    def mark_step(self, step) -> None:
+        self.steps[step["first_sample"]] = step
+
+    def close(self, how="complete", why="") -> None:
+        self.how, self.why = how, why
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error) -> None:
+        return None
+
+
+def run(profile, rig) -> Tape:
+    """Run the profile on the device."""
+    tape = Tape()
+    run_ramp(profile, rig, tape)
+    return tape
+
+
+def test_an_ordinary_run_passes(make_profile, fake_rig) -> None:
+    """Nothing trips while the plate follows and the ball rests."""
+    profile = make_profile(LONG)
+    tape = run(profile, fake_rig(profile))
+    assert (tape.how, tape.why) == ("complete", "")
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault", "said"),
+    [
+        ([], {"dead_from": 1500}, "dead accelerometer"),
+        ([("plate_mps2 = 120.0", "plate_mps2 = 5.5")], {}, "limits.plate_mps2 allows 5.5"),
+        ([("velocity_mps = 2.0", "velocity_mps = 0.03")], {}, "limits.velocity_mps allows 0.03"),
+        ([("displacement_m = 0.02", "displacement_m = 2.5e-4")], {}, "limits.displacement_m allows 0.00025"),
+        ([("drive_v = 9.5", "drive_v = 0.4")], {}, "the clamp held back"),
+        (GENEROUS, {"gain": 200.0}, "clipped input: accelerometer"),
+        ([], {"open_from": 1500}, "open for 8 cycles and the accelerometer shows no impact"),
+    ],
+)
+def test_each_cause_stops_the_run_softly(make_profile, fake_rig, changes, fault, said) -> None:
+    """Each cause ends the run with its reason, the drive at zero within two cycles of the trip, without a jump."""
+    profile = make_profile(LONG, *changes)
+    rig = fake_rig(profile)
+    for name, value in fault.items():
+        setattr(rig, name, value)
+    tape = run(profile, rig)
+    assert tape.how == "stopped" and said in tape.why and tape.why.startswith("interlock: ")
+    drive = rig.drive_v
+    assert np.abs(drive).max() <= profile.limits.drive_v
+    assert not np.any(drive[-int(profile.sampling.rate_hz / 25.37 / 2) :])
+    assert np.abs(np.diff(drive)).max() < 0.06
+    assert tape.n_samples == len(drive)
+
+
+def test_short_circuit_is_seen_only_where_a_ball_must_fly(make_profile, fake_rig) -> None:
+    """A contact that never opens is a fault above take-off, and none below; a flying ball clears it."""
+    changes = (LONG, ("gamma = [0.2, 0.5, 0.3]", "gamma = [1.5]"))
+    fast = make_profile(*changes)
+    assert "has not opened for 8 cycles" in run(fast, fake_rig(fast)).why
+    flying = fake_rig(fast)
+    flying.ball_flies = True
+    assert run(fast, flying).how == "complete"
+    unwatched = make_profile(*changes, ("contact_cycles = 8", "contact_cycles = 0"))
+    assert run(unwatched, fake_rig(unwatched)).how == "complete"
+
+
+def test_clamp_stands_after_everything(make_profile, fake_rig) -> None:
+    """Whatever asks for volts, no more than the limit passes."""
+    profile = make_profile()
+    rig = fake_rig(profile)
+    interlock = Interlock(profile, rig.channels, rig.scales)
+    asked = np.linspace(-50.0, 50.0, 101)
+    passed = interlock.clamp(asked)
+    assert np.abs(passed).max() == 9.5
+    inside = np.abs(asked) <= 9.5
+    assert np.array_equal(passed[inside], asked[inside])
