@@ -48,6 +48,9 @@ class EffectEntry:
     parameters : tuple of Parameter
     in_words : str
         What it does.
+    unit_us : float
+        Microseconds by which one hundredth of the middle of the strong range typically moves the next landing or
+        take-off (or what is as easily seen in another channel); strengths are drawn in these units.
     named : bool
         True where the effect has an agreed name among the candidates; False for effects beyond them.
     term : str
@@ -59,6 +62,7 @@ class EffectEntry:
     name: str
     parameters: tuple[Parameter, ...]
     in_words: str
+    unit_us: float
     named: bool = True
     term: str = "force"
     covariate: str = ""
@@ -72,214 +76,216 @@ def _shape(name: str, lo: float, hi: float, neutral: float, low: float = 1e-12) 
     return Parameter(name, (lo, hi), False, neutral, low, np.inf)
 
 
-def _named(name: str, term: str, words: str, *parameters: Parameter) -> EffectEntry:
-    return EffectEntry(name, parameters, words, True, term)
+def _named(name: str, unit_us: float, term: str, words: str, *parameters: Parameter) -> EffectEntry:
+    return EffectEntry(name, parameters, words, unit_us, True, term)
 
 
-def _beyond(name: str, term: str, covariate: str, words: str, *parameters: Parameter) -> EffectEntry:
-    return EffectEntry(name, parameters, words, False, term, covariate)
+def _beyond(
+    name: str, unit_us: float, term: str, covariate: str, words: str, *parameters: Parameter
+) -> EffectEntry:
+    return EffectEntry(name, parameters, words, unit_us, False, term, covariate)
 
 
 NAMED: tuple[EffectEntry, ...] = (
     _named(
-        "coulomb_friction", "force",
+        "coulomb_friction", 37.0, "force",
         "dry friction on the rod, in units of the local weight, against motion relative to the plate",
         _size("mu_up", 0.05, 0.3, 0.0, 2.0),
         _size("mu_down", 0.05, 0.3, 0.0, 2.0),
     ),
     _named(
-        "stribeck_friction", "force", "dry friction falling from its static to its kinetic value as speed grows",
+        "stribeck_friction", 29.0, "force", "dry friction falling from its static to its kinetic value as speed grows",
         _size("mu_static", 0.1, 0.3, 0.0, 2.0),
         _size("mu_kinetic", 0.02, 0.08, 0.0, 2.0),
         _shape("speed_mps", 0.02, 0.2, 1.0),
     ),
     _named(
-        "viscous_damping", "force", "force against relative velocity",
+        "viscous_damping", 5.9, "force", "force against relative velocity",
         _size("rate_per_s", 1.0, 6.0, 0.0, 200.0),
     ),
     _named(
-        "quadratic_drag", "force", "force against absolute velocity squared",
-        _size("coefficient_per_m", 0.5, 3.0, 0.0, 100.0),
+        "quadratic_drag", 2.5, "force", "force against absolute velocity squared",
+        _size("coefficient_per_m", 5.0, 30.0, 0.0, 200.0),
     ),
     _named(
-        "restitution", "restitution", "rebound e = e0 - e1 v, v the impact speed relative to the plate",
+        "restitution", 20.0, "restitution", "rebound e = e0 - e1 v, v the impact speed relative to the plate",
         _size("e0", 0.1, 0.55, 0.0, 0.99),
         _size("e1_s_per_m", 0.0, 0.15, -2.0, 2.0),
     ),
     _named(
-        "adhesion", "threshold", "extra pull in contact that is gone once apart",
+        "adhesion", 5.8, "threshold", "extra pull in contact that is gone once apart",
         _size("pull_g", 0.05, 0.3, 0.0, 5.0),
     ),
     _named(
-        "position_force", "force", "spring towards the plate, and a magnet whose pull decays with height",
+        "position_force", 16.0, "force", "spring towards the plate, and a magnet whose pull decays with height",
         _size("stiffness_per_s2", 50.0, 300.0, -10000.0, 10000.0),
         _size("magnet_g", 0.0, 0.1, -2.0, 2.0),
         _shape("range_m", 0.001, 0.005, 1.0),
     ),
     _named(
-        "local_gravity", "force", "gravity differs from the standard one",
+        "local_gravity", 14.6, "force", "gravity differs from the standard one",
         _size("relative", 0.02, 0.08, -0.5, 0.5),
     ),
     _named(
-        "table_resonance", "plate", "a slow mode of the whole shaker, driven by the impacts and the ball's weight",
+        "table_resonance", 7.6, "plate", "a slow mode of the whole shaker, driven by the impacts and the ball's weight",
         _shape("frequency_hz", 4.0, 12.0, 5.0),
         _shape("damping", 0.02, 0.1, 0.05),
         _size("mass_ratio", 0.01, 0.04, 0.0, 1.0),
     ),
     _named(
-        "drive_gain", "plate", "the amplifier's gain is off",
+        "drive_gain", 22.0, "plate", "the amplifier's gain is off",
         _size("relative", 0.03, 0.12, -0.9, 5.0),
     ),
     _named(
-        "gain_compression", "plate", "gain falls with the drive's mean square",
+        "gain_compression", 32.0, "plate", "gain falls with the drive's mean square",
         _size("per_v2", 0.05, 0.2, 0.0, 10.0),
     ),
     _named(
-        "phase_lag", "plate", "first-order lag of the shaker",
+        "phase_lag", 8.8, "plate", "first-order lag of the shaker",
         _size("time_constant_s", 0.0002, 0.001, 0.0, 0.02),
     ),
     _named(
-        "harmonic_distortion", "plate", "the amplifier bends: second and third harmonics",
+        "harmonic_distortion", 8.0, "plate", "the amplifier bends: second and third harmonics",
         _size("second_per_v", 0.01, 0.04, -1.0, 1.0),
         _size("third_per_v2", 0.01, 0.04, -1.0, 1.0),
     ),
     _named(
-        "mains_hum", "plate", "motion of the plate at the mains frequency",
+        "mains_hum", 3.0, "plate", "motion of the plate at the mains frequency",
         _size("amplitude_g", 0.03, 0.12, 0.0, 5.0),
         _shape("frequency_hz", 49.95, 50.05, 50.0),
         _shape("phase_rad", 0.0, 6.28, 0.0, 0.0),
     ),
     _named(
-        "amplitude_modulation", "plate", "the drive's amplitude breathes",
+        "amplitude_modulation", 10.0, "plate", "the drive's amplitude breathes",
         _size("depth", 0.02, 0.08, 0.0, 0.9),
         _shape("frequency_hz", 0.3, 2.0, 1.0),
     ),
     _named(
-        "accelerometer_gain", "sensor", "the accelerometer's scale is off",
+        "accelerometer_gain", 22.0, "sensor", "the accelerometer's scale is off",
         _size("relative", 0.03, 0.1, -0.9, 5.0),
     ),
     _named(
-        "accelerometer_offset", "sensor", "the accelerometer's zero is off",
+        "accelerometer_offset", 35.0, "sensor", "the accelerometer's zero is off",
         _size("offset_g", 0.05, 0.3, -20.0, 20.0),
     ),
     _named(
-        "contact_latency", "sensor", "the contact circuit reports both edges late",
+        "contact_latency", 5.0, "sensor", "the contact circuit reports both edges late",
         _size("delay_s", 0.0002, 0.0008, 0.0, 0.02),
     ),
     _named(
-        "contact_gap", "sensor", "the circuit opens only at this height",
+        "contact_gap", 20.0, "sensor", "the circuit opens only at this height",
         _size("gap_m", 1e-07, 5e-07, 0.0, 0.001),
     ),
     _named(
-        "clock_error", "sensor", "the card's true rate differs from its nominal one",
+        "clock_error", 3.3, "sensor", "the card's true rate differs from its nominal one",
         _size("relative", 0.002, 0.01, -0.1, 0.1),
     ),
     _named(
-        "mass_loading", "plate", "the ball in contact loads the table",
+        "mass_loading", 14.6, "plate", "the ball in contact loads the table",
         _size("mass_ratio", 0.02, 0.08, 0.0, 1.0),
     ),
     _named(
-        "contact_closure", "sensor", "an impact keeps the circuit closed for a while",
+        "contact_closure", 6.0, "sensor", "an impact keeps the circuit closed for a while",
         _size("duration_s", 0.0002, 0.001, 0.0, 0.01),
     ),
 )
 
 BEYOND: tuple[EffectEntry, ...] = (
     _beyond(
-        "height_friction", "force", "height", "friction grows with height",
+        "height_friction", 4.6, "force", "height", "friction grows with height",
         _size("mu_per_m", 20.0, 60.0, 0.0, 1000.0),
     ),
     _beyond(
-        "velocity_friction", "force", "velocity", "friction has a hump at one speed",
+        "velocity_friction", 13.0, "force", "velocity", "friction has a hump at one speed",
         _size("mu", 0.1, 0.3, 0.0, 2.0),
         _shape("centre_mps", 0.1, 0.25, 1.0),
         _shape("width_mps", 0.05, 0.1, 1.0),
     ),
     _beyond(
-        "latch_force", "force", "height", "a magnet on the rod pulls back above a height",
+        "latch_force", 5.0, "force", "height", "a magnet on the rod pulls back above a height",
         _size("pull_g", 0.05, 0.2, -2.0, 2.0),
         _shape("height_m", 0.001, 0.003, 1.0),
         _shape("width_m", 0.0002, 0.001, 1.0),
     ),
     _beyond(
-        "level_friction", "force", "gamma", "friction grows with the level of the drive",
+        "level_friction", 50.0, "force", "gamma", "friction grows with the level of the drive",
         _size("mu_per_v2", 0.1, 0.4, 0.0, 10.0),
     ),
     _beyond(
-        "warming_force", "force", "time in run", "a downward pull that builds up as the rig warms, and saturates",
+        "warming_force", 21.0, "force", "time in run", "a downward pull that builds up as the rig warms, and saturates",
         _size("pull_g", 0.05, 0.2, -2.0, 2.0),
         _shape("time_constant_s", 5.0, 20.0, 1.0),
     ),
     _beyond(
-        "charge_force", "force", "previous flight", "a pull set by how long the previous flight rubbed the rod",
+        "charge_force", 21.0, "force", "previous flight", "a pull set by how long the previous flight rubbed the rod",
         _size("pull_g", 0.05, 0.2, -2.0, 2.0),
         _shape("flight_s", 0.02, 0.05, 1.0),
     ),
     _beyond(
-        "ageing_threshold", "threshold", "dwell time", "the stick threshold grows with the time spent in contact",
-        _size("pull_g", 0.05, 0.2, 0.0, 5.0),
+        "ageing_threshold", 5.6, "threshold", "dwell time", "the stick threshold grows with the time spent in contact",
+        _size("pull_g", 0.2, 0.8, 0.0, 5.0),
         _shape("time_constant_s", 0.002, 0.02, 1.0),
     ),
     _beyond(
-        "impact_restitution", "restitution", "impact speed", "rebound only around one impact speed",
+        "impact_restitution", 20.0, "restitution", "impact speed", "rebound only around one impact speed",
         _size("e", 0.1, 0.4, 0.0, 0.95),
         _shape("centre_mps", 0.2, 0.4, 1.0),
         _shape("width_mps", 0.05, 0.15, 1.0),
     ),
     _beyond(
-        "memory_restitution", "restitution", "previous flight", "rebound grows with the previous flight's length",
+        "memory_restitution", 20.0, "restitution", "previous flight", "rebound grows with the previous flight's length",
         _size("e", 0.1, 0.4, 0.0, 0.95),
         _shape("flight_s", 0.02, 0.05, 1.0),
     ),
     _beyond(
-        "acceleration_restitution", "restitution", "plate acceleration",
+        "acceleration_restitution", 20.0, "restitution", "plate acceleration",
         "rebound grows with the plate's acceleration at impact",
         _size("e", 0.1, 0.4, 0.0, 0.95),
         _shape("scale_g", 1.0, 3.0, 1.0),
     ),
     _beyond(
-        "recovery_friction", "force", "time since impact", "friction high just after an impact, then decaying",
+        "recovery_friction", 21.0, "force", "time since impact", "friction high just after an impact, then decaying",
         _size("mu", 0.1, 0.4, 0.0, 2.0),
         _shape("time_constant_s", 0.005, 0.02, 1.0),
     ),
     _beyond(
-        "air_cushion", "force", "", "squeezed air resists motion near the plate",
+        "air_cushion", 7.0, "force", "", "squeezed air resists motion near the plate",
         _size("rate_per_s", 20.0, 100.0, 0.0, 5000.0),
         _shape("height_m", 5e-05, 0.0003, 1.0),
     ),
     _beyond(
-        "oil_film", "force", "", "a film holds the ball back as it leaves, the more the faster",
+        "oil_film", 21.0, "force", "", "a film holds the ball back as it leaves, the more the faster",
         _size("pull_g", 0.3, 1.5, 0.0, 20.0),
         _shape("height_m", 5e-05, 0.0002, 1.0),
         _shape("speed_mps", 0.01, 0.05, 1.0),
     ),
     _beyond(
-        "rod_rocking", "force", "",
+        "rod_rocking", 30.0, "force", "",
         "impacts set the block rocking on the rod, which modulates friction until it dies out",
         _size("mu", 0.2, 0.6, 0.0, 3.0),
         _shape("frequency_hz", 30.0, 90.0, 50.0),
         _shape("decay_s", 0.02, 0.08, 1.0),
     ),
     _beyond(
-        "alternate_seat", "force", "", "two seats taken in turn: friction after every other impact only",
+        "alternate_seat", 7.0, "force", "", "two seats taken in turn: friction after every other impact only",
         _size("mu", 0.05, 0.25, 0.0, 2.0),
     ),
     _beyond(
-        "rod_angle_friction", "force", "", "the block turns slowly about the rod, which is rough on one side",
+        "rod_angle_friction", 22.0, "force", "", "the block turns slowly about the rod, which is rough on one side",
         _size("mu", 0.1, 0.3, 0.0, 2.0),
         _shape("period_s", 1.0, 5.0, 1.0),
     ),
     _beyond(
-        "impact_hold", "threshold", "", "a soft table holds the ball for a time set by the impact speed",
+        "impact_hold", 60.0, "threshold", "", "a soft table holds the ball for a time set by the impact speed",
         _size("hold_s_per_mps", 0.01, 0.05, 0.0, 1.0),
     ),
     _beyond(
-        "worn_bearing", "force", "", "friction appears at one moment of the run",
+        "worn_bearing", 30.0, "force", "", "friction appears at one moment of the run",
         _size("mu", 0.05, 0.25, 0.0, 2.0),
         _shape("since_s", 5.0, 15.0, 1.0),
     ),
     _beyond(
-        "scattered_restitution", "restitution", "", "rebound drawn anew at each impact, from nothing to this",
+        "scattered_restitution", 20.0, "restitution", "", "rebound drawn anew at each impact, from nothing to this",
         _size("e", 0.1, 0.4, 0.0, 0.95),
     ),
 )

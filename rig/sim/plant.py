@@ -120,7 +120,7 @@ class Plant:
         scale_v = float(self._params["adc_range_v"][0]) / 2.0 ** (float(self._params["adc_bits"][0]) - 1.0)
         self.channel_scales = dict.fromkeys(CHANNELS, scale_v)
         self._noise_rng, self._event_rng = rng.spawn(2)
-        self._state = initial_state(int(self._event_rng.integers(2**63)))
+        self._state = initial_state(int(self._event_rng.integers(2**63)), -1.0 / self.rate_hz)
 
     def exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.

@@ -38,11 +38,11 @@ STATE_DTYPE = np.dtype(
 )
 
 
-def initial_state(noise_key: int) -> np.ndarray:
-    """One-record array: the ball at rest on a plate at rest, circuit closed, nothing driven."""
+def initial_state(noise_key: int, start_s: float) -> np.ndarray:
+    """One-record array: ball and plate at rest, circuit closed, one interval (``start_s`` < 0) before sample 0."""
     state = np.zeros(1, STATE_DTYPE)
     state["state"] = CONTACT
-    state["noise_key"] = noise_key
+    state["noise_key"], state["t_s"] = noise_key, start_s
     state["direction"] = 1
     state["closed"] = 1
     state["left_s"] = state["landed_s"] = state["contact_since_s"] = state["closed_s"] = -1.0

@@ -1,0 +1,111 @@
+"""Sealed scenarios for scoring: effects drawn by chance, at a stated strength, unknown to whoever analyses the run.
+
+The rule kept here: all chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
+truth can be kept aside and opened after the verdict is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from rig.sim.catalogue import BEYOND, EFFECTS, NAMED, EffectEntry
+from rig.sim.scenario import Scenario
+
+Strength = Literal["weak", "medium", "strong"]
+
+STRENGTHS: dict[str, tuple[float, float]] = {"weak": (1.0, 3.0), "medium": (3.0, 5.0), "strong": (5.0, 100.0)}
+"""Typical residual in units of the noise floor."""
+
+NUISANCES = ("contact_gap", "contact_closure")
+"""Effects of the contact circuit alone: never the one to be found, but may be added."""
+
+INVISIBLE = ("clock_error",)
+"""Where drive and recording share one clock, the motion keeps its phases and only the table's ringing changes pitch."""
+
+EQUAL_FRICTION = 0.7
+"""Share of draws in which friction is the same up and down."""
+
+
+def pool(kind: Literal["named", "beyond", "covariate"]) -> tuple[str, ...]:
+    """Names to draw from: the agreed ones, those beyond them, or of these the smooth terms of one covariate."""
+    if kind == "named":
+        return tuple(entry.name for entry in NAMED if entry.name not in NUISANCES + INVISIBLE)
+    return tuple(entry.name for entry in BEYOND if kind == "beyond" or entry.covariate)
+
+
+def sealed_scenario(
+    rng: np.random.Generator,
+    names: Sequence[str],
+    *,
+    strength: Strength = "strong",
+    count: int = 1,
+    floor_us: float = 10.0,
+    drift: bool = False,
+    nuisances: bool = False,
+) -> Scenario:
+    """Draw what a rig hides.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    names : sequence of str
+        Effects to draw from, without repetition; see `pool`.
+    strength : {"weak", "medium", "strong"}
+        Size of each effect: its typical residual over the noise floor, by `STRENGTHS`.
+    count : int
+        How many effects (2 for a pair, 0 for a clean rig).
+    floor_us : float
+        The noise floor that strengths are meant against, in microseconds of landing time.
+    drift : bool
+        Let the first effect's size drift by half to all of itself in a minute.
+    nuisances : bool
+        Add a contact gap of 0.05 to 0.5 micrometres and contact bounce of up to 0.5 ms.
+
+    Returns
+    -------
+    Scenario
+        With a fresh nonce.
+
+    Raises
+    ------
+    ValueError
+        Where more effects are asked for than named.
+    """
+    if not 0 <= count <= len(names):
+        raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")
+    chosen = [str(name) for name in rng.permutation(np.array(list(names), dtype=object))[:count]]
+    effects = {name: _draw(rng, EFFECTS[name], strength, floor_us) for name in chosen}
+    rates: dict[str, float] = {}
+    if drift and chosen:
+        for parameter in EFFECTS[chosen[0]].parameters:
+            if parameter.scales:
+                change = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 1.0))
+                rates[f"{chosen[0]}.{parameter.name}"] = change * effects[chosen[0]][parameter.name]
+    rig: dict[str, float] = {}
+    if nuisances:
+        effects |= {"contact_gap": {"gap_m": float(rng.uniform(5e-8, 5e-7))}}
+        rig["bounce_s"] = float(rng.uniform(0.0, 5e-4))
+    return Scenario("sealed", effects, rig, rates, rng.bytes(16).hex())
+
+
+def _draw(rng: np.random.Generator, entry: EffectEntry, strength: Strength, floor_us: float) -> dict[str, float]:
+    """Values of one effect: shapes from their ranges, sizes scaled to the strength but never above the strong range."""
+    low, high = STRENGTHS[strength]
+    target_us = floor_us * float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    share = min(0.01 * target_us / entry.unit_us, 1.0)
+    values: dict[str, float] = {}
+    for parameter in entry.parameters:
+        if not parameter.scales:
+            values[parameter.name] = float(rng.uniform(*parameter.strong))
+            continue
+        middle = 0.5 * sum(parameter.strong)
+        size = share * middle * rng.uniform(0.8, 1.25)
+        if parameter.low < 0.0 and rng.random() < 0.5:
+            size = -size
+        values[parameter.name] = float(np.clip(size, parameter.low, parameter.high))
+    if entry.name == "coulomb_friction" and rng.random() < EQUAL_FRICTION:
+        values["mu_down"] = values["mu_up"]
+    return values
