@@ -1,0 +1,180 @@
+"""The windows of gamma in which the orbit from rest ends in one and the same cycle, to the last digit of their edges.
+
+The rule kept here: a window is told by whole numbers alone (`Signatures`), so an edge is bisected to neighbouring
+doubles with no tolerance; the stretch between two windows is searched again, ever finer, until it is narrower than the
+narrowest window asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.cycle_kernel import CODE, FLIGHTS, PERIOD, RESETS
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Signatures = Callable[[Floats], Integers]
+"""Maps gammas (m,) to (m, SIGNATURE_SIZE) whole numbers, see `model.cycle_kernel`."""
+
+COARSE = 1e-5  # spacing of the first search; a change that ends within it in the window where it began is not seen
+DOUBLES_APART = 2  # an edge is known when its bracket is this many units in the last place wide
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch ``[low, high]`` of gamma with one cycle: its flights, resets and length in forcing periods."""
+
+    low: float
+    high: float
+    flights: int
+    resets: int
+    period: int
+    code: int
+    locked: bool = False
+    how: tuple[str, str] = ("", "")
+    """What ends it below and above, where that is known from the family (`model.locked`); empty: to be seen."""
+
+    @property
+    def width(self) -> float:
+        """In gamma."""
+        return self.high - self.low
+
+
+def windows(
+    signatures: Signatures,
+    locked_beside: Callable[[Window], list[Window]],
+    low: float,
+    high: float,
+    narrowest: float,
+    coarse: float = COARSE,
+) -> list[Window]:
+    """Every window wider than ``narrowest``, in order.
+
+    The orbits' tables must keep their shape between ``low`` and ``high`` (no take-off window is born or merged).
+
+    Parameters
+    ----------
+    signatures
+        Of the orbits from rest.
+    locked_beside
+        The windows of locked cycles that begin at the edges of a window with a reset.
+    narrowest, coarse
+        Width in gamma, and spacing of the search that goes everywhere.
+    """
+    sticking: dict[tuple[int, float], Window] = {}
+    locked: list[Window] = []
+    found: list[Window] = []
+    stretches = [(low, high)] if low < high else []
+    for spacing in [s for s in (100.0 * coarse, coarse, coarse / 10.0) if s > narrowest] + [0.9 * narrowest]:
+        for window in _windows_of(signatures, _grid(stretches, spacing), narrowest):
+            key = window.code, round(window.low, 12)
+            if window.width > narrowest and key not in sticking:
+                sticking[key] = window
+                locked += [w for w in locked_beside(window) if w.width > narrowest]
+        found = _reached([w for w in locked if low < w.high and w.low < high], _joined(list(sticking.values())))
+        stretches = _between(found, low, high, narrowest)
+    return found
+
+
+def _joined(found: list[Window]) -> list[Window]:
+    """In order, pieces of one window joined (a search cut it where it began)."""
+    out: list[Window] = []
+    for window in sorted(found, key=lambda w: w.low):
+        if out and out[-1].code == window.code and window.low <= out[-1].high + 8 * np.spacing(max(window.low, 1.0)):
+            out[-1] = replace(out[-1], high=max(out[-1].high, window.high))
+        else:
+            out.append(window)
+    return out
+
+
+def _reached(locked: list[Window], sticking: list[Window]) -> list[Window]:
+    """All in order; of a locked cycle only where no orbit from rest goes to a cycle with a reset instead."""
+    out = list(sticking)
+    ends = np.array([w.high for w in sticking])
+    seen: set[float] = set()
+    for window in locked:
+        first = int(np.searchsorted(ends, window.low, side="right"))
+        low = window.low
+        while low < window.high:
+            other = sticking[first] if first < len(sticking) else None
+            high = window.high if other is None else min(window.high, other.low)
+            if high - low > 8 * np.spacing(high) and low not in seen:
+                seen.add(low)
+                out.append(_part(window, low, high))
+            low = window.high if other is None else max(low, other.high)
+            first += 1
+    return sorted(out, key=lambda w: w.low)
+
+
+def _part(window: Window, low: float, high: float) -> Window:
+    how = (window.how[0] if low == window.low else "", window.how[1] if high == window.high else "")
+    return replace(window, low=low, high=high, how=how)
+
+
+def _grid(stretches: list[tuple[float, float]], spacing: float) -> list[Floats]:
+    return [np.linspace(a, b, max(int(np.ceil((b - a) / spacing)), 2) + 1) for a, b in stretches]
+
+
+def _between(found: list[Window], low: float, high: float, narrowest: float) -> list[tuple[float, float]]:
+    """Stretches covered by no window and wide enough to hold one."""
+    ends = [low, *(w.high for w in found)]
+    starts = [*(w.low for w in found), high]
+    return [(a, b) for a, b in zip(ends, starts, strict=True) if b - a > narrowest]
+
+
+def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float) -> list[Window]:
+    """Windows met by the samples of each grid, their edges bisected between neighbouring samples that differ."""
+    left: list[float] = []
+    right: list[float] = []
+    ends: list[tuple[float, Integers, float, float]] = []
+    for grid in grids:
+        rows = signatures(grid)
+        change = np.flatnonzero(np.any(rows[1:, :CODE + 1] != rows[:-1, :CODE + 1], axis=1))
+        first = np.concatenate([[0], change + 1])
+        last = np.concatenate([change, [grid.size - 1]])
+        for i, j in zip(first, last, strict=True):
+            if rows[i, FLIGHTS] >= 1:
+                ends.append((grid[i], rows[i], grid[max(i - 1, 0)], grid[min(j + 1, grid.size - 1)]))
+                left.append(grid[i])
+                right.append(grid[j])
+    if not ends:
+        return []
+    rows = np.array([e[1] for e in ends])
+    low, below = np.array(left), np.array([e[2] for e in ends])
+    high, above = np.array(right), np.array([e[3] for e in ends])
+    for tolerance in (0.02 * narrowest, 0.0):
+        low, below = bisect(signatures, low, below, rows, tolerance)
+        high, above = bisect(signatures, high, above, rows, tolerance)
+        wide = high - low > 0.9 * narrowest
+        rows, low, below, high, above = rows[wide], low[wide], below[wide], high[wide], above[wide]
+    return [
+        Window(float(a), float(b), int(r[FLIGHTS]), int(r[RESETS]), int(r[PERIOD]), int(r[CODE]))
+        for a, b, r in zip(low, high, rows, strict=True)
+    ]
+
+
+def bisect(
+    signatures: Signatures, inside: Floats, outside: Floats, rows: Integers, tolerance: float
+) -> tuple[Floats, Floats]:
+    """Brackets narrowed to ``tolerance`` (0: neighbouring doubles): where the signatures ``rows`` still hold, and not.
+
+    Where ``outside`` has the signature too (the search ended there) both are ``outside``.
+    """
+    inside, outside = inside.copy(), outside.copy()
+    if inside.size == 0:
+        return inside, outside
+    known = np.all(signatures(outside)[:, :CODE + 1] == rows[:, :CODE + 1], axis=1)
+    inside[known] = outside[known]
+    while True:
+        smallest = DOUBLES_APART * np.spacing(np.maximum(np.abs(inside), 1.0))
+        open_ = np.abs(outside - inside) > np.maximum(smallest, tolerance)
+        if not open_.any():
+            return inside, outside
+        middle = 0.5 * (inside[open_] + outside[open_])
+        same = np.all(signatures(middle)[:, :CODE + 1] == rows[open_, :CODE + 1], axis=1)
+        inside[open_] = np.where(same, middle, inside[open_])
+        outside[open_] = np.where(same, outside[open_], middle)
