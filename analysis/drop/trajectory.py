@@ -1,0 +1,207 @@
+"""All flights of a camera's drops fitted together: one gravity, one friction, one drag; an apex for each flight.
+
+The rule kept here: positions are fitted in the file's own units (pixels, frames), so restitution and friction, which
+are ratios, owe nothing to a scale or a frame rate. Friction shows as ``g (1 + f)`` up and ``g (1 - f)`` down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.flightlaw import FlightLaw
+from analysis.drop.flights import Flight, jitter
+
+Array = NDArray[np.float64]
+
+SHAPES: dict[str, tuple[str, ...]] = {
+    "parabola": ("g",),
+    "friction": ("g", "f"),
+    "drag": ("g", "k"),
+    "friction+drag": ("g", "f", "k"),
+}
+_LIMITS = {"g": (1e-9, 1e9), "f": (-0.5, 0.9), "k": (0.0, np.inf)}
+_HUBER = 2.5
+
+
+@dataclass(frozen=True)
+class Block:
+    """Normal equations of one flight: shape parameters, apex time and apex height."""
+
+    normal: Array  # (p + 2, p + 2)
+    rhs: Array  # (p + 2,)
+    squares: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A joint fit.
+
+    Attributes
+    ----------
+    name : str
+        Of `SHAPES`.
+    values : (p,) float64
+        ``g`` (unit/frame^2), ``f``, ``k`` (1/unit), as the shape has them.
+    apex_frame, apex_height : (flights,) float64
+    covariance : (p, p) float64
+        Of ``values``, scaled by the residuals.
+    blocks : list of Block
+    sigma : float
+        Rms residual, unit.
+    """
+
+    name: str
+    values: Array
+    apex_frame: Array
+    apex_height: Array
+    covariance: Array
+    blocks: list[Block]
+    sigma: float
+
+    @property
+    def law(self) -> FlightLaw:
+        """The flight law in the file's units."""
+        return law_of(self.name, self.values)
+
+
+def law_of(name: str, values: Array) -> FlightLaw:
+    """Flight law of shape ``name``."""
+    named = dict(zip(SHAPES[name], values, strict=True))
+    return FlightLaw(named["g"], named.get("f", 0.0), named.get("k", 0.0))
+
+
+def noise_of(flights: Sequence[Flight]) -> float:
+    """Noise of single positions, from within the flights."""
+    thirds = [jitter(f.height) for f in flights if len(f.height) >= 8]
+    return max(float(np.median(thirds)) if thirds else 0.0, 1e-9)
+
+
+def fit_shape(name: str, flights: Sequence[Flight], acceleration: float, noise: float) -> Shape:
+    """Fit one shape to all flights: Levenberg-Marquardt, each flight's apex eliminated (Schur complement)."""
+    span = max(float(np.ptp(f.height)) for f in flights)
+    start = {"g": acceleration, "f": 0.02, "k": 0.02 / span}
+    values = np.array([start[p] for p in SHAPES[name]])
+    apex = np.array([_first_apex(f, acceleration) for f in flights])
+    damping, best = 1e-3, np.inf
+    blocks = [_block(name, values, *a, f, noise) for a, f in zip(apex, flights, strict=True)]
+    for _ in range(60):
+        moved, moved_apex = _step(name, values, apex, blocks, damping)
+        trial = [_block(name, moved, *a, f, noise) for a, f in zip(moved_apex, flights, strict=True)]
+        before, after = sum(b.squares for b in blocks), sum(b.squares for b in trial)
+        if after <= before * (1 + 1e-12):
+            values, apex, blocks, damping = moved, moved_apex, trial, max(damping * 0.2, 1e-12)
+            if best - after < 1e-7 * (1.0 + after) and damping < 1e-4:
+                break
+            best = after
+        else:
+            damping *= 8.0
+            if damping > 1e10:
+                break
+    dof = max(sum(b.count for b in blocks) - len(values) - 2 * len(blocks), 1)
+    spread = sum(b.squares for b in blocks) / dof
+    schur = sum(_schur(b, len(values))[0] for b in blocks)
+    covariance = np.linalg.pinv(schur, rcond=1e-13, hermitian=True) * max(spread, 1e-12)
+    return Shape(name, values, apex[:, 0], apex[:, 1], covariance, blocks, noise * float(np.sqrt(spread)))
+
+
+def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
+    t = flight.frame - flight.frame.mean()
+    if len(t) < 3:
+        return float(flight.frame[0]), float(flight.height[0])
+    c = np.polynomial.polynomial.polyfit(t, flight.height + 0.5 * acceleration * t**2, 1)
+    at = c[1] / acceleration
+    return float(flight.frame.mean() + at), float(c[0] + c[1] * at / 2.0)
+
+
+def _block(name: str, values: Array, at: float, top: float, flight: Flight, noise: float) -> Block:
+    since = flight.frame - at
+    drop = law_of(name, values).drop_m(since)
+    residual = (flight.height - (top - drop)) / noise
+    p = len(values)
+    jacobian = np.empty((len(since), p + 2))
+    for j in range(p):
+        moved = values.copy()
+        step = 1e-6 * max(abs(values[j]), 1e-4 if SHAPES[name][j] == "f" else 1e-9)
+        moved[j] += step
+        jacobian[:, j] = -(law_of(name, moved).drop_m(since) - drop) / step
+    jacobian[:, p] = -law_of(name, values).velocity_mps(since)
+    jacobian[:, p + 1] = 1.0
+    jacobian /= noise
+    size = np.abs(residual)
+    loose = _HUBER * max(1.0, 1.4826 * float(np.median(size)))
+    weight = np.minimum(1.0, loose / np.maximum(size, 1e-12))
+    weighted = jacobian * weight[:, None]
+    squares = np.where(size <= loose, size**2, 2 * loose * size - loose**2).sum()
+    return Block(weighted.T @ jacobian, weighted.T @ residual, float(squares), len(since))
+
+
+def _schur(block: Block, p: int, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
+    """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
+    normal = block.normal + damping * np.diag(np.diag(block.normal))
+    local = np.linalg.inv(normal[p:, p:])
+    gain = normal[:p, p:] @ local
+    return normal[:p, :p] - gain @ normal[p:, :p], block.rhs[:p] - gain @ block.rhs[p:], local, gain
+
+
+def _step(name: str, values: Array, apex: Array, blocks: list[Block], damping: float) -> tuple[Array, Array]:
+    p = len(values)
+    parts = [_schur(b, p, damping) for b in blocks]
+    normal, right = sum(x[0] for x in parts), sum(x[1] for x in parts)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    change = scale * np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=1e-12)[0]
+    low, high = np.array([_LIMITS[key] for key in SHAPES[name]]).T
+    moved = np.clip(values + change, low, high)
+    change = moved - values
+    locals_ = [x[2] @ b.rhs[p:] - x[3].T @ change for x, b in zip(parts, blocks, strict=True)]
+    return moved, apex + np.array(locals_)
+
+
+def apex_of(shape: Shape, flight: Flight, noise: float) -> tuple[float, float, float]:
+    """Apex of one flight under a given shape (frame, height), and the sum of squares over noise^2 left."""
+    at, top = _first_apex(flight, shape.law.g_mps2)
+    block = _block(shape.name, shape.values, at, top, flight, noise)
+    p = len(shape.values)
+    for _ in range(12):
+        change = np.linalg.lstsq(block.normal[p:, p:], block.rhs[p:], rcond=None)[0]
+        at, top = at + float(change[0]), top + float(change[1])
+        block = _block(shape.name, shape.values, at, top, flight, noise)
+    return at, top, block.squares
+
+
+def draws_of(shape: Shape, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+    """Draws of (values, apex frames, apex heights), shapes (count, p), (count, flights), (count, flights).
+
+    The shape's draws have the wider of the fit's covariance and a bootstrap over flights.
+    """
+    p, n = len(shape.values), len(shape.blocks)
+    parts = [_schur(b, p) for b in shape.blocks]
+    spread = max(shape.sigma, 1e-12) ** 2 / max(_noise_unit(shape), 1e-300)
+    boot = np.empty((count, p))
+    for b in range(count):
+        weight = np.bincount(rng.integers(n, size=n), minlength=n)
+        normal = sum(w * x[0] for w, x in zip(weight, parts, strict=True))
+        right = sum(w * x[1] for w, x in zip(weight, parts, strict=True))
+        boot[b] = np.linalg.pinv(np.atleast_2d(normal), rcond=1e-10, hermitian=True) @ np.atleast_1d(right)
+    wide = 1.4826 * np.median(np.abs(boot), axis=0) if n >= 4 else np.zeros(p)
+    sigma = np.sqrt(np.diag(shape.covariance))
+    stretch = np.maximum(1.0, np.minimum(wide / np.maximum(sigma, 1e-300), 5.0))
+    change = rng.multivariate_normal(np.zeros(p), shape.covariance, size=count, method="svd") * stretch
+    low, high = np.array([_LIMITS[key] for key in SHAPES[shape.name]]).T
+    values = np.clip(shape.values + change, low, high)
+    apex = np.empty((2, count, n))
+    for i, (_, _, local, gain) in enumerate(parts):
+        own = rng.multivariate_normal(np.zeros(2), local * spread, size=count, method="svd")
+        own -= (values - shape.values) @ gain
+        apex[0, :, i], apex[1, :, i] = shape.apex_frame[i] + own[:, 0], shape.apex_height[i] + own[:, 1]
+    return values, apex[0], apex[1]
+
+
+def _noise_unit(shape: Shape) -> float:
+    """The noise^2 that the blocks were divided by, recovered from sigma and the squares."""
+    dof = max(sum(b.count for b in shape.blocks) - len(shape.values) - 2 * len(shape.blocks), 1)
+    return shape.sigma**2 / max(sum(b.squares for b in shape.blocks) / dof, 1e-300)
