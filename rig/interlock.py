@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.block import Block
 from rig.forcing import Floats
+from rig.motion import Motion
 from rig.profile import Profile
 
 WINDOW_CYCLES = 4  # over which a dead accelerometer is judged
@@ -22,11 +22,6 @@ DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
 CLIPPED_FRACTION = 0.02  # of a cycle; an impact alone may touch the converter's limit
 AIRBORNE_GAMMA_PEAK = 2.0  # a ball that never leaves the plate above this is a wire, not a ball
-LOWPASS_OVER_TONE = 4.0  # corner of the motion watch over the fastest tone: impacts ring far above
-IMPACT_SIGMAS = 8.0  # a step from sample to sample, over the usual one, that only an impact makes
-LEAK_OVER_TONE = 1.0 / 20.0  # corner below which the integrals to velocity and displacement forget
-
-_MOTION_FIELDS = 7
 
 
 class Interlock:
@@ -40,11 +35,6 @@ class Interlock:
         Names of a frame's columns.
     scales
         ``(volts_per_code, offset_v)`` of each.
-
-    Attributes
-    ----------
-    peak_acceleration_mps2, peak_velocity_mps, peak_displacement_m : float
-        What the plate did at most in the last block, from the accelerometer with impacts filtered out.
     """
 
     def __init__(
@@ -54,23 +44,18 @@ class Interlock:
         self._column = {name: i for i, name in enumerate(channels)}
         self._cycle = max(1, round(profile.sampling.rate_hz / profile.forcing.frequency_hz))
         accelerometer = profile.channels.accelerometer
-        self._mps2_per_code = scales["accelerometer"][0] / accelerometer.volts_per_mps2
         scale = profile.drive.g_per_volt
         self._mps2_per_volt = (scale.value if scale else 0.0) * profile.g_mps2.value
         self._gamma_peak_per_volt = self._mps2_per_volt / profile.g_mps2.value
         self._threshold = _contact_threshold(profile, scales)
-        self._filter = _filter_constants(profile)
-        self._motion = np.zeros(_MOTION_FIELDS)
         self._n_seen = 0
         self._clamped_v = 0.0
-        self._since_open = self._since_closed = self._since_impact = 0
+        self._since_open = self._since_closed = 0
         ranges = {"accelerometer": accelerometer.range_v, "drive": profile.channels.drive.range_v}
         self._full = {name: _full_code(ranges[name], scales[name][0]) for name in ranges if name in self._column}
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window_asked = self._window_moved = 0.0
         self._window_n = 0
-        self.peak_acceleration_mps2 = self.peak_velocity_mps = self.peak_displacement_m = 0.0
-        _follow(np.zeros(1, np.int16), 1.0, self._filter, np.zeros(_MOTION_FIELDS))  # compiled before anything moves
 
     def clamp(self, drive_v: Floats) -> Floats:
         """``drive_v`` with nothing beyond the drive limit; the last thing that touches it."""
@@ -78,7 +63,7 @@ class Interlock:
         self._clamped_v = float(np.max(np.abs(drive_v), initial=0.0))
         return np.clip(drive_v, -limit, limit)
 
-    def inspect(self, drive_v: Floats, block: Block) -> str | None:
+    def inspect(self, drive_v: Floats, block: Block, motion: Motion) -> str | None:
         """Why the run must stop after this exchange, or None.
 
         Parameters
@@ -87,15 +72,17 @@ class Interlock:
             What was played, shape (n,).
         block
             What came back for it.
+        motion
+            What its accelerometer says of the plate.
         """
         codes = block.codes
         self._n_seen += len(codes)
         reasons = (
             self._drive(),
-            self._motion_reason(codes[:, self._column["accelerometer"]]),
+            self._moved(motion),
             self._dead(drive_v),
             *(self._clipping(name, codes[:, self._column[name]]) for name in self._clipped),
-            self._contact(drive_v, codes),
+            self._contact(drive_v, codes, motion),
         )
         return next((reason for reason in reasons if reason), None)
 
@@ -105,14 +92,10 @@ class Interlock:
             return None
         return f"the clamp held back {self._clamped_v:.4g} V of drive; limits.drive_v allows {limit:g}"
 
-    def _motion_reason(self, codes: NDArray[np.int16]) -> str | None:
+    def _moved(self, motion: Motion) -> str | None:
         """Plate acceleration, velocity and displacement against their limits."""
-        if self._n_seen == len(codes):
-            self._start_motion(codes[: max(2, self._cycle // 8)] * self._mps2_per_code)
-        a, v, x, squares, last_impact = _follow(codes, self._mps2_per_code, self._filter, self._motion)
-        self._since_impact = len(codes) - 1 - last_impact if last_impact >= 0 else self._since_impact + len(codes)
-        self.peak_acceleration_mps2, self.peak_velocity_mps, self.peak_displacement_m = a, v, x
-        self._window_moved += squares
+        a, v, x = motion.acceleration_mps2, motion.velocity_mps, motion.displacement_m
+        self._window_moved += motion.square_sum
         limits = self._limits
         for name, value, limit, unit in (
             ("plate_mps2", a, limits.plate_mps2, "m/s^2"),
@@ -122,12 +105,6 @@ class Interlock:
             if limit is not None and value > limit:
                 return f"the plate reached {value:.4g} {unit}; limits.{name} allows {limit:g}"
         return None
-
-    def _start_motion(self, a_mps2: Floats) -> None:
-        """Rest is where the run starts: an offset, or gravity, is not motion."""
-        self._motion[0] = float(np.mean(a_mps2))
-        self._motion[5] = float(a_mps2[0])
-        self._motion[6] = float(np.mean(np.square(np.diff(a_mps2))))
 
     def _dead(self, drive_v: Floats) -> str | None:
         """The drive moves and the accelerometer does not."""
@@ -155,7 +132,7 @@ class Interlock:
             return None
         return f"clipped input: {name} at its converter's limit for {len(self._clipped[name])} samples of one cycle"
 
-    def _contact(self, drive_v: Floats, codes: NDArray[np.int16]) -> str | None:
+    def _contact(self, drive_v: Floats, codes: NDArray[np.int16], motion: Motion) -> str | None:
         """A contact circuit that never closes, or never opens although the ball must fly."""
         if self._threshold is None or not self._limits.contact_cycles:
             return None
@@ -166,10 +143,10 @@ class Interlock:
         flying = float(np.max(np.abs(drive_v), initial=0.0)) * self._gamma_peak_per_volt > AIRBORNE_GAMMA_PEAK
         self._since_open = self._since_open + n if flying and not open_at.size else 0
         # A ball that is launched again as it lands makes no contact that a sample could show; its impacts ring.
-        if min(self._since_closed, self._since_impact) > limit:
+        if min(self._since_closed, motion.since_impact) > limit:
             return (
-                f"the contact circuit has been open for {self._limits.contact_cycles} cycles and the accelerometer shows "
-                "no impact: a broken wire?"
+                f"the contact circuit has been open for {self._limits.contact_cycles} cycles and the accelerometer "
+                "shows no impact: a broken wire?"
             )
         if self._since_open > limit:
             return (
@@ -194,44 +171,3 @@ def _contact_threshold(
     volts_per_code, offset_v = scales["continuity"]
     middle_v = 0.5 * (continuity.open_v + continuity.closed_v)
     return (middle_v - offset_v) / volts_per_code, continuity.open_v > continuity.closed_v
-
-
-def _filter_constants(profile: Profile) -> Floats:
-    """Per-sample constants of the motion watch: interval, low-pass, leak, offset tracking."""
-    dt = 1.0 / profile.sampling.rate_hz
-    first_hz = profile.forcing.frequency_hz
-    corner_hz = LOWPASS_OVER_TONE * first_hz * profile.forcing.ratio
-    leak = 1.0 - math.exp(-2.0 * math.pi * first_hz * LEAK_OVER_TONE * dt)
-    return np.array([dt, 1.0 - math.exp(-2.0 * math.pi * corner_hz * dt), leak])
-
-
-@numba.njit(cache=True)
-def _follow(
-    codes: NDArray[np.int16], scale: float, constants: Floats, motion: Floats
-) -> tuple[float, float, float, float, int]:
-    """Follow the plate through ``codes``.
-
-    Returns peak acceleration, velocity and displacement, the sum of squared acceleration, and where the last impact
-    was (-1: none). ``motion`` holds rest, two low-passes, velocity, displacement, the last sample and the usual square
-    of a step from sample to sample; it is carried from block to block.
-    """
-    dt, low, leak = constants[0], constants[1], constants[2]
-    rest, first, second, v, x, last, usual = motion
-    peak_a = peak_v = peak_x = squares = 0.0
-    impact = -1
-    for i in range(codes.size):
-        a = codes[i] * scale
-        rest += leak * (a - rest)
-        first += low * (a - rest - first)
-        second += low * (first - second)
-        v += second * dt - leak * v
-        x += v * dt - leak * x
-        peak_a, peak_v, peak_x = max(peak_a, abs(second)), max(peak_v, abs(v)), max(peak_x, abs(x))
-        squares += second * second
-        jump = (a - last) * (a - last)
-        if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual and usual > 0.0:
-            impact = i
-        usual += leak * (min(jump, 9.0 * usual) - usual)
-        last = a
-    motion[:] = (rest, first, second, v, x, last, usual)
-    return peak_a, peak_v, peak_x, squares, impact

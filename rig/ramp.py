@@ -7,7 +7,7 @@ tone; it fades from the step before within the slew limit, settles, and holds.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,25 @@ class Step:
     fade_samples: int
     settle_samples: int
     n_samples: int
+    fade_cycles: int
     settle_cycles: int
     hold_cycles: int
+
+    def placed(self, clock: PhaseClock, first_cycle: int, settle_cycles: int) -> Step:
+        """This step begun at ``first_cycle`` and settled for ``settle_cycles``, in samples."""
+        cycle, bounds = first_cycle, [clock.cycle_start(first_cycle)]
+        for length in (self.fade_cycles, settle_cycles, self.hold_cycles):
+            cycle += length
+            bounds.append(clock.cycle_start(cycle))
+        fade, settle, n = (bound - bounds[0] for bound in bounds[1:])
+        return replace(
+            self,
+            first_sample=bounds[0],
+            fade_samples=fade,
+            settle_samples=settle,
+            n_samples=n,
+            settle_cycles=settle_cycles,
+        )
 
     @property
     def end_sample(self) -> int:
@@ -74,32 +91,27 @@ def plan(profile: Profile) -> Programme:
     steps: list[Step] = []
     cycle, previous = 0, 0.0
     for index, gamma in enumerate(ramp.gammas()):
-        fade = _fade_cycles(ramp, abs(gamma - previous))
-        start, faded, settled, end = (
-            clock.cycle_start(cycle + n)
-            for n in (0, fade, fade + ramp.settle_cycles, fade + ramp.settle_cycles + ramp.hold_cycles)
+        step = Step(
+            index=index,
+            gamma=gamma,
+            direction=-1 if gamma < previous else 1,
+            first_sample=0,
+            fade_samples=0,
+            settle_samples=0,
+            n_samples=0,
+            fade_cycles=fade_cycles(ramp, gamma - previous),
+            settle_cycles=ramp.settle_cycles,
+            hold_cycles=ramp.hold_cycles,
         )
-        steps.append(
-            Step(
-                index=index,
-                gamma=gamma,
-                direction=-1 if gamma < previous else 1,
-                first_sample=start,
-                fade_samples=faded - start,
-                settle_samples=settled - start,
-                n_samples=end - start,
-                settle_cycles=ramp.settle_cycles,
-                hold_cycles=ramp.hold_cycles,
-            )
-        )
-        cycle += fade + ramp.settle_cycles + ramp.hold_cycles
+        steps.append(step.placed(clock, cycle, ramp.settle_cycles))
+        cycle += step.fade_cycles + step.settle_cycles + step.hold_cycles
         previous = gamma
     return Programme(clock, rate_hz, tuple(steps))
 
 
-def _fade_cycles(ramp: RampTable, change: float) -> int:
+def fade_cycles(ramp: RampTable, change: float) -> int:
     """Whole cycles in which gamma can change by ``change`` within the slew limit."""
-    return max(_MIN_FADE_CYCLES, math.ceil(_STEEPEST * change / ramp.slew_per_cycle - 1e-9))
+    return max(_MIN_FADE_CYCLES, math.ceil(_STEEPEST * abs(change) / ramp.slew_per_cycle - 1e-9))
 
 
 def peaks(setup: Setup, gamma: float) -> Peaks:

@@ -15,6 +15,7 @@ from daq.block import Block
 from daq.recording import RecordingWriter
 from rig.backends.base import Backend, BackendError, Running
 from rig.interlock import Interlock
+from rig.motion import MotionWatch
 from rig.profile import Profile
 from rig.ramp import Programme, Step, plan
 from rig.sequencer import Sequencer, State, Stop, largest_block
@@ -42,7 +43,7 @@ class Status:
     n_steps: int
     sample: int
     n_samples: int
-    peak_acceleration_mps2: float
+    plate_mps2: float
     lost_samples: int
 
 
@@ -120,6 +121,9 @@ class _Run:
         self._programme: Programme = plan(profile)
         self._sequencer = Sequencer(self._programme, profile)
         self._interlock = Interlock(profile, backend.channels, backend.scales)
+        self._accelerometer = backend.channels.index("accelerometer")
+        scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+        self._watch = MotionWatch(profile, scale)
         self._profile, self._backend, self._writer = profile, backend, writer
         self._progress, self._request = progress, stop_request
         self._obeyed: Stop | None = None
@@ -178,7 +182,8 @@ class _Run:
         self._device_lost = False
         self._lost += block.lost_before
         self._record(block)
-        trip = self._interlock.inspect(drive, block)
+        self._motion = self._watch.update(block.codes[:, self._accelerometer])
+        trip = self._interlock.inspect(drive, block, self._motion)
         if trip is not None:
             self.end("stopped", f"interlock: {trip}")
             self._sequencer.stop(Stop.RAMP_DOWN)
@@ -224,6 +229,6 @@ class _Run:
             n_steps=len(self._programme.steps),
             sample=self._sequencer.position,
             n_samples=self._programme.n_samples,
-            peak_acceleration_mps2=self._interlock.peak_acceleration_mps2,
+            plate_mps2=self._motion.acceleration_mps2,
             lost_samples=self._lost,
         )

@@ -146,7 +146,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[Status], None]]:
                 total=status.n_samples,
                 completed=min(status.sample, status.n_samples),
                 description=f"step {status.step.index + 1}/{status.n_steps} gamma {status.step.gamma:.4g} "
-                f"{status.state.value}, plate {status.peak_acceleration_mps2:.3g} m/s², lost {status.lost_samples}",
+                f"{status.state.value}, plate {status.plate_mps2:.3g} m/s², lost {status.lost_samples}",
             )
 
         yield show

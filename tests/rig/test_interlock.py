@@ -58,7 +58,7 @@ def test_an_ordinary_run_passes(make_profile, fake_rig) -> None:
         ([("displacement_m = 0.02", "displacement_m = 2.5e-4")], {}, "limits.displacement_m allows 0.00025"),
         ([("drive_v = 9.5", "drive_v = 0.4")], {}, "the clamp held back"),
         (GENEROUS, {"gain": 200.0}, "clipped input: accelerometer"),
-        ([], {"open_from": 1500}, "open for 8 cycles and the accelerometer shows no impact"),
+        ([], {"open_from": 1500}, "open for 8 cycles and the accelerometer shows no impact: a broken wire?"),
     ],
 )
 def test_each_cause_stops_the_run_softly(make_profile, fake_rig, changes, fault, said) -> None:

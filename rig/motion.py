@@ -1,0 +1,123 @@
+"""What the accelerometer says of the plate while a run lasts: its motion, and where the ball hit it.
+
+The rule kept here: impacts ring far above the forcing and are not the plate's motion. They are filtered out of the
+peaks, and the samples they spoil are marked, so that no limit trips on them and no tone is measured through them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.setup import Setup
+from rig.forcing import Floats
+
+Mask = NDArray[np.bool_]
+
+LOWPASS_OVER_TONE = 4.0  # corner of the low-pass over the fastest tone
+LEAK_OVER_TONE = 1.0 / 20.0  # corner below which offset and integrals forget, over the first tone
+IMPACT_SIGMAS = 8.0  # a jump from sample to sample, over the usual one, that only an impact makes
+RINGING_S = 6e-3  # spoilt after an impact
+RINGING_CYCLES = 0.2  # but never more than this part of a cycle
+
+_FIELDS = 8
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The plate over one block.
+
+    Attributes
+    ----------
+    acceleration_mps2, velocity_mps, displacement_m
+        Peaks from rest, impacts filtered out.
+    square_sum
+        Sum of the squared acceleration over the block's samples.
+    since_impact
+        Samples since the last impact.
+    quiet
+        Where no impact rings, shape (n,).
+    """
+
+    acceleration_mps2: float
+    velocity_mps: float
+    displacement_m: float
+    square_sum: float
+    since_impact: int
+    quiet: Mask
+
+
+class MotionWatch:
+    """Follow the accelerometer from block to block.
+
+    Parameters
+    ----------
+    setup
+        Forcing and rate.
+    mps2_per_code
+        Signed scale of the accelerometer's codes.
+    """
+
+    def __init__(self, setup: Setup, mps2_per_code: float) -> None:
+        rate_hz, first_hz = setup.sampling.rate_hz, setup.forcing.frequency_hz
+        highest_hz = first_hz * setup.forcing.ratio
+        low = 1.0 - math.exp(-2.0 * math.pi * LOWPASS_OVER_TONE * highest_hz / rate_hz)
+        leak = 1.0 - math.exp(-2.0 * math.pi * LEAK_OVER_TONE * first_hz / rate_hz)
+        ringing = max(1.0, min(RINGING_S * rate_hz, RINGING_CYCLES * rate_hz / first_hz))
+        self._constants = np.array([1.0 / rate_hz, low, leak, ringing])
+        self._scale = mps2_per_code
+        self._eighth = max(2, round(rate_hz / first_hz / 8))
+        self._state = np.zeros(_FIELDS)
+        self._started = False
+        # Compiled before anything moves.
+        _follow(np.zeros(1, np.int16), 1.0, self._constants, np.zeros(_FIELDS), np.ones(1, np.bool_))
+
+    def update(self, codes: NDArray[np.int16]) -> Motion:
+        """The plate over the block with these accelerometer ``codes`` (n,)."""
+        codes = np.ascontiguousarray(codes)
+        if not self._started and codes.size >= 2:
+            self._started = True
+            self._start(np.asarray(codes[: self._eighth], np.float64) * self._scale)
+        quiet = np.ones(codes.size, np.bool_)
+        a, v, x, squares = _follow(codes, self._scale, self._constants, self._state, quiet)
+        return Motion(a, v, x, squares, int(self._state[7]), quiet)
+
+    def _start(self, a_mps2: Floats) -> None:
+        """Rest is where the run starts: an offset, or gravity, is not motion."""
+        self._state[0] = np.mean(a_mps2)
+        self._state[5] = a_mps2[0]
+        self._state[6] = np.mean(np.square(np.diff(a_mps2)))
+        self._state[7] = self._constants[3]
+
+
+@numba.njit(cache=True)
+def _follow(
+    codes: NDArray[np.int16], scale: float, constants: Floats, state: Floats, quiet: Mask
+) -> tuple[float, float, float, float]:
+    """Peaks of acceleration, velocity, displacement, and the sum of squares; marks ``quiet``.
+
+    ``state``: rest, two low-passes, velocity, displacement, last sample, usual square of a jump, samples since impact.
+    """
+    dt, low, leak, ringing = constants
+    rest, first, second, v, x, last, usual, since = state
+    peak_a = peak_v = peak_x = squares = 0.0
+    for i in range(codes.size):
+        a = codes[i] * scale
+        rest += leak * (a - rest)
+        first += low * (a - rest - first)
+        second += low * (first - second)
+        v += second * dt - leak * v
+        x += v * dt - leak * x
+        peak_a, peak_v, peak_x = max(peak_a, abs(second)), max(peak_v, abs(v)), max(peak_x, abs(x))
+        squares += second * second
+        jump = (a - last) * (a - last)
+        since = 0.0 if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual and usual > 0.0 else since + 1.0
+        quiet[i] = since >= ringing
+        usual += leak * (min(jump, 9.0 * usual) - usual)
+        last = a
+    state[:] = (rest, first, second, v, x, last, usual, since)
+    return peak_a, peak_v, peak_x, squares
