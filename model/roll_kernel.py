@@ -475,7 +475,8 @@ def one_ahead(
             t_previous = opening[i]
         if linked[i] and (known or not bounce[i]):
             off, v0, land, hit, opened, hidden, kind, _, _ = next_seen(
-                t_previous, previous_hit, q, qd, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough, gap[i], unseen_s
+                t_previous, previous_hit, q, qd, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough, gap[i],
+                min(unseen_s, 0.5 * (landing[i] - opening[i])), opening[i], passable_s,
             )
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = off, v0, land, hit
             out[i, 4], out[i, 5], out[i, 6] = opened, hidden, kind

@@ -15,8 +15,10 @@ EFFECT = Effect(
     summary="the ball sticks to the plate and leaves late",
     parameters=(
         Parameter("a_mps2", "m/s^2", 0.0, 30.0, 0.2, scan=(1.0,), meaning="pull-off force over mass"),
-        Parameter("dwell_s", "s", 0.0, 1.0, 0.01, shape=True, meaning="contact time over which it builds up; 0 at once"),
+        Parameter("dwell_s", "s", 0.0, 1.0, 0.01, shape=True, scan=(0.01,),
+                  meaning="contact time over which it builds up; 0 at once"),
     ),
+    variants=(("a_mps2",), ("a_mps2", "dwell_s")),
     seen_in=("takeoff", "landing"),
     confused_with={"contact_gap": "landing times, dwell time", "coulomb_friction": "landing times of long flights"},
     reference="Johnson, Kendall and Roberts, Proc. R. Soc. A 324, 301 (1971)",

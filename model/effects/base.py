@@ -67,6 +67,8 @@ class Parameter:
         For a nuisance: beyond this value it is no longer a harmless imperfection.
     calibration
         One standard deviation to which the number is known without being declared (0: exactly absent).
+    power
+        The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height.
     shape
         True for a number that only shapes the effect (a frequency, a length): a fit needs the others to be non-zero.
     """
@@ -80,6 +82,7 @@ class Parameter:
     scan: tuple[float, ...] = ()
     calibration: float = 0.0
     shape: bool = False
+    power: float = 1.0
     meaning: str = ""
 
 
@@ -101,6 +104,8 @@ class Effect:
         Names of effects that look alike on some runs, each with what separates them.
     nuisance
         A harmless imperfection of the instrument, always fitted and never reported as an explanation.
+    variants
+        Which parameters are fitted together, simplest first; all of them when empty.
     reference
         Where the physics comes from.
     """
@@ -112,6 +117,7 @@ class Effect:
     reference: str
     confused_with: Mapping[str, str] = field(default_factory=dict)
     nuisance: bool = False
+    variants: tuple[tuple[str, ...], ...] = ()
     library: bool = True
 
     def parameter(self, name: str) -> Parameter:

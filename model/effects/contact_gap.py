@@ -12,7 +12,8 @@ EFFECT = Effect(
     name="contact_gap",
     summary="the circuit opens late because contact is kept over a small height",
     parameters=(
-        Parameter("gap_m", "m", 0.0, 2e-4, 2e-7, calibration=2e-6, scan=(3e-7, 3e-6), meaning="height kept in contact"),
+        Parameter("gap_m", "m", 0.0, 2e-4, 2e-7, calibration=2e-6, scan=(3e-7, 3e-6), power=3.0,
+                   meaning="height kept in contact"),
     ),
     seen_in=("takeoff",),
     confused_with={"adhesion": "landing times, dwell time, two comparator levels"},

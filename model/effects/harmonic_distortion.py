@@ -18,6 +18,7 @@ EFFECT = Effect(
         Parameter("second", "1", 0.0, 1.0, 0.005, calibration=1e-4, meaning="second harmonic over first tone"),
         Parameter("third", "1", 0.0, 1.0, 0.005, calibration=1e-4, meaning="third harmonic over first tone"),
     ),
+    variants=(("second", "third"),),
     seen_in=("plate",),
     confused_with={"gain_compression": "amplitude of the first tone"},
     reference="non-linear suspension and amplifier",

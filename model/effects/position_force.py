@@ -19,6 +19,7 @@ EFFECT = Effect(
         Parameter("range_m", "m", 1e-4, 0.1, 1e-3, absent=2e-3, scan=(1e-3, 4e-3), shape=True,
                   meaning="height over which the magnet's pull falls by e"),
     ),
+    variants=(("spring_per_s2",), ("magnet_mps2", "range_m")),
     seen_in=("takeoff", "landing", "bounce"),
     confused_with={"viscous_damping": "irregular flights at high gamma", "local_gravity": "short and long flights"},
     reference="Hooke's law; the near field of a small magnet, as an exponential",

@@ -16,6 +16,7 @@ EFFECT = Effect(
                   meaning="coefficient of restitution of a slow impact"),
         Parameter("e1_s_per_m", "s/m", -1.0, 2.0, 0.05, meaning="loss of restitution with impact speed"),
     ),
+    variants=(("e0",), ("e0", "e1_s_per_m")),
     seen_in=("landing", "bounce"),
     confused_with={"coulomb_friction": "undeclared friction biases restitution: they are fitted jointly"},
     reference="Gilet, Vandewalle and Dorbolo, Phys. Rev. E 79, 055201 (2009), for e = 0",

@@ -1,0 +1,312 @@
+"""Which missing effect explains the residuals: greedy, joint, held-out, with everything that does as well.
+
+The rule kept here: an effect is added only when steps it was not fitted on gain beyond doubt and no channel gets
+worse; what the data cannot tell apart is reported together.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fit import Fitted, Fitter, parameter_of
+from analysis.likelihood import DRIFT, Key, Whitener, World
+from analysis.thresholds import FROZEN, Thresholds
+from model.effects import registry
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One way to add an effect: its names in reports, the parameters it frees, and where to look for them first."""
+
+    names: tuple[str, ...]
+    free: tuple[Key, ...]
+    starts: tuple[Mapping[Key, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of candidates, fitted and judged.
+
+    Attributes
+    ----------
+    candidates
+        In the order in which they were added.
+    fitted
+        The joint fit.
+    whitener
+        Uncertainties at the fitted point.
+    losses
+        Held-out loss by channel, (m,).
+    """
+
+    candidates: tuple[Candidate, ...]
+    fitted: Fitted
+    whitener: Whitener
+    losses: Mapping[str, Array]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all effects, each once, in order."""
+        return tuple(dict.fromkeys(n for c in self.candidates for n in c.names))
+
+    @property
+    def free(self) -> tuple[Key, ...]:
+        """Everything the candidates free."""
+        return tuple(k for c in self.candidates for k in c.free)
+
+    @property
+    def per_step(self) -> Array:
+        """Held-out loss of all channels, (m,)."""
+        return np.asarray(sum(self.losses.values()))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One explanation against another: gain in nats with its standard error, by the held-out steps."""
+
+    gain: float
+    error: float
+
+    @classmethod
+    def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> Compared:
+        """Gain of ``better`` over ``worse``, both losses by step."""
+        d = (worse - better)[train]
+        return cls(float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf)
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """The outcome.
+
+    Attributes
+    ----------
+    before, best
+        The declared model alone, and the best explanation found (the same object where nothing is missing).
+    ties
+        Explanations that the data cannot tell from the best one, the best first.
+    tried
+        Every candidate of the first round with its gain: the chain of reasoning.
+    rounds
+        What each round found: names, gain, standard error, accepted or why not.
+    """
+
+    before: Explanation
+    best: Explanation
+    ties: tuple[Explanation, ...]
+    tried: tuple[tuple[tuple[str, ...], Compared], ...]
+    rounds: tuple[str, ...] = field(default=())
+
+
+def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidate]:
+    """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations."""
+    out = []
+    declared = {name for name, _ in world.base}
+    for entry in registry():
+        e = entry.effect
+        if e.nuisance or not e.library or not entry.hooks or e.name in declared:
+            continue
+        for variant in e.variants or (tuple(q.name for q in e.parameters),):
+            keys = tuple((e.name, q) for q in variant)
+            grids = [e.parameter(q).scan or (e.parameter(q).absent,) for q in variant]
+            if e.name == "table_resonance" and hints_hz:
+                grids[1] = tuple(hints_hz)
+            if e.name in ("coulomb_friction",):  # both directions together to begin with
+                starts = [dict.fromkeys(keys, v) for v in (0.0, *grids[0])]
+            else:
+                starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
+                if all(not e.parameter(q).shape for q in variant):
+                    starts.insert(0, {k: parameter_of(k).absent for k in keys})
+            out.append(Candidate((e.name,), keys, tuple(starts)))
+    for name, q in (("drive_gain", "relative"), ("accelerometer_gain", "relative")):
+        out.append(Candidate((name, "parameter_drift"), ((name, q), (name, q + DRIFT)), ({},)))
+    for name, q in world.base:
+        out.append(Candidate(("parameter_drift",), ((name, q + DRIFT),), ({},)))
+    return out
+
+
+def trends_of(best: Explanation) -> list[Candidate]:
+    """Trends of what has been accepted."""
+    out = []
+    for name, q in best.free:
+        if not q.endswith(DRIFT) and not parameter_of((name, q)).shape and (name, q + DRIFT) not in best.free:
+            out.append(Candidate((name, "parameter_drift"), ((name, q + DRIFT),), ({},)))
+    both = [k for k in best.free if k in (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))]
+    if len(both) == 2:
+        out.append(Candidate(("coulomb_friction", "parameter_drift"), tuple((n, q + DRIFT) for n, q in both), ({},)))
+    return out
+
+
+class Attributor:
+    """Greedy search with a step back.
+
+    Parameters
+    ----------
+    world, fitter
+        The evidence and its fits.
+    limits
+        Thresholds of the verdict.
+    progress
+        Called with what is being tried and the fraction done.
+    """
+
+    def __init__(self, world: World, fitter: Fitter, limits: Thresholds = FROZEN, progress: Progress | None = None) -> None:
+        self.world, self.fitter, self.limits = world, fitter, limits
+        self.progress = progress or (lambda what, part: None)
+        self.train = fitter.train
+
+    def explain(self, hints_hz: Sequence[float] = ()) -> Attribution:
+        """Add effects one after the other while held-out steps gain."""
+        nothing = Whitener.of(self.world, {})
+        before = self._judged((), self._settled(nothing, (), self.fitter.fit(nothing, (), {}).values))
+        best, rounds, tried = before, [], []
+        pool = candidates_of(self.world, hints_hz)
+        rivals: list[Explanation] = []
+        for depth in range(self.limits.most_effects):
+            options = pool if depth == 0 else self._promising(pool, best) + trends_of(best)
+            found = self._round(best, options, depth)
+            if depth == 0:
+                tried = [(x.candidates[-1].names, Compared.of(before.per_step, x.per_step, self.train)) for x in found]
+            accepted = self._choose(best, found, depth)
+            if accepted is None:
+                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
+                break
+            gain = Compared.of(best.per_step, accepted.per_step, self.train)
+            rounds.append(f"round {depth + 1}: {' + '.join(accepted.candidates[-1].names)} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
+            base, rivals = best, found
+            best = self._step_back(accepted, rounds)
+            if best is not accepted:
+                rivals = []
+            del base
+        return Attribution(before, best, self._ties(before, best, rivals), tuple(tried), tuple(rounds))
+
+    def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
+        whitener = Whitener.of(self.world, fitted.values)
+        return Explanation(chosen, fitted, whitener, fitted.held_out(whitener))
+
+    def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
+        out = []
+        for i, candidate in enumerate(options):
+            self.progress(" + ".join(candidate.names), (depth + i / len(options)) / self.limits.most_effects)
+            found = self.add(best, candidate)
+            if found is not None:
+                out.append(found)
+        return out
+
+    def add(self, best: Explanation, candidate: Candidate) -> Explanation | None:
+        """Fit the best explanation with one candidate more; None where the candidate changes nothing here."""
+        taken = set(best.free)
+        free = tuple(k for k in candidate.free if k not in taken)
+        if not free:
+            return None
+        start = self._start(best, candidate, free)
+        fitted = self._settled(best.whitener, (*best.free, *free), start)
+        if not np.any(fitted.jacobian[:, len(best.free) : len(best.free) + len(free)]):
+            return None
+        return self._judged((*best.candidates, Candidate(candidate.names, free)), fitted)
+
+    def _settled(self, whitener: Whitener, free: Sequence[Key], start: Mapping[Key, float]) -> Fitted:
+        """Fit, and again with the weights of the point found, until the excess no longer shrinks."""
+        fitted = self.fitter.fit(whitener, free, start)
+        for _ in range(6):
+            tighter = Whitener.of(self.world, fitted.values)
+            shrunk = max(a / b for a, b in zip(whitener.excess_s, tighter.excess_s, strict=True))
+            if 0.8 < shrunk < 1.25 and np.median(np.abs(tighter.log_sigma - whitener.log_sigma)) < 0.1:
+                break
+            whitener = tighter
+            fitted = self.fitter.fit(whitener, free, fitted.values)
+        return fitted
+
+    def _start(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> dict[Key, float]:
+        """The best of the candidate's starting points."""
+        values = best.fitted.values
+        if len(candidate.starts) <= 1:
+            return {**values, **(candidate.starts[0] if candidate.starts else {})}
+        best_point, lowest = values, np.inf
+        for point in candidate.starts:
+            trial = {**values, **{k: v for k, v in point.items() if k in free}}
+            loss = self._quick(best.whitener, trial)
+            if loss < lowest:
+                best_point, lowest = trial, loss
+        return best_point
+
+    def _quick(self, whitener: Whitener, values: Mapping[Key, float]) -> float:
+        from analysis.likelihood import robust_loss
+
+        events, plate = whitener.white(self.world.residuals(values))
+        ev = self.world.evidence
+        return float(robust_loss(events[self.train[whitener.step]]).sum() + robust_loss(plate[self.train[ev.plate.step]]).sum())
+
+    def _promising(self, pool: Sequence[Candidate], best: Explanation) -> list[Candidate]:
+        return [c for c in pool if not set(c.names) & set(best.names)]
+
+    def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
+        """The candidate of lowest held-out loss that passes; of those that tie with it, the simplest."""
+        nats, sigmas = (
+            (self.limits.gain_nats, self.limits.gain_sigmas) if depth == 0 else (self.limits.again_nats, self.limits.again_sigmas)
+        )
+        passing = []
+        for x in found:
+            gain = Compared.of(best.per_step, x.per_step, self.train)
+            if gain.gain > max(nats, sigmas * gain.error) and not self._worse(best, x):
+                passing.append(x)
+        if not passing:
+            return None
+        top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
+        close = [x for x in passing if self._tied(top, x)]
+        return min(close, key=lambda x: (len(x.free), float(x.per_step[self.train].sum())))
+
+    def _worse(self, best: Explanation, x: Explanation) -> bool:
+        for channel in x.losses:
+            change = Compared.of(x.losses[channel], best.losses[channel], self.train)
+            if change.gain > max(self.limits.worse_nats, self.limits.worse_sigmas * change.error):
+                return True
+        return False
+
+    def _tied(self, best: Explanation, x: Explanation) -> bool:
+        lead = Compared.of(x.per_step, best.per_step, self.train)
+        return lead.gain < max(self.limits.tie_nats, self.limits.tie_sigmas * lead.error)
+
+    def _step_back(self, best: Explanation, rounds: list[str]) -> Explanation:
+        """Leave out an earlier effect that the later ones have made idle."""
+        for candidate in best.candidates[:-1]:
+            rest = tuple(c for c in best.candidates if c is not candidate)
+            free = tuple(k for c in rest for k in c.free)
+            start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
+            x = self._judged(rest, self.fitter.fit(best.whitener, free, start))
+            loss = Compared.of(x.per_step, best.per_step, self.train)
+            if loss.gain < max(self.limits.tie_nats, self.limits.tie_sigmas * loss.error):
+                rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
+                return x
+        return best
+
+    def _ties(self, before: Explanation, best: Explanation, rivals: Sequence[Explanation]) -> tuple[Explanation, ...]:
+        """The best and every rival as good as it that is not the same motion with an idle parameter."""
+        if best is before:
+            return ()
+        out = [best]
+        z_best, _ = best.whitener.white(self.world.residuals(best.fitted.values))
+        for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
+            if x is best or x.names in [t.names for t in out] or not self._tied(best, x):
+                continue
+            z, _ = best.whitener.white(self.world.residuals(x.fitted.values))
+            same = float(np.sqrt(np.median((z - z_best) ** 2))) < self.limits.idle
+            if len(x.free) > len(best.free) and same and set(best.names) <= _relatives(x.names):
+                continue
+            out.append(x)
+        return tuple(out)
+
+
+def _relatives(names: Sequence[str]) -> set[str]:
+    """Names that a set of names contains as special cases of its members."""
+    out = set(names)
+    if "stribeck_friction" in out:
+        out.add("coulomb_friction")
+    return out

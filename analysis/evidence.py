@@ -1,0 +1,213 @@
+"""What a set of recordings says, reduced to what a prediction can be held against: events, steps, plate data.
+
+The rule kept here: measured numbers with their own uncertainties and nothing else; no model has touched them. Several
+recordings stand in one table, one after the other, and the step is the replicate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.flights import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.platedata import PlateData, plate_data
+from daq.recording import Recording, open_recording
+from daq.setup import Setup
+from model.roll import Measured, PlateSteps
+
+Array = NDArray[np.float64]
+
+NOT_EVENTS = FlightFlag.FALSE
+NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.UNSURE
+MISLEADING = FlightFlag.GAP | FlightFlag.CUT | FlightFlag.UNSURE
+SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
+MAX_TONES = 8
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The steps of all recordings, arrays of shape (m,); ``plate`` holds their tones.
+
+    Attributes
+    ----------
+    recording, number
+        Which recording, and the step's number in it.
+    gamma, ratio
+        Measured A w^2 / g and c.
+    run_part
+        Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
+    sigma_mps2
+        Uncertainty of each quadrature of the plate's tones, shape (m, k).
+    forcing
+        True for the forcing's own tones, shape (m, k).
+    """
+
+    recording: NDArray[np.int64]
+    number: NDArray[np.int64]
+    gamma: Array
+    ratio: NDArray[np.int64]
+    run_part: Array
+    plate: PlateSteps
+    sigma_mps2: Array
+    forcing: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.gamma)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Events, steps and plate data of one or several recordings of one rig.
+
+    Attributes
+    ----------
+    measured : Measured
+        The flights (n,), in order.
+    opening_sigma_s, landing_sigma_s : arrays, shape (n,)
+        Uncertainty of the edges alone.
+    judged : bool array, shape (n,)
+        Flights that a prediction may be held against.
+    time_s : array, shape (n,)
+        Landing since the start of its recording.
+    steps : Steps
+    plate : PlateData
+    setup : Setup
+        Of the first recording; the others must agree in what scales a measurement.
+    unseen_s : float
+        Flights shorter than this cannot have been seen.
+    sources : tuple of str
+    """
+
+    measured: Measured
+    opening_sigma_s: Array
+    landing_sigma_s: Array
+    judged: NDArray[np.bool_]
+    time_s: Array
+    steps: Steps
+    plate: PlateData
+    setup: Setup
+    unseen_s: float
+    sources: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.judged)
+
+
+def evidence_of(
+    paths: Sequence[Path], *, setup: Setup | None = None, progress: Callable[[str, float], None] | None = None
+) -> Evidence:
+    """Reduce recordings to evidence.
+
+    Parameters
+    ----------
+    paths
+        Recordings of one rig.
+    setup
+        Replaces the setup stored in the recordings (a corrected or completed profile).
+    progress
+        Called with the file's name and the fraction done.
+
+    Raises
+    ------
+    InputError
+        Where a file is no recording or holds no flights and no plate motion.
+    """
+    parts = []
+    for path in paths:
+        with open_recording(path) as recording:
+            flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
+            parts.append(_part(recording, flights, setup or recording.setup))
+    return parts[0] if len(parts) == 1 else join(parts)
+
+
+def _named(progress: Callable[[str, float], None], name: str) -> Callable[[int, int], None]:
+    return lambda done, total: progress(name, done / max(total, 1))
+
+
+def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
+    """Evidence of a single recording."""
+    fitted = [s for s in flights.plate.steps if s is not None]
+    rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
+    for i, s in enumerate(fitted):
+        rows[s.step] = i
+    m = len(fitted)
+    omega, z, sigma = np.ones((m, MAX_TONES)), np.zeros((m, MAX_TONES), complex), np.zeros((m, MAX_TONES))
+    forcing = np.zeros((m, MAX_TONES), dtype=bool)
+    for i, s in enumerate(fitted):
+        tones = s.plate()
+        own = {int(round(x)) for x in 1e6 * s.forcing().omega_radps}
+        order = np.argsort([int(round(x)) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
+        k = len(order)
+        omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
+        forcing[i, :k] = [int(round(x)) in own for x in 1e6 * omega[i, :k]]
+        every, sigmas = 2 * np.pi * s.acceleration.frequencies_hz, s.acceleration.amplitude_sigma()
+        sigma[i, :k] = [sigmas[np.argmin(np.abs(every - w))] for w in omega[i, :k]]
+    middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
+    steps = Steps(
+        np.zeros(m, dtype=np.int64), np.array([s.step for s in fitted], dtype=np.int64),
+        np.array([s.gamma for s in fitted]), np.array([s.ratio for s in fitted], dtype=np.int64),
+        middle / max(recording.n_samples, 1) - 0.5,
+        PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])), sigma, forcing,
+    )
+    measured, judged, keep = _events(flights, rows)
+    sigmas_open, sigmas_land = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    data, notes = plate_data(fitted, setup)
+    return Evidence(
+        measured, sigmas_open, sigmas_land, judged, measured.landing_s.copy(), steps, data, setup,
+        unseen_s=GLITCH_S, sources=(str(recording.path),), notes=notes,
+    )
+
+
+def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
+    """True flights of steps whose plate is known, with their links; which may be judged; which rows were kept."""
+    flags = flights.flags
+    inside = (flights.step >= 0) & (flights.step < len(rows))
+    row = np.where(inside, rows[np.clip(flights.step, 0, len(rows) - 1)], -1)
+    keep = ((flags & NOT_EVENTS) == 0) & (row >= 0)
+    opening = flights.plate.true_time_s(flights.takeoff_s[keep])
+    landing = flights.plate.true_time_s(flights.landing_s[keep])
+    step, flags = row[keep], flags[keep]
+    n = len(step)
+    before = np.maximum(np.arange(n) - 1, 0)
+    linked = (np.arange(n) > 0) & (step == step[before]) & ((flags[before] & MISLEADING) == 0)
+    rest = opening - landing[before]
+    at_once = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
+    judged = linked & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
+    return Measured(opening, landing, at_once, linked, step.astype(np.int64)), judged, keep
+
+
+def join(parts: Sequence[Evidence]) -> Evidence:
+    """One table of several recordings' evidence."""
+    shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
+
+    def events(name: str) -> NDArray[np.generic]:
+        return np.concatenate([getattr(p.measured, name) for p in parts])
+
+    def steps(name: str) -> NDArray[np.generic]:
+        return np.concatenate([getattr(p.steps, name) for p in parts])
+
+    def plates(name: str) -> NDArray[np.generic]:
+        return np.concatenate([getattr(p.steps.plate, name) for p in parts])
+
+    measured = Measured(
+        events("opening_s"), events("landing_s"), events("at_once"), events("linked"),  # type: ignore[arg-type]
+        np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
+    )
+    table = Steps(
+        np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
+        *(steps(k) for k in ("number", "gamma", "ratio", "run_part")),  # type: ignore[arg-type]
+        plate=PlateSteps(*(plates(k) for k in ("omega_radps", "acceleration_mps2", "period_s"))),  # type: ignore[arg-type]
+        sigma_mps2=steps("sigma_mps2"), forcing=steps("forcing"),  # type: ignore[arg-type]
+    )
+    return Evidence(
+        measured,
+        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("opening_sigma_s", "landing_sigma_s", "judged", "time_s")),
+        steps=table, plate=PlateData.join([p.plate for p in parts], shift), setup=parts[0].setup,
+        unseen_s=max(p.unseen_s for p in parts), sources=tuple(s for p in parts for s in p.sources),
+        notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
+    )

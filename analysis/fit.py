@@ -1,0 +1,258 @@
+"""Fit of a set of effects to the evidence: robust, bounded, with priors on what is known, judged on held-out steps.
+
+The rule kept here: calibrations and nuisances are always free within what is known of them, so an effect must explain
+what they cannot; a fit is judged only on steps it did not see.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.likelihood import DRIFT, Key, Whitener, World, robust_loss, robust_weight, step_losses
+from daq.setup import Setup
+from model.effects import Parameter, effect, registry
+
+Array = NDArray[np.float64]
+
+RELATIVE_STEP = 0.02  # of a parameter's typical size, for finite differences
+MOST_ITERATIONS = 12
+ENOUGH = 0.02  # nats: a step that gains less ends the fit
+FOLDS = 3
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter before the run: in the parameter's own unit."""
+
+    mean: float
+    sigma: float
+
+
+def priors_of(setup: Setup) -> dict[Key, Prior]:
+    """Priors of calibrations, nuisances and declared effects, from the profile and from the effects' own files."""
+    out = {
+        (r.effect.name, q.name): Prior(q.absent, q.calibration)
+        for r in registry() for q in r.effect.parameters if q.calibration > 0.0 and r.effect.library
+    }
+    drive, accelerometer = setup.drive, setup.channels.accelerometer
+    if drive.g_per_volt is None:
+        out["drive_gain", "relative"] = Prior(0.0, 10.0)
+        out["phase_lag", "delay_s"] = Prior(0.0, 1.0)
+    else:
+        if drive.g_per_volt.uncertainty > 0:
+            out["drive_gain", "relative"] = Prior(0.0, drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value))
+        if drive.phase_deg.uncertainty > 0:
+            seconds = math.radians(drive.phase_deg.uncertainty) / (2 * math.pi * setup.forcing.frequency_hz)
+            out["phase_lag", "delay_s"] = Prior(0.0, seconds)
+    if accelerometer.sensitivity.uncertainty > 0:
+        relative = accelerometer.sensitivity.uncertainty / abs(accelerometer.sensitivity.value)
+        out["accelerometer_gain", "relative"] = Prior(0.0, relative)
+    if setup.g_mps2.uncertainty > 0:
+        out["local_gravity", "excess_mps2"] = Prior(0.0, setup.g_mps2.uncertainty)
+    for name, table in setup.declared.items():
+        for key, quantity in table.items():
+            if quantity.uncertainty > 0:
+                out[name, key] = Prior(quantity.value, quantity.uncertainty)
+            else:
+                out.pop((name, key), None)
+    return out
+
+
+def parameter_of(key: Key) -> Parameter:
+    """The parameter behind a key; a trend has the size of its parameter and no bound but that."""
+    name, q = key
+    parameter = effect(name).effect.parameter(q.removesuffix(DRIFT))
+    if not q.endswith(DRIFT):
+        return parameter
+    span = parameter.high - parameter.low
+    return Parameter(q, parameter.unit, -span, span, parameter.typical, meaning="change over the run")
+
+
+class Fitter:
+    """Fits sets of parameters to one world.
+
+    Parameters
+    ----------
+    world
+    priors
+        Of everything that is always free.
+    train
+        True for the steps that fits and selection may see, shape (m,).
+    """
+
+    def __init__(self, world: World, priors: Mapping[Key, Prior], train: NDArray[np.bool_]) -> None:
+        self.world, self.priors, self.train = world, dict(priors), train
+        spread = np.flatnonzero(train)
+        self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
+
+    # -- coordinates: one typical size is one unit -------------------------------------------------------------
+    def _scale(self, key: Key) -> float:
+        q = parameter_of(key)
+        prior = self.priors.get(key)
+        size = q.typical if prior is None or prior.sigma > q.typical else prior.sigma
+        return float(size ** (1.0 / q.power))
+
+    def _to_x(self, key: Key, value: float) -> float:
+        power = parameter_of(key).power
+        return float(np.sign(value) * abs(value) ** (1.0 / power)) / self._scale(key)
+
+    def _to_value(self, key: Key, x: float) -> float:
+        q, y = parameter_of(key), x * self._scale(key)
+        return float(min(max(np.sign(y) * abs(y) ** q.power, q.low), q.high))
+
+    def values(self, keys: Sequence[Key], x: Array) -> dict[Key, float]:
+        """Parameter values at the coordinates ``x``."""
+        return {k: self._to_value(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
+
+    def _prior_rows(self, keys: Sequence[Key], released: frozenset[Key]) -> tuple[Array, Array]:
+        """Means and inverse widths of the priors in coordinates; width 0 where nothing is known."""
+        mean, inverse = np.zeros(len(keys)), np.zeros(len(keys))
+        for i, key in enumerate(keys):
+            prior = self.priors.get(key)
+            if prior is not None and key not in released:
+                mean[i] = self._to_x(key, prior.mean)
+                inverse[i] = self._scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)
+        return mean, inverse
+
+    # -- the fit ----------------------------------------------------------------------------------------------
+    def fit(self, whitener: Whitener, free: Sequence[Key], start: Mapping[Key, float], fixed: Mapping[Key, float] | None = None,
+            iterations: int = MOST_ITERATIONS) -> Fitted:
+        """Levenberg-Marquardt on the robust loss from ``start``.
+
+        Parameters
+        ----------
+        whitener
+            Weights of the residuals, kept fixed.
+        free
+            Parameters without prior; those of ``self.priors`` are always free within theirs.
+        start
+            Where to begin; missing ones begin at their prior's mean or absent value.
+        fixed
+            Parameters held at a value.
+        """
+        fixed = dict(fixed or {})
+        always = [k for k in self.priors if k not in free and k not in fixed]
+        keys = [*free, *always]
+        x = np.array([self._to_x(k, start.get(k, self.priors[k].mean if k in self.priors else parameter_of(k).absent)) for k in keys])
+        mean, inverse = self._prior_rows(keys, frozenset(free))
+        state = _State(self, whitener, keys, fixed, mean, inverse)
+        z, loss = state.residuals(x)
+        damping, jacobian = 1e-3, np.zeros((len(z), len(keys)))
+        for i in range(iterations):
+            columns = range(len(keys)) if i in (0, 4) else range(len(free))
+            state.fill(jacobian, x, z, columns)
+            normal, gradient = state.normal(jacobian, z, x, state.mask)
+            gained = 0.0
+            for _ in range(6):
+                step = _solve(normal, gradient, damping)
+                trial = state.clip(x + step)
+                zt, lt = state.residuals(trial)
+                if lt < loss:
+                    gained = loss - lt
+                    x, z, loss, damping = trial, zt, lt, max(damping * 0.2, 1e-7)
+                    break
+                damping *= 8.0
+            if gained < ENOUGH:
+                if i < 4 and gained > 0.0:
+                    continue
+                break
+        state.fill(jacobian, x, z, range(len(keys)))
+        return Fitted(self, state, tuple(free), keys, x, z, loss, jacobian)
+
+
+class _State:
+    """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""
+
+    def __init__(self, fitter: Fitter, whitener: Whitener, keys: Sequence[Key], fixed: Mapping[Key, float], mean: Array, inverse: Array):
+        self.fitter, self.whitener, self.keys, self.fixed = fitter, whitener, list(keys), dict(fixed)
+        self.mean, self.inverse = mean, inverse
+        self.step = np.concatenate([whitener.step, fitter.world.evidence.plate.step])
+        self.mask = fitter.train[self.step]
+        self.low = np.array([fitter._to_x(k, parameter_of(k).low) for k in keys])
+        self.high = np.array([fitter._to_x(k, parameter_of(k).high) for k in keys])
+
+    def point(self, x: Array) -> dict[Key, float]:
+        return {**self.fixed, **self.fitter.values(self.keys, x)}
+
+    def clip(self, x: Array) -> Array:
+        return np.clip(x, self.low, self.high)
+
+    def residuals(self, x: Array) -> tuple[Array, float]:
+        z = np.concatenate(self.whitener.white(self.fitter.world.residuals(self.point(x))))
+        prior = 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
+        return z, float(np.sum(robust_loss(z[self.mask]))) + prior
+
+    def fill(self, jacobian: Array, x: Array, z: Array, columns: range) -> None:
+        """Finite differences of the stacked residuals, one column a parameter."""
+        for j in columns:
+            h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
+            moved = x.copy()
+            moved[j] += h
+            jacobian[:, j] = (self.residuals(moved)[0] - z) / h
+
+    def normal(self, jacobian: Array, z: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Normal equations of the weighted step, priors included."""
+        weight = np.where(mask, robust_weight(z), 0.0)
+        weighted = jacobian * weight[:, None]
+        pull = self.inverse**2
+        return weighted.T @ jacobian + np.diag(pull), -(weighted.T @ z) - pull * (x - self.mean)
+
+
+def _solve(normal: Array, gradient: Array, damping: float) -> Array:
+    diagonal = np.diag(normal).copy()
+    diagonal[diagonal <= 0] = 1e-12
+    return np.asarray(np.linalg.lstsq(normal + np.diag(damping * diagonal + 1e-12), gradient, rcond=None)[0])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit with all that held-out judgement and intervals need."""
+
+    fitter: Fitter
+    state: _State
+    free: tuple[Key, ...]
+    keys: list[Key]
+    x: Array
+    z: Array
+    loss: float
+    jacobian: Array
+
+    @property
+    def values(self) -> dict[Key, float]:
+        """Fitted and fixed values."""
+        return self.state.point(self.x)
+
+    def covariance(self) -> Array:
+        """Of all coordinates."""
+        normal, _ = self.state.normal(self.jacobian, self.z, self.x, self.state.mask)
+        return np.asarray(np.linalg.pinv(normal, rcond=1e-14))
+
+    def sigma(self, key: Key) -> float:
+        """Standard deviation of a fitted value, in its own unit."""
+        j = self.keys.index(key)
+        q, scale = parameter_of(key), self.fitter._scale(key)
+        spread = math.sqrt(max(self.covariance()[j, j], 0.0)) * scale
+        if q.power == 1.0:
+            return spread
+        y = abs(self.x[j] * scale)
+        return float(q.power * y ** (q.power - 1.0) * spread)
+
+    def held_out(self, whitener: Whitener) -> dict[str, Array]:
+        """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.
+
+        Each fold's fit is one step from the common one, on the other folds' steps; its residuals are then exact.
+        """
+        world, out = self.fitter.world, {}
+        for fold in self.fitter.folds:
+            mask = self.state.mask & ~fold[self.state.step]
+            normal, gradient = self.state.normal(self.jacobian, self.z, self.x, mask)
+            x = self.state.clip(self.x + _solve(normal, gradient, 1e-6))
+            losses = step_losses(world, whitener, world.residuals(self.state.point(x)))
+            for channel, values in losses.items():
+                out[channel] = out.get(channel, np.zeros_like(values)) + np.where(fold, values, 0.0)
+        return out

@@ -1,0 +1,321 @@
+"""How well a set of effects explains the evidence: residuals one event ahead, their uncertainty, robust loss by step.
+
+The rule kept here: every residual is judged by the uncertainty of what was measured, carried through the prediction
+(edges of this and the earlier flights, the plate's tones), never by the scatter of residuals. The plate's tones err
+for a whole step together, so residuals of one step are whitened together.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from analysis.evidence import Evidence
+from analysis.platedata import expected
+from model.effects import effect, offsets, registry, row
+from model.roll import Predicted, one_ahead
+
+Array = NDArray[np.float64]
+Key = tuple[str, str]
+Values = Mapping[Key, float]
+
+DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
+FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
+FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
+PLATE_FARTHEST = 1e4
+LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
+EDGE_STEP_S = 2e-6
+GRAZING = 10.0  # times the median uncertainty: a landing so uncertain is left out of rms figures
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
+
+    ``*_sigma_s`` is that of the edges, carried through; ``*_by_tone`` the change for one sigma of each quadrature of
+    each plate tone of the event's step.
+    """
+
+    opening_sigma_s: Array
+    landing_sigma_s: Array
+    opening_by_tone: Array
+    landing_by_tone: Array
+
+    @property
+    def landing_total_s(self) -> Array:
+        """With the plate's share, (n,)."""
+        return np.asarray(np.sqrt(self.landing_sigma_s**2 + np.sum(self.landing_by_tone**2, axis=1)))
+
+    @property
+    def opening_total_s(self) -> Array:
+        """With the plate's share, (n,)."""
+        return np.asarray(np.sqrt(self.opening_sigma_s**2 + np.sum(self.opening_by_tone**2, axis=1)))
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Measured minus predicted, in seconds, (n,), NaN where there is no prediction; and of the plate data, (r,)."""
+
+    opening_s: Array
+    landing_s: Array
+    plate: Array
+    predicted: Predicted
+
+
+class World:
+    """The evidence with everything that turns parameter values into residuals.
+
+    Parameters
+    ----------
+    evidence
+        What was measured.
+    base
+        Declared effects, by effect and parameter: the model before anything is added.
+    """
+
+    def __init__(self, evidence: Evidence, base: Mapping[str, Mapping[str, float]]) -> None:
+        self.evidence = evidence
+        self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
+        self.gravity = evidence.setup.g_mps2.value
+        self._nothing = row({}, self.gravity)
+        self.opens = evidence.judged & ~evidence.measured.at_once  # a take-off that was seen, after a rest
+        self._cache: dict[tuple[object, ...], Predicted] = {}
+        self._run_part_events = evidence.steps.run_part[evidence.measured.step]
+
+    def start(self, values: Values) -> dict[Key, float]:
+        """All non-absent parameters: the base, overridden by ``values``."""
+        return {**self.base, **values}
+
+    def rows(self, values: Values) -> Array:
+        """Parameters of each event, (P + 1,) or with drifting parameters (n, P + 1)."""
+        point = self.start(values)
+        out = self._nothing.copy()
+        for (name, key), value in point.items():
+            if not key.endswith(DRIFT):
+                out[offsets()[name, key]] = value
+        drifting = [(k, v) for k, v in point.items() if k[1].endswith(DRIFT) and v != 0.0]
+        if not drifting:
+            return out
+        out = np.repeat(out[None, :], len(self.evidence), axis=0)
+        for (name, key), value in drifting:
+            parameter = effect(name).effect.parameter(key.removesuffix(DRIFT))
+            column = offsets()[name, parameter.name]
+            trend = out[:, column] + value * self._run_part_events
+            out[:, column] = np.clip(trend, parameter.low, parameter.high)
+        return out
+
+    def by_step(self, values: Values) -> dict[str, dict[str, Array]]:
+        """Parameters in each step, by effect and parameter, for the plate data."""
+        point = self.start(values)
+        m = len(self.evidence.steps)
+        out: dict[str, dict[str, Array]] = {}
+        for name in {k[0] for k in point}:
+            table = {q.name: np.full(m, q.absent) for q in effect(name).effect.parameters}
+            for (n, key), value in point.items():
+                if n == name and not key.endswith(DRIFT):
+                    table[key] = np.full(m, value)
+            for (n, key), value in point.items():
+                if n == name and key.endswith(DRIFT):
+                    table[key.removesuffix(DRIFT)] = table[key.removesuffix(DRIFT)] + value * self.evidence.steps.run_part
+            out[name] = table
+        return out
+
+    def scalar(self, values: Values, hook: str, nothing: float) -> float | Array:
+        """Product (around 1) or sum (around 0) of a plain hook over the effects, per step."""
+        total: float | Array = nothing
+        for name, table in self.by_step(values).items():
+            hooks = effect(name).hooks
+            if hook in hooks:
+                one = np.array([hooks[hook]({k: float(v[i]) for k, v in table.items()}) for i in range(len(self.evidence.steps))])
+                total = total * one if nothing == 1.0 else total + one
+        return total
+
+    def predict(self, values: Values, *, landing_shift_s: Array | None = None, tones: NDArray[np.complex128] | None = None,
+                rows: Array | None = None) -> Predicted:
+        """One event ahead at ``values``; times are those that the instrument would show."""
+        ev = self.evidence
+        step = ev.measured.step
+        shift = np.broadcast_to(np.asarray(self.scalar(values, "shift_s", 0.0)), (len(ev.steps),))[step]
+        reading = np.asarray(self.scalar(values, "reading", 1.0))
+        gap = np.broadcast_to(np.asarray(self.scalar(values, "gap_m", 0.0)), (len(ev.steps),))[step]
+        z = ev.steps.plate.acceleration_mps2 if tones is None else tones
+        plate = replace(ev.steps.plate, acceleration_mps2=z / (reading if reading.ndim == 0 else reading[:, None]))
+        moved = ev.measured.landing_s - shift
+        if landing_shift_s is not None:
+            moved = moved + landing_shift_s
+        measured = replace(ev.measured, opening_s=ev.measured.opening_s - shift, landing_s=moved)
+        p = one_ahead(measured, plate, self.rows(values) if rows is None else rows, gap_m=gap, unseen_s=ev.unseen_s)
+        return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
+
+    def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
+        """Measured minus predicted at ``values``."""
+        ev = self.evidence
+        if rows is None:
+            flying = tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
+            if flying not in self._cache:
+                if len(self._cache) > 64:
+                    self._cache.clear()
+                self._cache[flying] = self.predict(values)
+            p = self._cache[flying]
+        else:
+            p = self.predict(values, rows=rows)
+        opening = np.where(self.opens, ev.measured.opening_s - p.opening_s, np.nan)
+        landing = np.where(ev.judged, ev.measured.landing_s - p.landing_s, np.nan)
+        plate = ev.plate.value - expected(ev.plate, self.by_step(values))
+        return Residuals(opening, landing, plate, p)
+
+    def uncertainty(self, values: Values) -> Uncertainty:
+        """Uncertainty of the residuals at ``values``, by finite differences of the prediction itself."""
+        ev = self.evidence
+        n = len(ev)
+        base = self.predict(values)
+        open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2
+        index = np.arange(n)
+        for colour in range(3):
+            chosen = index % 3 == colour
+            moved = self.predict(values, landing_shift_s=np.where(chosen, EDGE_STEP_S, 0.0))
+            for back in (1, 2):
+                rows = (index - back >= 0) & chosen[np.maximum(index - back, 0)]
+                sigma = ev.landing_sigma_s[np.maximum(index - back, 0)]
+                open_var = open_var + np.where(rows, _slope(moved.opening_s - base.opening_s) * sigma, 0.0) ** 2
+                land_var = land_var + np.where(rows, _slope(moved.landing_s - base.landing_s) * sigma, 0.0) ** 2
+        columns_open, columns_land = [], []
+        steps = ev.steps
+        for k in range(steps.sigma_mps2.shape[1]):
+            if not np.any(steps.forcing[:, k]):
+                continue
+            for unit in (1.0, 1j):
+                z = steps.plate.acceleration_mps2.copy()
+                z[:, k] += unit * steps.sigma_mps2[:, k]
+                moved = self.predict(values, tones=z)
+                columns_open.append(_finite(moved.opening_s - base.opening_s))
+                columns_land.append(_finite(moved.landing_s - base.landing_s))
+        shape = (0, n)
+        return Uncertainty(
+            np.sqrt(open_var), np.sqrt(land_var),
+            np.array(columns_open).reshape(-1, *shape[1:]).T, np.array(columns_land).reshape(-1, *shape[1:]).T,
+        )
+
+
+def _capped(x: Array, cap: Array) -> Array:
+    """Residuals within their caps; where nothing was predicted, the cap itself."""
+    return np.clip(np.where(np.isfinite(x), x, cap), -cap, cap)
+
+
+def _finite(x: Array) -> Array:
+    return np.where(np.abs(x) < 5e-3, np.nan_to_num(x), 0.0)
+
+
+def _slope(difference: Array) -> Array:
+    return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -30.0, 30.0)
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns residuals into independent unit ones, step by step; fixed while a fit runs.
+
+    ``excess_s`` is what the residuals scatter beyond their uncertainty, for openings and for landings: a model that
+    misses something is compared with others at its own excess, and an excess of nothing is the aim.
+    """
+
+    opening: NDArray[np.int64]
+    landing: NDArray[np.int64]
+    step: NDArray[np.int64]
+    order: NDArray[np.int64]
+    blocks: tuple[tuple[int, int, Array], ...]
+    cap: Array
+    log_sigma: Array  # of each whitened residual
+    plate_sigma: Array
+    plate_log: Array
+    excess_s: tuple[float, float]
+
+    @classmethod
+    def of(cls, world: World, values: Values) -> Whitener:
+        """From the uncertainty and the excess at ``values``."""
+        ev = world.evidence
+        u, r = world.uncertainty(values), world.residuals(values)
+        opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
+        period = ev.steps.plate.period_s[ev.measured.step]
+        cap_o, cap_l = FARTHEST_PERIODS * period[opening], FARTHEST_PERIODS * period[landing]
+        excess = (
+            _excess(_capped(r.opening_s[opening], cap_o), u.opening_total_s[opening]),
+            _excess(_capped(r.landing_s[landing], cap_l), u.landing_total_s[landing]),
+        )
+        step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
+        variance = np.concatenate([
+            u.opening_sigma_s[opening] ** 2 + excess[0] ** 2, u.landing_sigma_s[landing] ** 2 + excess[1] ** 2
+        ])
+        tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
+        order = np.argsort(step, kind="stable")
+        blocks, logs, at = [], np.zeros(len(step)), 0
+        for count in np.unique(step, return_counts=True)[1]:
+            rows = order[at : at + count]
+            factor = np.linalg.cholesky(np.diag(variance[rows]) + tones[rows] @ tones[rows].T)
+            blocks.append((at, at + count, factor))
+            logs[at : at + count] = np.log(np.diag(factor))
+            at += count
+        sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
+        return cls(opening, landing, step[order], order, tuple(blocks), np.concatenate([cap_o, cap_l]), logs, sigma, log, excess)
+
+    def white(self, r: Residuals) -> tuple[Array, Array]:
+        """Whitened event residuals (in the order of ``step``) and plate residuals."""
+        both = _capped(np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]]), self.cap)[self.order]
+        out = np.empty_like(both)
+        for lo, hi, factor in self.blocks:
+            out[lo:hi] = solve_triangular(factor, both[lo:hi], lower=True, check_finite=False)
+        return out, np.clip(r.plate / self.plate_sigma, -PLATE_FARTHEST, PLATE_FARTHEST)
+
+
+def _excess(residual: Array, sigma: Array) -> float:
+    """Scatter beyond the uncertainty, by maximum likelihood on a grid, robust."""
+    if len(residual) == 0:
+        return LEAST_EXCESS_S
+    grid = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, 2e-2, 45)])
+    total = np.sqrt(sigma[None, :] ** 2 + grid[:, None] ** 2)
+    loss = robust_loss(residual[None, :] / total) + np.log(total)
+    return float(grid[np.argmin(loss.sum(axis=1))])
+
+
+def _plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
+    """Uncertainty of plate data with each kind's own excess, and its logarithm relative to the bare one."""
+    out = sigma.copy()
+    for k in np.unique(kind):
+        rows = kind == k
+        grid = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)]) * np.median(sigma[rows])
+        total = np.sqrt(sigma[rows][None, :] ** 2 + grid[:, None] ** 2)
+        loss = robust_loss(residual[rows][None, :] / total) + np.log(total)
+        out[rows] = total[np.argmin(loss.sum(axis=1))]
+    return out, np.log(out / sigma)
+
+
+def robust_loss(z: Array) -> Array:
+    """Negative log of Student's t density of unit residuals, up to a constant."""
+    return np.asarray(0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM))
+
+
+def robust_weight(z: Array) -> Array:
+    """Weight of each residual in the least-squares step that lowers the robust loss."""
+    return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z))
+
+
+def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Array]:
+    """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
+    m = len(world.evidence.steps)
+    events, plate = whitener.white(r)
+    return {
+        "events": np.bincount(whitener.step, robust_loss(events) + whitener.log_sigma, minlength=m),
+        "plate": np.bincount(world.evidence.plate.step, robust_loss(plate) + whitener.plate_log, minlength=m),
+    }
+
+
+@functools.cache
+def plate_effects() -> frozenset[str]:
+    """Names of the effects that touch plate data only, never a flight."""
+    flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m"}
+    return frozenset(r.effect.name for r in registry() if r.hooks and not flying & r.hooks.keys())
+

@@ -1,0 +1,225 @@
+"""The plate against the drive, step by step: each number that an effect of plate or accelerometer would move.
+
+The rule kept here: a datum is a number with its uncertainty and a kind; what an effect says of that kind is computed
+in one place (`expected`), from the hooks of the effects' own files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.plate import StepPlate
+from daq.setup import Setup
+from model.effects import registry
+
+Array = NDArray[np.float64]
+
+GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
+KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
+UNITS = ("1", "rad", "1", "1", "m/s^2", "1", "1", "m/s^2", "1")
+SQUARED = (SECOND, THIRD, HUM, MODULATION)  # kept as unbiased squares: an amplitude without its sign
+CLOCK_LIMIT = 5e-3  # a larger difference is another frequency, not a clock
+SYSTEMATIC = 2e-5  # relative: what the estimator itself leaves
+
+
+@dataclass(frozen=True)
+class PlateData:
+    """Plate data of all steps, arrays of shape (r,).
+
+    Attributes
+    ----------
+    kind, step
+        Which number, and the row of the step it belongs to.
+    value, sigma
+        Gain is a natural logarithm, phase in rad; amplitudes without a sign are squares, less their noise.
+    omega_radps
+        Angular frequency of the tone.
+    accel_g
+        What the drive asks of the first tone, in units of g (0 where unknown).
+    scale
+        Amplitude of the first tone, m/s^2.
+    """
+
+    kind: NDArray[np.int64]
+    step: NDArray[np.int64]
+    value: Array
+    sigma: Array
+    omega_radps: Array
+    accel_g: Array
+    scale: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @classmethod
+    def join(cls, parts: Sequence[Self], shift: NDArray[np.int64]) -> Self:
+        """All parts in one table, their steps' rows moved by ``shift``."""
+        columns = [np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__]
+        columns[1] = np.concatenate([p.step + s for p, s in zip(parts, shift, strict=True)])
+        return cls(*columns)
+
+
+def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tuple[str, ...]]:
+    """Plate data of the fitted steps, and notes for the person who reads the report."""
+    rows: list[tuple[float, ...]] = []
+    notes: list[str] = []
+    scale, turned = _drive_scale(fitted, setup, notes)
+    for i, s in enumerate(fitted):
+        first = abs(s.tone(1)[0])
+        asked = 0.0
+        if s.drive is not None and scale is not None:
+            volts = {m: s.drive.amplitudes[k] for k, m in enumerate(s.multiples) if k < len(s.drive.amplitudes)}
+            asked = abs(volts[1] * scale) / setup.g_mps2.value
+            rows += _gain_rows(i, s, scale, turned, asked, first)
+        rows += _tone_rows(i, s, asked, first)
+        rows += _instrument_rows(i, s, setup, asked, first)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    return PlateData(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), *table[:, 2:].T), tuple(notes)
+
+
+def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> tuple[complex | None, float]:
+    """Plate acceleration in m/s^2 for a volt of drive, and the sign by which the drive is turned."""
+    ratios = [s.tone(1)[0] / s.drive.amplitudes[0] for s in fitted if s.drive is not None and abs(s.drive.amplitudes[0]) > 0]
+    if not ratios:
+        return None, 1.0
+    if setup.drive.g_per_volt is None:
+        notes.append("the profile declares no [drive] g_per_volt: a wrong drive gain or lag cannot be seen on this rig")
+        size = complex(np.median(np.abs(ratios)) * np.exp(1j * np.angle(np.sum(np.array(ratios)))))
+        return size, 1.0
+    phase = np.exp(1j * np.radians(setup.drive.phase_deg.value))
+    scale = complex(setup.drive.g_per_volt.value * setup.g_mps2.value * phase)
+    turn = np.angle(np.sum(np.array(ratios) / scale))
+    if abs(turn) > 0.8 * np.pi:
+        notes.append("the plate moves against the declared sense of the drive: taken for reversed leads, not for a lag")
+        return -scale, -1.0
+    return scale, 1.0
+
+
+def _gain_rows(i: int, s: StepPlate, scale: complex, turned: float, asked: float, first: float) -> list[tuple[float, ...]]:
+    if s.drive is None:
+        return []
+    rows: list[tuple[float, ...]] = []
+    sig_a, sig_v = s.acceleration.amplitude_sigma(), s.drive.amplitude_sigma()
+    for m in s.forcing_multiples:
+        k = s.multiples.index(m)
+        z, v = s.acceleration.amplitudes[k], s.drive.amplitudes[k]
+        if abs(v) < 20 * sig_v[k] or abs(z) < 20 * sig_a[k]:
+            continue
+        ratio = z / (v * scale)
+        sigma = float(np.hypot(np.hypot(sig_a[k] / abs(z), sig_v[k] / abs(v)), SYSTEMATIC))
+        omega = m * s.omega_radps
+        rows.append((GAIN, i, float(np.log(abs(ratio))), sigma, omega, asked, first))
+        rows.append((PHASE, i, float(np.angle(ratio)), sigma, omega, asked, first))
+    return rows
+
+
+def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[float, ...]]:
+    """Harmonics, mains and modulation, as squares less the noise's share."""
+    rows: list[tuple[float, ...]] = []
+    fit, sigmas = s.acceleration, s.acceleration.amplitude_sigma()
+    for kind, m in ((SECOND, 2), (THIRD, 3)):
+        if m in s.multiples and m not in s.forcing_multiples:
+            k = s.multiples.index(m)
+            noise = float(np.hypot(sigmas[k] / first, SYSTEMATIC))
+            square = (abs(fit.amplitudes[k]) / first) ** 2
+            rows.append((kind, i, square - 2 * noise**2, _square_sigma(square, noise), m * s.omega_radps, asked, first))
+    mains = range(len(s.multiples), len(fit.frequencies_hz))
+    if len(mains):
+        k = max(mains, key=lambda j: abs(fit.amplitudes[j]) / sigmas[j])
+        square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
+        rows.append((HUM, i, square - 2 * noise**2, _square_sigma(square, noise), 2 * np.pi * fit.frequencies_hz[k], asked, first))
+    w = s.windows
+    if w.amplitudes.ndim == 2 and w.amplitudes.shape[0] >= 4:
+        relative = np.abs(w.amplitudes[:, 0]) / first
+        noise_w = w.uncertainty_mps2[:, 0] / first
+        good = np.isfinite(relative) & np.isfinite(noise_w)
+        if good.sum() >= 4:
+            d, v = relative[good] - relative[good].mean(), float(np.mean(noise_w[good] ** 2))
+            freedom = good.sum() - 1
+            square = 2.0 * float(np.sum(d**2) / freedom - v)
+            rows.append((MODULATION, i, square, 2.0 * np.sqrt(2.0 / freedom) * max(v, abs(square) / 2), 0.0, asked, first))
+    return rows
+
+
+def _square_sigma(square: float, noise: float) -> float:
+    """Standard deviation of a squared amplitude measured with ``noise`` in each quadrature."""
+    return float(np.sqrt(4.0 * square * noise**2 + 4.0 * noise**4))
+
+
+def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
+    """Contact against flight, offset, clock."""
+    rows: list[tuple[float, ...]] = []
+    if s.contact is not None and s.flight is not None:
+        zc, zf = s.contact.amplitudes[0], s.flight.amplitudes[0]
+        sigma = float(np.hypot(s.contact.amplitude_sigma()[0] / abs(zc), s.flight.amplitude_sigma()[0] / abs(zf)))
+        if sigma < 0.05:
+            rows.append((GATE, i, float(np.log(abs(zf) / abs(zc))), np.hypot(sigma, SYSTEMATIC), s.omega_radps, asked, first))
+    channel = setup.channels.accelerometer
+    if channel.coupling == "dc" and channel.offset_v is not None:
+        known = channel.offset_v.uncertainty / abs(channel.volts_per_mps2)
+        sigma = float(np.hypot(s.acceleration.offset_uncertainty, known))
+        rows.append((OFFSET, i, s.acceleration.offset, max(sigma, 1e-4), 0.0, asked, first))
+    apart = s.frequency_hz / setup.forcing.frequency_hz - 1.0
+    if abs(apart) < CLOCK_LIMIT and s.frequency_uncertainty_hz > 0:
+        rows.append((CLOCK, i, apart, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first))
+    return rows
+
+
+def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Array:
+    """What the effects say of each datum, shape (r,).
+
+    Parameters
+    ----------
+    data
+        The table.
+    values
+        By effect and parameter, the value in each step, arrays of shape (m,).
+    """
+    out = np.zeros(len(data))
+    for entry in registry():
+        table = values.get(entry.effect.name)
+        if table is None or not entry.hooks:
+            continue
+        for j in np.unique(data.step):
+            p = {name: float(column[j]) for name, column in table.items()}
+            if p == entry.effect.absent:
+                continue
+            rows = data.step == j
+            _add(out, data, rows, entry.hooks, p)
+    return out
+
+
+def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[str, object], p: dict[str, float]) -> None:
+    """Add one effect's share to the data of one step."""
+    kind = data.kind
+
+    def put(k: int, value: float) -> None:
+        out[rows & (kind == k)] += value
+
+    for name, hook in hooks.items():
+        if name == "transfer":
+            tones = np.flatnonzero(rows & ((kind == GAIN) | (kind == PHASE)))
+            for i in tones:
+                factor = hook(p, data.omega_radps[i : i + 1], float(data.accel_g[i]))[0]  # type: ignore[operator]
+                out[i] += np.log(abs(factor)) if kind[i] == GAIN else np.angle(factor)
+        elif name == "reading":
+            put(GAIN, float(np.log(hook(p))))  # type: ignore[operator]
+        elif name == "harmonics":
+            second, third = hook(p)  # type: ignore[operator]
+            put(SECOND, second**2)
+            put(THIRD, third**2)
+        elif name == "hum_mps2":
+            put(HUM, hook(p) ** 2)  # type: ignore[operator]
+        elif name == "modulation":
+            put(MODULATION, hook(p) ** 2)  # type: ignore[operator]
+        elif name == "gate":
+            put(GATE, float(np.log1p(hook(p))))  # type: ignore[operator]
+        elif name == "offset_mps2":
+            put(OFFSET, hook(p))  # type: ignore[operator]
+        elif name == "time_scale":
+            put(CLOCK, 1.0 / hook(p) - 1.0)  # type: ignore[operator]
