@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.int8]
+Rows = NDArray[np.int64]
 _F = TypeVar("_F", bound=Callable[..., object])
 
 

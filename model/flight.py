@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import branches, ideal_kernel, stage
+from model import branches, ideal_kernel, lockstep, stage
 from model.tones import Forcing
 
 SNAP = 4.5e-16  # a phase this near to a threshold, relative, is that threshold
@@ -168,7 +168,7 @@ def run_diagram(forcing: Forcing, gammas: ArrayLike, n_transient: int, n_keep: i
         raise ValueError(f"flight counts must not be negative, not {n_transient} and {n_keep}")
     shape = (grid.size, n_keep)
     out = Orbit(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
-    ideal_kernel.diagram(
+    lockstep.lockstep_diagram(
         forcing.tones, turning_points(forcing), grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag
     )
     return out

@@ -150,14 +150,18 @@ def root_in_concave(
         else:
             return x, -h1
         determinant = 2.0 * h1 * h1 - h * h2
-        new = x - 2.0 * h * h1 / determinant if determinant > h1 * h1 and h1 < 0.0 else 0.5 * (lo + hi)
+        if h1 < 0.0 and determinant > h1 * h1:
+            step = 2.0 * h * h1 / determinant
+            size = abs(step)
+            if size <= 1e-6 * min(1.0, tau) and size * abs(h2) <= -1e-6 * h1:  # Halley's next error: below 1e-18
+                return x - step, h2 * step - h1
+            new = x - step
+        else:
+            new = lo
         if not lo < new < hi:
             new = 0.5 * (lo + hi)
-        step = abs(new - x)
-        if step <= 1e-6 * min(1.0, tau) and step * abs(h2) <= 1e-6 * abs(h1):  # Halley's next error: below 1e-18
-            return new, -h1 - h2 * (new - x)
-        if step <= 4e-16 * (abs(x) if tau > SHORT else tau):
-            return new, -h1
+            if new == lo or new == hi:
+                return new, -h1
         x = new
     return x, -h1
 
@@ -209,12 +213,14 @@ def standstill(
             lo = x
         else:
             hi = x
-        new = x - h1 / h2
+        step = h1 / h2
+        if abs(step) <= 1e-8 * min(1.0, tau):  # Newton's next step: below 1e-16
+            return min(max(x - step, lo), hi)
+        new = x - step
         if not lo < new < hi:
             new = 0.5 * (lo + hi)
-        step = abs(new - x)
-        if step <= 1e-9 * tau or step <= 4e-16 * abs(x):  # Newton's next step: below 1e-18
-            return new
+            if new == lo or new == hi:
+                return new
         x = new
     return x
 
