@@ -1,0 +1,49 @@
+"""`bench predict`: what the model says, at one gamma, over a range of gammas, or for a figure of the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    c: int = typer.Option(1, "--c", min=1, help="Second tone's multiple of the first; 1 is one sine."),
+    gamma: float | None = typer.Option(None, help="A w^2 / g, the paper's Gamma."),
+    gamma_peak: float | None = typer.Option(None, help="Peak plate acceleration / g, in place of --gamma, at c = 1."),
+    gamma_range: tuple[float, float] | None = typer.Option(None, help="From and to, in gamma."),
+    bifurcations: bool = typer.Option(False, "--bifurcations", help="List every bifurcation in --gamma-range."),
+    effect: list[str] = typer.Option([], help="name.parameter=value, such as restitution.e0=0.514; repeatable."),
+    frequency_hz: float | None = typer.Option(None, help="First tone, Hz: flight times in seconds, effects in SI."),
+    sweep: str | None = typer.Option(None, help="up or down: carry the state from gamma to gamma, as a bench does."),
+    phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
+    steps: int = typer.Option(1000, min=2, help="Gammas of a diagram over --gamma-range."),
+    adaptive: bool = typer.Option(False, "--adaptive", help="More gammas where something happens."),
+    narrowest: float = typer.Option(1e-6, help="Narrowest window of gamma looked for by --bifurcations."),
+    workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
+    cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
+    paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
+    json_to: str | None = typer.Option(None, "--json", help="File for the answer as JSON; - is standard output."),
+    out: Path | None = typer.Option(None, help="HDF5 file for a diagram; continued if it is there, unfinished."),
+    figure: Path | None = typer.Option(None, help="Picture of a diagram (PNG, PDF or SVG)."),
+) -> None:
+    """Predict orbits, bifurcation diagrams and bifurcations.
+
+    The orbit starts from rest on the plate; --sweep carries the state from one gamma to the next instead.
+
+    Examples: bench predict --c 2 --gamma 1.28 --json -
+
+    bench predict --c 1 --gamma-range 0.5 6 --bifurcations --json -
+
+    bench predict --c 2 --gamma-range 0.2 3 --out diagram.h5 --figure diagram.png
+    """
+    from bench.predict_run import Request, run
+
+    run(
+        Request(
+            ratio=c, gamma=gamma, gamma_peak=gamma_peak, gamma_range=gamma_range, bifurcations=bifurcations,
+            effects=tuple(effect), frequency_hz=frequency_hz, sweep=sweep, phase_deg=phase_deg, steps=steps,
+            adaptive=adaptive, narrowest=narrowest, workers=workers, cluster=cluster, paper_figure=paper_figure,
+            json_to=json_to, out=out, figure=figure,
+        )
+    )

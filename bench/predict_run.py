@@ -1,0 +1,170 @@
+"""What `bench predict` does with its options: one orbit, a list of bifurcations, a diagram or a figure of the paper.
+
+The rule kept here: with ``--json -`` standard output carries the JSON and nothing else; progress goes to standard error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.console import EXIT_USAGE, fail, write_json
+from daq.errors import InputError
+from model.bifurcation import Bifurcation
+from model.choose import ball_of
+from model.orbit import Attractor, Ball, attractor, sweep
+from model.tones import Forcing
+
+SWEEP_STEPS = 400  # gammas of the sweep that leads to a single gamma
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of `bench predict`, as given."""
+
+    ratio: int = 1
+    gamma: float | None = None
+    gamma_peak: float | None = None
+    gamma_range: tuple[float, float] | None = None
+    bifurcations: bool = False
+    effects: tuple[str, ...] = ()
+    frequency_hz: float | None = None
+    sweep: str | None = None
+    phase_deg: float = 0.0
+    steps: int = 1000
+    adaptive: bool = False
+    narrowest: float = 1e-6
+    workers: int = 1
+    cluster: str | None = None
+    paper_figure: int | None = None
+    json_to: str | None = None
+    out: Path | None = None
+    figure: Path | None = None
+
+
+def run(request: Request) -> None:
+    """Answer ``request``; leaves with status 2 and one line where it cannot be answered."""
+    try:
+        if request.paper_figure is not None:
+            from bench.predict_pictures import paper_figure
+
+            paper_figure(request.paper_figure, request.figure)
+            return
+        ball = _ball(request)
+        if request.gamma_range is None:
+            _one(ball, request)
+        elif request.bifurcations:
+            _bifurcations(ball, request)
+        else:
+            from bench.predict_diagram import diagram
+
+            diagram(ball, request)
+    except ValueError as error:
+        fail(str(error), EXIT_USAGE)
+
+
+def parse_effects(given: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """``name.parameter=value`` options as a table by effect and parameter.
+
+    Raises
+    ------
+    InputError
+        For text of another form.
+    """
+    effects: dict[str, dict[str, float]] = {}
+    for text in given:
+        place, equals, value = text.partition("=")
+        name, dot, parameter = place.strip().partition(".")
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (equals and dot and name and parameter and math.isfinite(number)):
+            raise InputError(f"--effect wants name.parameter=number, such as restitution.e0=0.514, not {text!r}")
+        effects.setdefault(name, {})[parameter] = number
+    return effects
+
+
+def forcing_of(request: Request) -> Forcing:
+    """The plate's motion but for its amplitude."""
+    return Forcing.superposition(request.ratio, phase_rad=(0.0, math.radians(request.phase_deg)))
+
+
+def _ball(request: Request) -> Ball:
+    if request.sweep not in (None, "up", "down"):
+        raise InputError(f"--sweep wants up or down, not {request.sweep!r}")
+    if request.frequency_hz is not None and not (math.isfinite(request.frequency_hz) and request.frequency_hz > 0):
+        raise InputError(f"--frequency-hz wants a positive number, not {request.frequency_hz!r}")
+    forcing = forcing_of(request)
+    if not forcing.moves:
+        raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")
+    return ball_of(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz)
+
+
+def _gamma(request: Request) -> float:
+    if (request.gamma is None) == (request.gamma_peak is None):
+        raise InputError("give one of --gamma, --gamma-peak (at c = 1) and --gamma-range")
+    if request.gamma is not None:
+        value = request.gamma
+    else:
+        if request.ratio != 1:
+            raise InputError("--gamma-peak goes with --c 1 alone; give --gamma, the paper's A w^2 / g")
+        first = forcing_of(request).amplitude[0]
+        value = (request.gamma_peak or 0.0) / first
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"gamma wants a number that is not negative, not {value!r}")
+    return value
+
+
+def _one(ball: Ball, request: Request) -> None:
+    gamma = _gamma(request)
+    if request.sweep is None:
+        found = attractor(ball, gamma)
+    else:
+        import numpy as np
+
+        start = 0.0 if request.sweep == "up" else 2.0 * gamma
+        found = sweep(ball, np.linspace(start, gamma, SWEEP_STEPS))[-1]
+    answer = orbit_json(found, request.ratio, gamma, request.frequency_hz)
+    write_json(answer, request.json_to)
+    if request.json_to is None:
+        print(f"c = {request.ratio}, gamma = {gamma:.9g}: {found.label}")
+        for tau in found.tau:
+            seconds = "" if request.frequency_hz is None else f"   {tau / (2 * math.pi * request.frequency_hz):.9f} s"
+            print(f"  tau = {tau:.9f}{seconds}")
+
+
+def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float | None) -> dict[str, Any]:
+    """One orbit as scripts read it."""
+    tau = [float(t) for t in found.tau]
+    seconds = None if frequency_hz is None else [t / (2.0 * math.pi * frequency_hz) for t in tau]
+    return {
+        "c": ratio, "gamma": gamma, "kind": found.kind, "period": found.period, "flights": found.flights,
+        "resets": found.resets, "locked": found.locked, "tau": tau, "flight_time_s": seconds,
+    }
+
+
+def _bifurcations(ball: Ball, request: Request) -> None:
+    from model.branches import q_and_slope
+    from model.flight import turning_points
+    from model.sequence import sequence
+
+    forcing = forcing_of(request)
+    peak = max(q_and_slope(forcing.tones, float(p))[0] for p in turning_points(forcing))
+    low, high = request.gamma_range or (0.0, 0.0)
+    found = sequence(ball, low, high, narrowest=request.narrowest, sweep=request.sweep)
+    write_json([bifurcation_json(b, peak) for b in found], request.json_to)
+    if request.json_to is None:
+        print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")
+        for b in found:
+            print(f"{b.gamma:16.10f} {b.gamma * peak:16.10f}  {b.type:<22} {b.before.period} -> {b.after.period}")
+
+
+def bifurcation_json(found: Bifurcation, peak: float) -> dict[str, Any]:
+    """One bifurcation as scripts read it; ``peak`` is gamma_peak over gamma."""
+    return {
+        "gamma": found.gamma, "gamma_peak": found.gamma * peak, "type": found.type,
+        "period_before": found.before.period, "period_after": found.after.period,
+    }
