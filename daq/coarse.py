@@ -40,7 +40,7 @@ def weights(forcing: Forcing) -> tuple[tuple[int, float], ...]:
     return tuple((m, m * m * abs(z)) for m, z in forcing.displacement_tones() if abs(z) > 1e-12)
 
 
-def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing, hint_hz: float) -> list[Region]:
+def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[Region]:
     """Stretches of a nearly constant forcing frequency, in order.
 
     Parameters
@@ -50,10 +50,9 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing,
     start, stop, rate_hz
         What to look at.
     forcing
-        Its tones' ratio and amplitudes (its frequency is not used).
-    hint_hz
-        Rough frequency; right within a factor of `SPAN`.
+        Its tones' ratio and amplitudes, and a frequency that is right within a factor of `SPAN`.
     """
+    hint_hz = forcing.frequency_hz
     tones = weights(forcing)
     window = round(min(max(WINDOW_CYCLES / hint_hz, 0.1), 2.0) * rate_hz)
     hop = max(window // 2, 1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -135,6 +135,24 @@ class ColumnWriter:
         self.n_samples += n
         self._n_held -= n
 
+    def flush(self) -> None:
+        """Write what is held back, so that `read` sees every sample."""
+        if self._n_held:
+            self._write(self._n_held)
+
+    def read(self, name: str, start: int, stop: int) -> NDArray[Any]:
+        """Samples of a column as stored, ``(stop - start,)``, after `flush`."""
+        piece: NDArray[Any] = self._sets[name][start:stop]
+        return piece
+
+    def replace_timestamps(self, stamps: Callable[[int, int], NDArray[np.int64]]) -> None:
+        """Write other times over those appended; ``stamps(start, stop)`` gives nanoseconds."""
+        self._crc["timestamp"] = 0
+        for start in range(0, self.n_samples, CHUNK_SAMPLES):
+            piece = stamps(start, min(start + CHUNK_SAMPLES, self.n_samples))
+            self._sets["timestamp"][start : start + len(piece)] = piece
+            self._crc["timestamp"] = crc32(np.asarray(piece, "<i8"), self._crc["timestamp"])
+
     def check(self, steps: NDArray[np.void], blocks: NDArray[np.void], **late: Any) -> None:
         """Write tables and attributes, close, and read every byte back.
 
@@ -150,8 +168,7 @@ class ColumnWriter:
         OSError
             When the disk refuses, or what was written does not read back.
         """
-        if self._n_held:
-            self._write(self._n_held)
+        self.flush()
         _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)
         _write_table(self._file, "blocks", "block", blocks.astype(BLOCK_DTYPE), BLOCK_NAMES)
         self._attributes |= late

@@ -6,8 +6,8 @@ it is its fade. The frequency is fitted to the phase over the whole hold, becaus
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ from daq.tracking import Still, fit, frequency_correction, same_frequency, split
 Floats = NDArray[np.float64]
 
 SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
+SHORTEST_CYCLES = 4.0  # of a step that somebody set
 QUIET = 2e-3  # of the largest amplitude
 SAME_FREQUENCY = 3e-5  # relative
-SAME_MOTION = 2e-3  # relative
+SAME_MOTION = 1e-3  # relative
 _READ_AHEAD = 1 << 18
 
 
@@ -49,9 +50,8 @@ class FoundStep:
     tones: ToneFit
 
     def settled(self, rate_hz: float) -> int:
-        """First sample that counts as hold: two cycles after what moves, or at the middle of a short step."""
-        cycles = SETTLE_CYCLES if self.hold > self.start else 0.0
-        return min(self.hold + round(cycles * rate_hz / self.frequency_hz), (self.hold + self.stop) // 2)
+        """First sample that counts as hold: two cycles after what moves, or the middle of a short step."""
+        return min(self.hold + round(SETTLE_CYCLES * rate_hz / self.frequency_hz), (self.hold + self.stop) // 2)
 
 
 def find_steps(
@@ -60,8 +60,6 @@ def find_steps(
     stop: int,
     rate_hz: float,
     forcing: Forcing,
-    hint_hz: float | None = None,
-    progress: Callable[[int], None] | None = None,
 ) -> list[FoundStep]:
     """Steps between two samples, in order.
 
@@ -72,24 +70,27 @@ def find_steps(
     start, stop, rate_hz
         What to look at.
     forcing
-        Ratio and relative amplitudes of the tones.
-    hint_hz
-        Rough frequency; the default is the forcing's. Right within a factor of 8 is enough.
-    progress
-        Called with the last sample looked at.
+        Ratio and relative amplitudes of the tones, and a rough frequency: right within a factor of 8 is enough.
     """
     ahead = _ReadAhead(read, stop)
     found: list[FoundStep] = []
-    near = regions(ahead.read, start, stop, rate_hz, forcing, hint_hz or forcing.frequency_hz)
+    near = regions(ahead.read, start, stop, rate_hz, forcing)
     for region in split_exactly(ahead.read, near, rate_hz, forcing):
         for part in same_frequency(ahead.read, region, rate_hz, forcing):
             still = still_parts(ahead.read, part, rate_hz, forcing)
             found += [_refined(ahead.read, one, rate_hz, forcing) for one in still]
-        if progress is not None:
-            progress(region.stop)
     found = _joined(ahead.read, found, rate_hz, forcing)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
     return [s for s in found if np.abs(s.tones.amplitudes).max() > QUIET * loudest]
+
+
+def given_step(
+    read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing, frequency_hz: float
+) -> list[FoundStep]:
+    """The step that somebody set between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
+    if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < SHORTEST_CYCLES:
+        return []
+    return [_refined(_ReadAhead(read, stop).read, Still(start, start, stop, frequency_hz), rate_hz, forcing)]
 
 
 def step_table(
@@ -128,7 +129,7 @@ def step_table(
     return rows
 
 
-def gamma_of(amplitudes: NDArray[np.complex128], forcing: Forcing) -> float:
+def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
     """Gamma from the tones' acceleration amplitudes in units of g: least squares on the forcing's shape.
 
     ``|a_m| / g = gamma m^2 |d_m|`` with ``d_m`` the tones of ``x_p / A``.

@@ -1,0 +1,51 @@
+"""`bench export`: a recording for readers that know nothing of it."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+
+import typer
+
+from bench.console import EXIT_USAGE, fail, write_json
+
+
+class Kind(enum.StrEnum):
+    """What can be written."""
+
+    csv = "csv"
+    npz = "npz"
+    h5 = "h5"
+
+
+def command(
+    recording: Path = typer.Argument(..., metavar="REC.h5", help="Recording to read."),
+    out: Path = typer.Option(..., "--out", "-o", metavar="FILE", help="File to create; never overwritten."),
+    to: Kind = typer.Option(None, "--to", help="Kind of file; by default what the ending of FILE says."),
+    json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write a summary as JSON; - is the screen."),
+) -> None:
+    """Write a recording as CSV (also .csv.gz), NPZ, or HDF5 packed with gzip for readers without the LZ4 plugin.
+
+    CSV and NPZ hold time_s and each channel in volts, and can be imported again.
+
+    Example: bench export run.h5 --to csv --out run.csv
+    """
+    from daq.errors import InputError
+    from daq.exporting import export
+    from daq.reader import open_recording
+
+    kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()
+    kind = "h5" if kind == "hdf5" else kind
+    if kind not in list(Kind):
+        fail(f"{out}: the ending does not say what to write; wanted --to csv, npz or h5.", EXIT_USAGE)
+    try:
+        with open_recording(recording) as opened:
+            export(opened, out, kind)  # type: ignore[arg-type]
+            summary = {"file": out, "kind": kind, "n_samples": opened.n_samples, "bytes": out.stat().st_size}
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{out}: could not be written ({error}).")
+    if json_out != "-":
+        typer.echo(f"{out}: {summary['n_samples']} samples, {summary['bytes']} bytes")
+    write_json(summary, json_out)

@@ -1,0 +1,145 @@
+"""`bench import`: somebody's file into a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from bench.console import EXIT_USAGE, fail, write_json
+
+
+def command(
+    raw: Path = typer.Argument(..., metavar="RAW", help="CSV (also .gz), HDF5, NPZ, WAV or MAT file."),
+    profile: Path = typer.Option(..., "--profile", "-p", metavar="P.toml", help="What was measured with what."),
+    out: Path = typer.Option(..., "--out", "-o", metavar="REC.h5", help="Recording to create; never overwritten."),
+    mapping: list[str] = typer.Option(
+        [], "--map", metavar="ROLE=COLUMN[:UNIT]",
+        help="Column of time, continuity, accelerometer, drive; or of the set frequency or set level, whose every "
+        "change starts a step. "
+        "Units: s ms us ns; V mV; fs (fraction of the channel's range); g m/s^2 (acceleration).",
+    ),
+    rate: float = typer.Option(None, "--rate", metavar="HZ", help="Sample rate where there is no time column."),
+    channel: list[str] = typer.Option(
+        [], "--channel", metavar="[ROLE=]VALUE",
+        help="Long table: use the rows of this sensor; with a role, make the rows of each value a column.",
+    ),
+    channel_column: str = typer.Option(None, "--channel-column", help="Its selecting column (default: channel)."),
+    note: str = typer.Option(None, "--note", help="Kept in the recording."),
+    json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON; - is the screen."),
+) -> None:
+    """Turn somebody's file into a recording. Values are stored as they are; steps are found from the drive.
+
+    Columns named time_s, continuity_v, accelerometer_v, drive_v (and the like) are recognised. Without a continuity
+    column only the plate is analysed.
+
+    Example: bench import run.csv --profile rig.toml --out run.h5 --map drive="CH 3:mV"
+
+    Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
+    """
+    from daq.errors import InputError
+    from daq.foreign import open_source, parse_map
+    from daq.importing import import_recording
+    from rig.profile import load_setup
+
+    try:
+        setup, text = load_setup(profile)
+        select = _selection(channel)
+        source = open_source(raw, select, channel_column)
+        with _progress(json_out == "-") as progress:
+            summary = import_recording(
+                source, out, setup, text, mapping=parse_map(mapping), rate_hz=rate, note=note, progress=progress
+            )
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{out}: {error}")
+    payload = _payload(summary)
+    if json_out != "-":
+        _print(payload)
+    write_json(payload, json_out)
+
+
+def _selection(channel: list[str]) -> dict[str, str]:
+    """``--channel`` as ``{"": value}`` or ``{role: value}``."""
+    from daq.errors import InputError
+    from daq.foreign import CHANNEL_ROLES
+
+    if len(channel) == 1 and channel[0].partition("=")[0] not in CHANNEL_ROLES:
+        return {"": channel[0]}
+    chosen = {role: value for role, _, value in (item.partition("=") for item in channel)}
+    if len(chosen) != len(channel) or not set(chosen) <= set(CHANNEL_ROLES):
+        raise InputError(
+            f"--channel {' '.join(channel)}: wanted one value, or role=value for each of {', '.join(CHANNEL_ROLES)}."
+        )
+    return chosen
+
+
+def _progress(quiet: bool) -> Any:
+    """A context that gives a progress callback ``(what, rows)``."""
+    import contextlib
+
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+
+    @contextlib.contextmanager
+    def shown() -> Any:
+        if quiet or not console.is_terminal:
+            yield None
+            return
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), TextColumn("{task.completed:,} rows"))
+        with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
+            task = bar.add_task("reading", total=None)
+            yield lambda what, rows: bar.update(task, description=what, completed=rows)
+
+    return shown()
+
+
+def _payload(summary: Any) -> dict[str, Any]:
+    """The summary as JSON knows it; unknown numbers are null."""
+    steps = [
+        {name: None if row[name] != row[name] else row[name].item() for name in summary.steps.dtype.names}
+        for row in summary.steps
+    ]
+    base = summary.timebase
+    return {
+        "recording": str(summary.path),
+        "n_samples": summary.n_samples,
+        "rate_hz": base.rate_hz,
+        "duration_s": summary.n_samples / base.rate_hz,
+        "uniform": base.uniform,
+        "jitter_s": base.jitter_s,
+        "gaps": base.gaps.tolist(),
+        "columns": summary.columns,
+        "steps": steps,
+        "remarks": summary.remarks,
+    }
+
+
+def _print(payload: dict[str, Any]) -> None:
+    """The summary as a person reads it."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    console.print(
+        f"{payload['recording']}: {payload['n_samples']} samples at {payload['rate_hz']:.9g} samples/s "
+        f"({payload['duration_s']:.3f} s), {len(payload['steps'])} steps", soft_wrap=True,
+    )
+    console.print(", ".join(f"{role} from {name}" for role, name in payload["columns"].items()), soft_wrap=True)
+    for remark in payload["remarks"]:
+        console.print(f"note: {remark}", soft_wrap=True)
+    if not payload["steps"]:
+        return
+    table = Table("step", "from s", "hold s", "frequency Hz", "gamma", "at the plate")
+    for i, step in enumerate(payload["steps"]):
+        hold = step["n_samples"] - step["settle_samples"]
+        shown = ["-" if v is None else f"{v:.4g}" for v in (step["gamma"], step["achieved_gamma"])]
+        table.add_row(
+            str(i), f"{step['first_sample'] / payload['rate_hz']:.3f}", f"{hold / payload['rate_hz']:.3f}",
+            f"{step['frequency_hz']:.5f}", *shown,
+        )
+    console.print(table)

@@ -1,0 +1,168 @@
+"""What a foreign recording's time column says: one sample rate, pauses, or real jitter.
+
+The rule kept here: a column that is uniform up to its own rounding is uniform, and its rate is the one number that
+explains all of it; a column that jitters is kept as it came, with the jitter stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+PAUSE_SAMPLES = 1.6  # a longer step in time is a pause: samples are missing
+JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
+_STRIDE = 1000
+
+
+@dataclass(frozen=True)
+class Timebase:
+    """Sampling of a time column.
+
+    Attributes
+    ----------
+    rate_hz
+        Samples a second.
+    uniform
+        Whether every time is where the rate says, up to the column's rounding (or 1 % of a sample).
+    jitter_s
+        Root mean square distance from the even grid.
+    gaps
+        int64 ``(n, 3)``: first sample after the pause, samples missing, standard uncertainty of that number.
+    """
+
+    rate_hz: float
+    uniform: bool
+    jitter_s: float
+    gaps: NDArray[np.int64]
+
+
+class Times(Protocol):
+    """Seconds of samples ``start .. stop``, read again and again, never all at once."""
+
+    def __call__(self, start: int, stop: int) -> Floats:
+        """Seconds ``(stop - start,)``."""
+
+
+def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) -> Timebase:
+    """Find rate, pauses and jitter of ``n`` times.
+
+    Parameters
+    ----------
+    times
+        Seconds, not falling.
+    n
+        How many, at least 2.
+    quantum_s
+        Rounding step of the column.
+    piece
+        Samples read at once.
+    """
+    typical = _typical_step(times, n)
+    gaps = _pauses(times, n, typical, quantum_s, piece)
+    slope, slope_sigma = _slope(times, n, gaps, piece)
+    step = _nice(slope, (n - 1) - len(gaps), quantum_s)
+    lost, sigma = _missing(times, gaps, step, slope_sigma, quantum_s)
+    worst, rms = _distance(times, n, gaps, step, piece)
+    found = np.stack([gaps, lost, sigma], axis=1).astype(np.int64)
+    uniform = bool(worst <= max(0.75 * quantum_s + 1e-9, JITTER_SHARE * step)) and not len(gaps)
+    return Timebase(1.0 / step, uniform, rms, found[found[:, 1] > 0])
+
+
+def quantum_of(values: Floats) -> float:
+    """Rounding step of a column: the coarsest power of ten that all its values are multiples of; inf if none is."""
+    for exponent in range(10):
+        scaled = values * 10.0**exponent
+        if np.all(np.abs(scaled - np.rint(scaled)) <= 1e-4 + 4e-16 * np.abs(scaled)):
+            return float(10.0**-exponent)
+    return float("inf")
+
+
+def _pieces(n: int, piece: int) -> Iterator[tuple[int, int]]:
+    """Ranges that overlap by one sample, so that every difference is seen once."""
+    for start in range(0, n - 1, piece):
+        yield start, min(start + piece + 1, n)
+
+
+def _typical_step(times: Times, n: int) -> float:
+    """Median, over strides near the start, of the mean time between samples; rounding does not bias it."""
+    first = times(0, min(n, 1 << 18))
+    stride = min(_STRIDE, max(1, (len(first) - 1) // 3))
+    return float(np.median(first[stride:] - first[:-stride])) / stride
+
+
+def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) -> NDArray[np.int64]:
+    """First samples after each pause."""
+    found = [
+        start + 1 + np.flatnonzero(np.diff(times(start, stop)) > PAUSE_SAMPLES * typical + quantum_s)
+        for start, stop in _pieces(n, piece)
+    ]
+    return np.concatenate(found).astype(np.int64) if found else np.zeros(0, np.int64)
+
+
+def _runs(n: int, gaps: NDArray[np.int64]) -> list[tuple[int, int]]:
+    edges = [0, *(int(g) for g in gaps), n]
+    return list(pairwise(edges))
+
+
+def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[float, float]:
+    """Seconds a sample by least squares within the unbroken runs, with its standard deviation."""
+    sxy = sxx = ss = 0.0
+    own: list[tuple[float, float]] = []
+    for start, stop in _runs(n, gaps):
+        centre, middle = (stop - start - 1) / 2.0, float(np.mean([times(start, start + 1), times(stop - 1, stop)]))
+        sums = np.zeros(5)
+        for a in range(start, stop, piece):
+            b = min(a + piece, stop)
+            x, y = np.arange(a - start, b - start) - centre, times(a, b) - middle
+            sums += [len(x), y.sum(), x @ y, x @ x, y @ y]
+        sxy, sxx = sxy + sums[2], sxx + sums[3]
+        own.append((sums[2], sums[3]))
+        ss += sums[4] - sums[1] ** 2 / sums[0]
+    slope = sxy / sxx
+    variance = max(ss - slope * sxy, 0.0) / max(n - 2 * len(gaps) - 2, 1)
+    # a clock that wanders from run to run shows in the runs' own slopes, not in the residuals
+    wander = sum(w * (xy / w - slope) ** 2 for xy, w in own if w > 0) / sxx
+    return slope, float(np.sqrt(variance / sxx + wander))
+
+
+def _nice(step: float, n: int, quantum_s: float) -> float:
+    """The round rate (or round step) nearest to ``step`` if the column cannot tell the two apart."""
+    allowed = (0.5 * quantum_s + 1e-9) / max(n, 1)
+    for digits in range(0, 7):
+        rate = round(1.0 / step, digits)
+        if rate > 0 and abs(1.0 / rate - step) <= allowed:
+            return 1.0 / rate
+    return step
+
+
+def _missing(
+    times: Times, gaps: NDArray[np.int64], step: float, step_sigma: float, quantum_s: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Samples missing in each pause, and the standard uncertainty (rounded up)."""
+    pause = np.array([float(np.diff(times(int(g) - 1, int(g) + 1))[0]) for g in gaps])
+    samples = pause / step
+    sigma = np.hypot(samples * step_sigma / step, quantum_s / step)
+    return np.rint(samples).astype(np.int64) - 1, np.ceil(sigma - 0.5).clip(0).astype(np.int64)
+
+
+def _distance(times: Times, n: int, gaps: NDArray[np.int64], step: float, piece: int) -> tuple[float, float]:
+    """Largest and rms distance of the times from an even grid through each unbroken run."""
+    worst = squares = 0.0
+    for start, stop in _runs(n, gaps):
+        low, high, total, square = np.inf, -np.inf, 0.0, 0.0
+        origin = float(times(start, start + 1)[0])
+        for a in range(start, stop, piece):
+            b = min(a + piece, stop)
+            off = times(a, b) - origin - np.arange(a - start, b - start) * step
+            low, high = min(low, float(off.min())), max(high, float(off.max()))
+            total, square = total + float(off.sum()), square + float(off @ off)
+        worst = max(worst, (high - low) / 2.0)
+        squares += max(square - total**2 / (stop - start), 0.0)
+    return worst, float(np.sqrt(squares / n))
