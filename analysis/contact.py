@@ -18,6 +18,7 @@ Ints = npt.NDArray[np.int64]
 
 BEFORE, AFTER = 4, 8  # samples of continuity kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
 VISIBLE = 5.0  # standard deviations of noise from which a sample counts as moved
+FAR = 1 << 30  # samples: no neighbour
 MIN_EDGES = 8  # edges needed to estimate a time constant
 
 CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
@@ -67,17 +68,18 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
         near = plateau[np.abs(plateau - level) < 0.1 * abs(swing)]
         level = float(np.median(near)) if near.size else level
         deviation = np.abs(near - level)
-        # the median absolute deviation is blind to noise below one code; the rms of the near half is not
-        spreads.append(max(1.4826 * float(np.median(deviation)), _core_rms(deviation)) if near.size else 0.0)
+        spreads.append(_core_rms(deviation))
         levels.append(level if near.size > 0.5 * plateau.size else declared)
     noise = max([*spreads, 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)
 
 
 def _core_rms(deviation: Floats) -> float:
-    """Rms of all but the largest 2 % of deviations."""
+    """Standard deviation of normal noise from all but its largest 2 %; unlike the median it sees through quantisation."""
+    if not deviation.size:
+        return 0.0
     core = deviation[deviation <= np.quantile(deviation, 0.98)]
-    return float(np.sqrt(np.mean(core**2))) if core.size else 0.0
+    return float(np.sqrt(np.mean(core**2))) / 0.9346
 
 
 @dataclass(frozen=True)
@@ -213,35 +215,67 @@ class Edges:
 
 
 def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Edges, EdgeShape, EdgeShape]:
-    """Times of all crossings, and the shapes of opening and closing edges that gave them."""
+    """Times of all crossings, and the shapes of opening and closing edges that gave them.
+
+    Where an edge follows another so soon that the voltage is still on its way, what is missing is put back from the
+    time of the edge before (a second round).
+    """
     noise = levels.noise_v / abs(levels.swing_v)
     n = crossings.sample.size
     times, sigmas = np.empty(n), np.empty(n)
-    room = np.append(np.diff(crossings.sample), np.iinfo(np.int32).max)  # samples until the next crossing
-    gap = np.concatenate([[np.iinfo(np.int32).max], room[:-1]])
-    shapes = {}
-    for kind in (OPENS, CLOSES):
+    room = np.append(np.diff(crossings.sample), FAR)  # samples until the next crossing
+    gap = np.append(FAR, room[:-1])
+    shapes: dict[int, EdgeShape] = {}
+    kinds = (OPENS, CLOSES)
+    height = {kind: _towards(crossings, kind) for kind in kinds}
+    for kind in kinds:
         chosen = crossings.kind == kind
-        fraction = crossings.window[chosen].astype(np.float64)
-        y = fraction if kind == CLOSES else 1.0 - fraction  # 1 before the edge, decaying to 0
         alone = (room[chosen] > AFTER) & (gap[chosen] > AFTER)
-        shape = edge_shape(y[alone], noise, rate_hz)
-        shapes[kind] = shape
-        delay, sigma = fit_edges(y, np.clip(room[chosen], 1, AFTER), noise, shape, rate_hz)
-        times[chosen] = crossings.sample[chosen] / rate_hz + delay
-        sigmas[chosen] = sigma
+        shapes[kind] = edge_shape(height[kind][alone], noise, rate_hz)
+    for missing in (False, True):
+        for kind in kinds:
+            chosen = crossings.kind == kind
+            y = height[kind]
+            if missing:
+                y = y + _still_missing(crossings, chosen, times, shapes[-kind].tau_s, rate_hz)
+            delay, sigma = fit_edges(
+                y, np.clip(room[chosen], 1, AFTER), np.minimum(gap[chosen], FAR), noise, shapes[kind], rate_hz
+            )
+            times[chosen] = crossings.sample[chosen] / rate_hz + delay
+            sigmas[chosen] = sigma
     dips = crossings.kind == DIP
     times[dips] = (crossings.sample[dips] - 0.5) / rate_hz
     sigmas[dips] = 1.0 / (rate_hz * np.sqrt(12.0))
     return Edges(times, sigmas, crossings.kind), shapes[OPENS], shapes[CLOSES]
 
 
-def _first_moved(y: Floats, noise: float) -> Ints:
-    """Column of the first sample that the edge has visibly moved, searched backwards from the crossing."""
+def _towards(crossings: Crossings, kind: int) -> Floats:
+    """Samples around edges of one kind as 1 before the edge, decaying to 0, shape (n, BEFORE + AFTER)."""
+    fraction = crossings.window[crossings.kind == kind].astype(np.float64)
+    return fraction if kind == CLOSES else 1.0 - fraction
+
+
+def _still_missing(
+    crossings: Crossings, chosen: npt.NDArray[np.bool_], times: Floats, tau_s: float, rate_hz: float
+) -> Floats:
+    """What the edge before each chosen one still lacks to its level, at every sample of the window."""
+    index = np.flatnonzero(chosen)
+    out = np.zeros((index.size, BEFORE + AFTER))
+    late = (index > 0) & (tau_s > 0.0)
+    if not late.any():
+        return out
+    since = (crossings.sample[index][:, None] + np.arange(-BEFORE, AFTER)) / rate_hz - times[index - 1][:, None]
+    relax = np.where(since > 0, np.exp(-np.maximum(since, 0.0) / max(tau_s, 1e-12)), 0.0)
+    out[late] = relax[late]
+    return out
+
+
+def _first_moved(y: Floats, noise: float, gap: Ints | int = FAR) -> Ints:
+    """Column of the first sample that the edge has visibly moved: backwards from the crossing, not past the one before."""
     first = np.full(y.shape[0], BEFORE)
     active = np.ones(y.shape[0], dtype=np.bool_)
     for column in range(BEFORE - 1, 0, -1):
-        active &= y[:, column] < 1.0 - VISIBLE * noise
+        active &= (y[:, column] < 1.0 - VISIBLE * noise) & (column > BEFORE - np.asarray(gap))
         first[active] = column
     return first
 
@@ -283,7 +317,9 @@ def _misfit(samples: Floats, noise: float, tau_s: float, rate_hz: float) -> floa
     return float(np.sqrt(core.mean())) / noise
 
 
-def fit_edges(y: Floats, room: Ints, noise: float, shape: EdgeShape, rate_hz: float) -> tuple[Floats, Floats]:
+def fit_edges(
+    y: Floats, room: Ints, gap: Ints, noise: float, shape: EdgeShape, rate_hz: float
+) -> tuple[Floats, Floats]:
     """Delay of each edge relative to its crossing sample, and its uncertainty, seconds, shapes (n,).
 
     Parameters
@@ -292,13 +328,15 @@ def fit_edges(y: Floats, room: Ints, noise: float, shape: EdgeShape, rate_hz: fl
         1 before the edge, decaying to 0.
     room : int array, shape (n,)
         Samples from the crossing on that belong to this edge (the next crossing ends it).
+    gap : int array, shape (n,)
+        Samples since the crossing before.
     noise : float
         Standard deviation of ``y``.
     shape : EdgeShape
     rate_hz : float
     """
     dt = 1.0 / rate_hz
-    first = _first_moved(y, noise)
+    first = _first_moved(y, noise, gap)
     columns = np.arange(y.shape[1])
     middle = (first - 0.5 - BEFORE) * dt
     uniform = np.full(y.shape[0], dt / np.sqrt(12.0))

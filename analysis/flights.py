@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from analysis.contact import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
 from analysis.flight_table import EdgeReport, FlightFlag, Flights, write_csv
-from analysis.impacts import LEAD, Impacts, WitnessOffset, calibrate, time_impacts
+from analysis.impacts import NO_IMPACTS, Impacts, WitnessOffset, calibrate
 from analysis.plate_motion import PlateMotion
 from analysis.scan import Progress, Scan, scan
 from daq.recording import Recording
@@ -116,12 +116,8 @@ def _impacts(
 ) -> tuple[Impacts, WitnessOffset | None]:
     """The accelerometer's landings on the axis of the electrical edges; none where it shows no impacts."""
     if found.survey.waveform is None:
-        return Impacts(np.zeros(0), np.zeros(0), np.zeros(0)), None
-    samples, snippets = found.candidates, found.snippets
-    apart = np.append(True, np.diff(samples) >= LEAD // 2)  # the same impact found on both sides of a piece's end
-    return calibrate(
-        time_impacts(samples[apart], snippets[apart], found.survey.waveform, rate_hz), landing, landing_sigma, 5.0 / rate_hz
-    )
+        return NO_IMPACTS, None
+    return calibrate(found.impacts, landing, landing_sigma, 5.0 / rate_hz)
 
 
 def _with_dips(impacts: Impacts, edges: Edges, rate_hz: float) -> Impacts:

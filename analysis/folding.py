@@ -6,7 +6,7 @@ out exactly), blocks that an impact touches are left out, and each block counts 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ HARMONICS = 5
 MAINS_HZ = (50.0, 60.0)
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # masked before an impact
+LEAST_CLEAR = 0.6  # of a step, below which the mask is shortened
 CHAPTER = 1 << 18  # means kept in memory before they are folded in
 
 
@@ -35,6 +36,7 @@ class Span:
     accelerometer: npt.NDArray[np.float32]
     drive: npt.NDArray[np.float32]
     in_air: npt.NDArray[np.int8]  # 1 flight, 0 contact, -1 neither
+    since: npt.NDArray[np.int32]  # blocks since the last impact; 0 where one falls into it
     clear: npt.NDArray[np.bool_]  # no impact rings in it
 
 
@@ -137,17 +139,17 @@ class Folder:
             self.fold.last_sample = b
 
     def _span(self, block: int, count: int, lost: int, means: dict[str, npt.NDArray[np.float32]]) -> Span:
-        """One span with its mask; impacts of the piece before count too."""
-        hits = np.concatenate(self.hits[-2:]) + lost
-        ring = np.zeros(count + 1, dtype=np.int64)
-        low = np.clip((hits - int(LEAD_S * self.rate_hz)) // self.width - block, 0, count)
-        high = np.clip((hits + int(self.mask_s * self.rate_hz)) // self.width + 1 - block, 0, count)
-        np.add.at(ring, low, 1)
-        np.add.at(ring, high, -1)
+        """One span; impacts of the piece before count too."""
+        hits = np.sort(np.concatenate(self.hits[-2:])) + lost
+        blocks = block + np.arange(count)
+        # the block in which an impact begins, a little early, counts as touched
+        begins = (hits - int(LEAD_S * self.rate_hz)) // self.width
+        last = np.searchsorted(begins, blocks, side="right") - 1
+        since = np.where(last >= 0, blocks - (hits // self.width)[np.maximum(last, 0)], np.iinfo(np.int32).max // 2)
         fraction = means.get("continuity", np.full(count, 0.5, np.float32))
         in_air = np.where(fraction > 0.9, 1, np.where(fraction < 0.1, 0, -1)).astype(np.int8)
         drive = means.get("drive", np.zeros(count, np.float32))
-        return Span(block, means["accelerometer"], drive, in_air, np.cumsum(ring)[:-1] == 0)
+        return Span(block, means["accelerometer"], drive, in_air, since.astype(np.int32), since > 0)
 
     def _close_chapter(self) -> None:
         """Turn the gathered spans into normal equations, windows and slow motion, and forget them."""
@@ -156,6 +158,7 @@ class Folder:
             return
         rate = self.rate_hz / self.width
         has_drive = "drive" in self.recording.channels
+        fold.spans[:] = _masked(fold.spans, self.mask_s * rate)
         if not np.isfinite(fold.frequency_hz):
             fold.frequency_hz, fold.frequency_uncertainty_hz = _refine(fold, rate, has_drive)
             fold.multiples, frequencies = self._frequencies(fold)
@@ -193,6 +196,16 @@ class Folder:
             return
         total = None if fold.contact is None else _total(fold)
         self.done.append(None if total is None else tone_results.step_plate(self.recording, fold, total))
+
+
+def _masked(spans: list[Span], mask_blocks: float) -> list[Span]:
+    """Spans with the blocks after impacts left out; a shorter mask where impacts come so fast that little would be left."""
+    since = np.concatenate([s.since for s in spans])
+    for part in (1.0, 0.7, 0.5, 0.35, 0.25):
+        length = max(int(np.ceil(part * mask_blocks)), 1)
+        if np.mean(since > length) >= LEAST_CLEAR:
+            break
+    return [replace(s, clear=s.since > length) for s in spans]
 
 
 def _total(fold: StepFold) -> LockIn:

@@ -23,7 +23,8 @@ FINE = 8  # template points per sample
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that its waveform may get wrong
 MIN_LANDINGS = 6  # landings needed to learn a waveform
-SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 10e-3
+TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
+SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
 THRESHOLD = 6.0  # standard deviations of the filter's output that make a candidate
 
 
@@ -37,14 +38,17 @@ class Waveform:
         Mean waveform in volts per unit strength, ``FINE`` points a sample, the electrical edge at point ``LEAD * FINE``.
     taps : float32 array, shape (LENGTH,)
         Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
+    projector : array, shape (LENGTH, LENGTH)
+        What makes the filter blind: removes the motion's curve from a snippet.
     noise_v : float
         White noise of the accelerometer.
     ring_s : float
-        How long after an impact the waveform stands out of the noise.
+        How long after an impact samples are left out of the tone fits.
     """
 
     fine: Floats
     taps: npt.NDArray[np.float32]
+    projector: Floats
     noise_v: float
     ring_s: float
 
@@ -58,17 +62,21 @@ def white_noise(x: Floats) -> float:
     return float(np.median(deviation)) * 1.4826 / np.sqrt(6.0)
 
 
-def _projector(length: int, unknowns: int) -> Floats:
-    """Projection that removes polynomials (the plate's slow motion) over a snippet, shape (length, length)."""
-    basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), unknowns))
-    return np.eye(length) - basis @ basis.T
+def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
+    """Orthonormal functions that hold the plate's motion over a snippet, shape (length, k): powers and tones.
+
+    The powers follow slow tones whatever their frequency; the tones are those too fast for that.
+    """
+    t = np.arange(length) - 0.5 * (length - 1)
+    angle = 2.0 * np.pi * np.outer(cycles_per_sample, t)
+    rows = np.vstack([np.vander(2.0 * t / length, powers).T, np.cos(angle), np.sin(angle)])
+    u, size, _ = np.linalg.svd((rows / np.linalg.norm(rows, axis=1)[:, None]).T, full_matrices=False)
+    return np.asarray(u[:, size > 1e-4 * size[0]])
 
 
-PROJECTOR = _projector(LENGTH, 4)
-LONG_PROJECTOR = _projector(ECHO, 6)
-
-
-def learn_waveform(snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float) -> Waveform | None:
+def learn_waveform(
+    snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float, tones_hz: Floats
+) -> Waveform | None:
     """Waveform of an impact from snippets around known landings; None where the accelerometer shows nothing.
 
     Parameters
@@ -79,10 +87,14 @@ def learn_waveform(snippets: Floats, fractions: Floats, noise_v: float, rate_hz:
         How long before column ``LEAD`` the landing was, in samples, in [0, 1).
     noise_v : float
     rate_hz : float
+    tones_hz : array
+        Tones of the motion.
     """
     if snippets.shape[0] < MIN_LANDINGS or noise_v <= 0:
         return None
-    flat = snippets[:, :LENGTH] @ PROJECTOR
+    basis = motion_basis(LENGTH, 4, tones_hz / rate_hz)
+    projector = np.eye(LENGTH) - basis @ basis.T
+    flat = snippets[:, :LENGTH] @ projector
     mean = np.median(flat, axis=0)
     strength = np.linalg.norm(mean)
     scatter = 1.2533 * noise_v * np.sqrt(LENGTH / snippets.shape[0])
@@ -93,9 +105,27 @@ def learn_waveform(snippets: Floats, fractions: Floats, noise_v: float, rate_hz:
         return None
     direction = mean / strength
     size = flat @ direction
-    fine = _oversample(snippets @ LONG_PROJECTOR, fractions, size)
-    taps = (direction / np.linalg.norm(direction)).astype(np.float32)
-    return Waveform(fine, taps, noise_v, _ring_s(fine, size, noise_v, rate_hz))
+    fine = _oversample(_above_the_motion(snippets, size, noise_v, tones_hz / rate_hz), fractions, size)
+    fine[: (LEAD - 1) * FINE] = 0.0  # nothing rings before the impact
+    # matched to the whole waveform, but blind to the motion under it
+    taps = fine[: LENGTH * FINE : FINE] @ projector
+    norm = float(np.linalg.norm(taps))
+    return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
+
+
+def _above_the_motion(snippets: Floats, size: Floats, noise_v: float, cycles_per_sample: Floats) -> Floats:
+    """Snippets less the plate's motion: a smooth curve that leans on the samples where no impact rings."""
+    basis = motion_basis(ECHO, 4, cycles_per_sample)
+    weight = np.ones(ECHO)
+    flat = snippets
+    for _ in range(4):
+        lever = basis.T * weight
+        flat = snippets - snippets @ lever.T @ np.linalg.inv(lever @ basis) @ basis.T
+        ring = np.abs((size @ flat) / (size @ size)) * np.median(size)
+        envelope = np.maximum.accumulate(ring[::-1])[::-1]
+        envelope[: LEAD - 1] = 0.0
+        weight = 1.0 / (1.0 + (10.0 * envelope / noise_v) ** 2)
+    return flat
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
@@ -116,61 +146,103 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
 
 
 def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
-    """Time after the landing until a strong impact's ringing, decaying as it starts, sinks to a tenth of the noise."""
-    parts = (fine[LEAD * FINE : LENGTH * FINE] * np.quantile(size, 0.9)).reshape(6, -1)
-    level = np.sqrt(np.mean(parts**2, axis=1))
-    time_s = (np.arange(6) + 0.5) * parts.shape[1] / FINE / rate_hz
-    loud = level > 0.3 * noise_v
-    if loud.sum() < 2:
-        return SHORTEST_MASK_S
-    slope, start = np.polyfit(time_s[loud], np.log(level[loud] / noise_v), 1, w=level[loud] ** 0.5)
-    end = (np.log(10.0) + start) / -slope if slope < 0 else LONGEST_MASK_S
-    return float(np.clip(end, SHORTEST_MASK_S, LONGEST_MASK_S))
+    """How long to leave samples out after a strong impact whose waveform has been subtracted.
+
+    What the subtraction may leave (`ECHO_MARGIN` of the waveform) adds its time integral to a tone's amplitude, a cycle
+    at a time; it must stay below the noise of that amplitude in one second.
+    """
+    after = fine[LEAD * FINE :] * np.quantile(size, 0.9)
+    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1]))) [::-1] / FINE / rate_hz  # V s still to come
+    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * ECHO_MARGIN)
+    end = np.flatnonzero(left > allowed)
+    last = (end.max() + 1) / FINE / rate_hz if end.size else 0.0
+    return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """Landings according to the accelerometer.
+
+    Attributes
+    ----------
+    time_s, uncertainty_s : float arrays, shape (n,)
+        Before `calibrate` on the accelerometer's own axis, after it on that of the electrical edges.
+    strength : array, shape (n,)
+        Strength in units of the noise after the matched filter: proportional to the impact speed.
+    """
+
+    time_s: Floats
+    uncertainty_s: Floats
+    strength: Floats
+
+
+NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 class ImpactScan:
-    """Candidate impacts from piece to piece: local maxima of the matched filter above `THRESHOLD`."""
+    """Impacts from piece to piece: maxima of the matched filter, each timed by sliding the fine waveform over it.
 
-    def __init__(self, waveform: Waveform) -> None:
-        self.waveform = waveform
-        self._samples: list[Ints] = []
-        self._snippets: list[npt.NDArray[np.float32]] = []
+    In order of time, what earlier impacts still ring is taken off first; a candidate that is no more than such an echo
+    is dropped. Uncertainties are those of the fit in white noise; `calibrate` adds what the electrical edges show.
+    """
+
+    def __init__(self, waveform: Waveform, rate_hz: float) -> None:
+        self.waveform, self.rate_hz = waveform, rate_hz
+        shifts = np.arange(-SHIFTS, SHIFTS + 1)
+        points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, ECHO * FINE - 1)
+        bank = waveform.fine[points] @ waveform.projector
+        self._norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
+        self._bank = bank / self._norms[:, None]
+        self._steep = np.maximum(np.linalg.norm(np.gradient(self._bank, axis=0), axis=1) * FINE, 1e-9)
+        self._found: list[Floats] = [np.zeros((0, 3))]  # columns: place (samples), size (units of fine), score (V)
 
     def add(self, volts: npt.NDArray[np.float32], first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``; samples found."""
         found = np.empty(count // 4 + 2, dtype=np.int64)
-        limit = np.float32(THRESHOLD * self.waveform.noise_v)
-        n = _match(volts, pad, count, self.waveform.taps, limit, np.empty(count, np.float32), found)
-        index = found[:n]
-        keep = index + TAIL + 2 <= volts.size
-        index = index[keep]
-        self._samples.append(index - pad + first)
-        self._snippets.append(volts[index[:, None] + np.arange(-LEAD, TAIL)])
-        return self._samples[-1]
+        limit = THRESHOLD * self.waveform.noise_v
+        n = _match(volts, pad, count, self.waveform.taps, np.float32(limit), np.empty(count, np.float32), found)
+        out = np.zeros((self.RECENT + n, 3))
+        recent = self._found[-1][-self.RECENT :]
+        out[: len(recent)] = recent
+        total = _time(
+            volts, first - pad, found[:n], self.waveform.fine, self._bank, self._norms, self.waveform.projector, limit, out, len(recent)
+        )
+        new = out[len(recent) : total].copy()
+        self._found[-1] = np.concatenate([self._found[-1], new])
+        return np.rint(new[:, 0]).astype(np.int64)
 
-    def candidates(self) -> tuple[Ints, npt.NDArray[np.float32]]:
-        """Samples (n,) and snippets (n, LENGTH) of all candidates so far."""
-        if not self._samples:
-            return np.zeros(0, np.int64), np.zeros((0, LENGTH), np.float32)
-        self._samples, self._snippets = [np.concatenate(self._samples)], [np.concatenate(self._snippets)]
-        return self._samples[0], self._snippets[0]
+    RECENT = 16  # impacts remembered from before a piece
+
+    def subtract(self, volts: npt.NDArray[np.float32], first: int, pad: int) -> None:
+        """Take the waveforms of all impacts found so far out of a piece, in place."""
+        start = (first - pad) - ECHO
+        table = self._found[-1]
+        table = table[np.searchsorted(table[:, 0], start) :]
+        _subtract(volts, first - pad, table, self.waveform.fine)
+
+    def impacts(self) -> Impacts:
+        """Everything found so far."""
+        place, _, score = self._found[-1].T
+        noise = self.waveform.noise_v
+        shift = np.full(place.size, SHIFTS)
+        sigma = noise / np.maximum(score, noise) / self._steep[shift] / self.rate_hz
+        return Impacts(place / self.rate_hz, np.minimum(sigma, 1.0 / self.rate_hz), score / noise)
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-def]
     """Matched filter over ``x[pad : pad + count]`` and its local maxima above ``limit``; returns how many."""
     length = taps.shape[0]
-    stop = min(count, x.shape[0] - pad - length)
-    for i in range(stop):
+    for i in range(count):
         out[i] = 0.0
     for k in range(length):
         tap = taps[k]
         shift = pad - LEAD + k
-        for i in range(stop):
+        for i in range(count):
             out[i] += tap * x[i + shift]
     n = 0
     last = -length
-    for i in range(stop):
+    for i in range(count):
         v = out[i]
         if v > limit:
             if i - last >= LEAD:
@@ -183,62 +255,56 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
     return n
 
 
-@dataclass(frozen=True)
-class Impacts:
-    """Landings according to the accelerometer.
-
-    Attributes
-    ----------
-    time_s, uncertainty_s : float arrays, shape (n,)
-        On the axis of the electrical edges (the offset between the witnesses taken out).
-    strength : array, shape (n,)
-        Strength in units of the noise after the matched filter.
-    """
-
-    time_s: Floats
-    uncertainty_s: Floats
-    strength: Floats
+@njit(cache=True, error_model="numpy")
+def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
+    """Add the waveform, begun ``lag`` samples before the snippet, to the snippet ``out``."""
+    for k in range(out.shape[0]):
+        position = (k + lag) * FINE
+        j = int(np.floor(position))
+        if 0 <= j < fine.shape[0] - 1:
+            share = position - j
+            out[k] += size * ((1.0 - share) * fine[j] + share * fine[j + 1])
 
 
-def time_impacts(samples: Ints, snippets: npt.NDArray[np.float32], waveform: Waveform, rate_hz: float) -> Impacts:
-    """Sub-sample times of impacts among the candidates, by sliding the fine waveform over each snippet.
-
-    In order of time, what earlier impacts still ring is taken off first; a candidate that is no more than such an echo
-    is dropped. The uncertainty is that of the fit in white noise; `calibrate` adds what the electrical edges show beyond.
-    """
-    bank, norms = _bank(waveform)
-    steep = np.linalg.norm(np.gradient(bank / norms[:, None], axis=0), axis=1) * FINE * rate_hz
-    kept: list[tuple[float, float, float]] = []  # place (samples), size (volts of fine), score
-    sigmas = []
-    for sample, snippet in zip(samples, snippets, strict=True):
-        own, echo = snippet.astype(np.float64), np.zeros(LENGTH)
-        for place, size, _ in reversed(kept):
-            lag = (sample - place) * FINE
-            if lag > ECHO * FINE:
+@njit(cache=True, error_model="numpy")
+def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
+    """Time each candidate ``found`` (index into ``x``; ``x[0]`` is sample ``offset``); rows go to ``out[n:]``."""
+    own, echo = np.empty(LENGTH), np.empty(LENGTH)
+    shifts = bank.shape[0]
+    for index in found:
+        echo[:] = 0.0
+        for back in range(n - 1, -1, -1):
+            lag = index + offset - out[back, 0]
+            if lag > ECHO:
                 break
-            points = np.arange(LENGTH) * FINE + lag
-            echo += size * np.interp(points, np.arange(ECHO * FINE), waveform.fine, right=0.0)
-        score = bank @ (own - echo) / norms
-        best = int(np.clip(np.argmax(score), 1, score.size - 2))
-        left, middle, right = score[best - 1 : best + 2]
-        limit = max(THRESHOLD * waveform.noise_v, ECHO_MARGIN * float(np.linalg.norm(PROJECTOR @ echo)))
-        if middle < limit:
+            _echo(lag, out[back, 1], fine, echo)
+        loud = np.sqrt(np.sum((projector @ echo) ** 2))
+        for k in range(LENGTH):
+            own[k] = x[index - LEAD + k] - echo[k]
+        score = bank @ own
+        best = min(max(int(np.argmax(score)), 1), shifts - 2)
+        left, middle, right = score[best - 1], score[best], score[best + 1]
+        place = index + offset + (best - SHIFTS) / FINE
+        if middle < max(limit, ECHO_MARGIN * loud) or (n > 0 and place - out[n - 1, 0] < 0.5 * LEAD):
             continue
-        vertex = float(np.clip(0.5 * (left - right) / min(left - 2.0 * middle + right, -1e-300), -1.0, 1.0))
-        kept.append((float(sample + (best - SHIFTS + vertex) / FINE), float(middle / norms[best]), float(middle)))
-        sigmas.append(waveform.noise_v / middle / max(float(steep[best]), 1e-9))
-    if not kept:
-        return Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
-    place, _, score = np.array(kept).T
-    return Impacts(place / rate_hz, np.minimum(np.array(sigmas), 1.0 / rate_hz), score / waveform.noise_v)
+        bend = min(left - 2.0 * middle + right, -1e-300)
+        vertex = min(max(0.5 * (left - right) / bend, -1.0), 1.0)
+        out[n, 0], out[n, 1], out[n, 2] = place + vertex / FINE, middle / norms[best], middle
+        n += 1
+    return n
 
 
-def _bank(waveform: Waveform) -> tuple[Floats, Floats]:
-    """The waveform at every shift of two samples either way, flattened as snippets are, and the norms of the rows."""
-    shifts = np.arange(-SHIFTS, SHIFTS + 1)
-    points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, ECHO * FINE - 1)
-    bank = waveform.fine[points] @ PROJECTOR
-    return bank, np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
+@njit(cache=True, error_model="numpy")
+def _subtract(x, offset, table, fine):  # type: ignore[no-untyped-def]
+    """Take every impact's waveform out of ``x`` (``x[0]`` is sample ``offset``)."""
+    for row in range(table.shape[0]):
+        begin = int(np.ceil(table[row, 0])) - LEAD
+        for sample in range(max(begin, offset), min(begin + ECHO, offset + x.shape[0])):
+            position = (sample - table[row, 0] + LEAD) * FINE
+            j = int(np.floor(position))
+            if 0 <= j < fine.shape[0] - 1:
+                share = position - j
+                x[sample - offset] -= np.float32(table[row, 1] * ((1.0 - share) * fine[j] + share * fine[j + 1]))
 
 
 @dataclass(frozen=True)

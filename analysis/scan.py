@@ -15,7 +15,7 @@ import numpy.typing as npt
 from analysis import impacts
 from analysis.contact import CLOSES, OPENS, Crossings, CrossingScan, Levels, measure_levels, time_edges
 from analysis.folding import Folder
-from analysis.impacts import ImpactScan, Waveform, learn_waveform, white_noise
+from analysis.impacts import NO_IMPACTS, Impacts, ImpactScan, Waveform, learn_waveform, white_noise
 from analysis.plate_motion import PlateMotion
 from analysis.stream import PAD, Piece, pieces, survey_pieces
 from daq.block import STEP_DTYPE
@@ -52,8 +52,7 @@ class Scan:
     steps: npt.NDArray[np.void]
     crossings: Crossings
     starts_open: bool
-    candidates: Ints
-    snippets: npt.NDArray[np.float32]
+    impacts: Impacts
     plate: PlateMotion
 
 
@@ -91,7 +90,10 @@ def survey(recording: Recording) -> Survey:
     sample = np.concatenate([p.own("continuity") for p in looked]).astype(np.float64)
     levels = measure_levels(sample, contact.closed_v, contact.open_v)
     snippets, fractions = _landing_snippets(looked, levels, recording.rate_hz)
-    return Survey(levels, noise, learn_waveform(snippets, fractions, noise, recording.rate_hz))
+    steps = resolved_steps(recording)
+    tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
+    few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, 4).astype(int))]
+    return Survey(levels, noise, learn_waveform(snippets, fractions, noise, recording.rate_hz, few))
 
 
 def _fraction(piece: Piece, levels: Levels) -> npt.NDArray[np.float32]:
@@ -111,7 +113,8 @@ def _landing_snippets(looked: list[Piece], levels: Levels, rate_hz: float) -> tu
             continue
         edges, _, _ = time_edges(crossings, levels, rate_hz)
         before = np.append(np.inf, np.diff(edges.time_s))
-        after = np.append(np.diff(edges.time_s), np.inf)
+        later = np.append(edges.time_s[crossings.kind != OPENS], np.inf)  # the next landing, not the next take-off
+        after = later[np.searchsorted(later, edges.time_s, side="right")] - edges.time_s
         opened = np.append(False, crossings.kind[:-1] == OPENS)
         clean = (crossings.kind == CLOSES) & opened & (before > QUIET_FLIGHT_S) & (after > impacts.ECHO / rate_hz)
         place = edges.time_s[clean] * rate_hz
@@ -137,7 +140,7 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
     known = survey(recording)
     steps = resolved_steps(recording)
     contact = CrossingScan(known.levels) if known.levels is not None else None
-    witness = ImpactScan(known.waveform) if known.waveform is not None else None
+    witness = ImpactScan(known.waveform, recording.rate_hz) if known.waveform is not None else None
     folder = Folder(recording, steps, known.mask_s)
     starts_open = False
     for piece in pieces(recording, channels):
@@ -151,15 +154,14 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
                 starts_open = contact.started_open
         if witness is not None:
             hits.append(witness.add(piece.channels["accelerometer"], piece.first, PAD, piece.count))
+            witness.subtract(piece.channels["accelerometer"], piece.first, PAD)
         folder.add(piece, np.concatenate(hits))
         if progress is not None:
             progress(piece.last / recording.n_samples)
     empty = CrossingScan(Levels(0.0, 1.0, 0.1))
-    candidates, snippets = (
-        witness.candidates() if witness is not None else (np.zeros(0, np.int64), np.zeros((0, impacts.LENGTH), np.float32))
-    )
+    seen = NO_IMPACTS if witness is None else witness.impacts()
     plate = PlateMotion(folder.finish(), _noise_mps2(recording, known), recording.rate_hz, recording.gaps)
-    return Scan(known, steps, (contact or empty).crossings(), starts_open, candidates, snippets, plate)
+    return Scan(known, steps, (contact or empty).crossings(), starts_open, seen, plate)
 
 
 def _noise_mps2(recording: Recording, known: Survey) -> float:
