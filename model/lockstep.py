@@ -1,9 +1,9 @@
 """Many ideal orbits at once, one gamma a lane: every flight is flown, and the arithmetic runs as vector code.
 
-The rule kept here: a lane's landing is proven first exactly as in `model.ideal_kernel.land`; what this file adds is
-order. For all lanes together: (1) leave the plate, (2) walk the branches by their tabulated edges, without
-trigonometry, until one is found whose ends enclose a single root, (3) a fixed number of Halley rounds. A lane whose proof or
-convergence is not plain (a possible graze, a flight shorter than `SHORT_FLIGHT`, a slow root) is flown by `land`.
+The rule kept here: a landing is proven first exactly as in `model.ideal_kernel.land`; what this file adds is order. For
+all lanes together: (1) leave the plate, (2) walk the branches by their tabulated edges, without trigonometry, until one
+is found whose ends enclose a single root, (3) a fixed number of Halley rounds. A lane whose proof or convergence is not
+plain (a possible graze, a flight shorter than `SHORT_FLIGHT`, a slow root) is flown by `land`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from model.branches import TWO_PI, branch_of, fill_edges, fold, q_and_slope
+from model.branches import TWO_PI, fill_edges, fold, q_and_slope
 from model.compiled import Flags, Floats, Rows, compiled, sincos
 from model.ideal_kernel import RESET, RESTS, land
 from model.stage import shape
@@ -20,10 +20,13 @@ from model.stage import shape
 LANES = 64
 ROUNDS = 4  # Halley: 0.3 -> 1e-2 -> 1e-6 -> 1e-18; the last round only confirms
 SHORT_FLIGHT = 0.25
-PLAIN_GRAZE = 1e-9  # a convex branch whose tangents meet higher than this above the plate holds no root
+PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
+CLEAR, TOUCHES, UNPLAIN = 0, 1, 2
+
+Point = tuple[float, float, float]  # phase, height, slope
 
 # rows of the lanes' working array
-PHI0, S0, SLOPE0, LO, HI, TURNS, X, SINE, COSINE, Q, LAST = range(11)
+PHI0, S0, SLOPE0, LO, HI, TURNS, X, SINE, COSINE, Q, LAST, CLEAR_FROM, CLEAR_TO, H_LO, H_HI, TANGENT = range(16)
 
 
 @compiled
@@ -40,6 +43,29 @@ def _shapes(tones: Floats, work: Floats, at: int, n: int) -> None:
             s[lane] += b * sine
             slope[lane] += b * harmonic * cosine
             q[lane] += b * harmonic * harmonic * sine
+
+
+@compiled
+def _start(gammas: Floats, highest: float, work: Floats, n: int) -> None:
+    """Take what `_shapes` found at take-off, and the times between which no turn can hold a landing."""
+    s0, slope0, clear_from, clear_to = work[S0], work[SLOPE0], work[CLEAR_FROM], work[CLEAR_TO]
+    s0[:n] = work[SINE, :n]
+    slope0[:n] = work[COSINE, :n]
+    for lane in range(n):
+        v = gammas[lane] * slope0[lane]
+        discriminant = v * v + 2.0 * gammas[lane] * (s0[lane] - highest)
+        root = math.sqrt(max(discriminant, 0.0))
+        clear_from[lane] = v - root
+        clear_to[lane] = v + root - TWO_PI
+
+
+@compiled
+def _guess(work: Floats, n: int) -> None:
+    """Begin between the chord's root and the tangent's, which enclose the landing."""
+    lo, hi, x, h_lo, h_hi, tangent = work[LO], work[HI], work[X], work[H_LO], work[H_HI], work[TANGENT]
+    for lane in range(n):
+        chord = lo[lane] + (hi[lane] - lo[lane]) * h_lo[lane] / (h_lo[lane] - h_hi[lane])
+        x[lane] = 0.5 * (chord + tangent[lane])
 
 
 @compiled
@@ -62,76 +88,114 @@ def _halley_round(gammas: Floats, work: Floats, n: int) -> None:
 
 
 @compiled
+def _dip(
+    tones: Floats,
+    gamma: float,
+    take_off: tuple[float, float, float],
+    turns: float,
+    lo: Point,
+    hi: Point,
+) -> tuple[int, Point, Point]:
+    """Whether a convex branch that falls and rises again touches the plate: ``(verdict, lo, hi)``.
+
+    The tangents at both lie below the branch: where they meet above the
+    plate it is CLEAR; a point found below encloses the first root, and only that one, with ``lo``: it TOUCHES.
+    """
+    phi0, s0, slope0 = take_off
+    for _ in range(8):
+        x = lo[0] + (hi[1] - lo[1] - hi[2] * (hi[0] - lo[0])) / (lo[2] - hi[2])
+        if lo[1] + lo[2] * (x - lo[0]) > PLAIN_GRAZE:
+            return CLEAR, lo, hi
+        s, slope, _ = shape(tones, x)
+        tau = x - phi0 + turns
+        h = gamma * (s0 + slope0 * tau - s) - 0.5 * tau * tau
+        h1 = gamma * (slope0 - slope) - tau
+        if h < -PLAIN_GRAZE:
+            return TOUCHES, lo, (x, h, h1)
+        if h1 < 0.0:
+            lo = (x, h, h1)
+        else:
+            hi = (x, h, h1)
+    return UNPLAIN, lo, hi
+
+
+@compiled
 def _bracket(
-    gamma: float, edge: Floats, edge_s: Floats, edge_slope: Floats, n_windows: int, work: Floats, lane: int
+    tones: Floats,
+    gamma: float,
+    edge: Floats,
+    edge_s: Floats,
+    edge_slope: Floats,
+    n_windows: int,
+    branch: int,
+    work: Floats,
+    lane: int,
 ) -> bool:
     """Walk the branches of a lane's flight to the first that holds its landing; False where the proof is not plain.
 
-    Writes LO, HI, TURNS and a first guess X: between the chord's root and the root of the tangent that cannot pass it.
+    Writes LO, HI, TURNS and, for `_guess`, the heights at both ends and the root of the tangent that cannot pass it.
     """
     phi0, s0, slope0 = work[PHI0, lane], work[S0, lane], work[SLOPE0, lane]
-    v = gamma * slope0
-    discriminant = v * v + 2.0 * gamma * (s0 - edge_s[-1])
-    root = math.sqrt(max(discriminant, 0.0))
-    i = branch_of(edge, n_windows, phi0) + 1
+    clear_from, clear_to = work[CLEAR_FROM, lane], work[CLEAR_TO, lane]
+    i = branch + 1
     turns = 0.0
-    tau = edge[i] - phi0
-    h = gamma * (s0 + slope0 * tau - edge_s[i]) - 0.5 * tau * tau
-    h1 = gamma * (slope0 - edge_slope[i]) - tau
+    tau = edge[lane, i] - phi0
+    h = gamma * (s0 + slope0 * tau - edge_s[lane, i]) - 0.5 * tau * tau
+    h1 = gamma * (slope0 - edge_slope[lane, i]) - tau
     if h <= 0.0:
         return False
     while True:
-        hi_tau = edge[i + 1] - phi0 + turns
-        h_hi = gamma * (s0 + slope0 * hi_tau - edge_s[i + 1]) - 0.5 * hi_tau * hi_tau
-        h1_hi = gamma * (slope0 - edge_slope[i + 1]) - hi_tau
-        width = hi_tau - tau
+        hi_tau = edge[lane, i + 1] - phi0 + turns
+        h_hi = gamma * (s0 + slope0 * hi_tau - edge_s[lane, i + 1]) - 0.5 * hi_tau * hi_tau
+        h1_hi = gamma * (slope0 - edge_slope[lane, i + 1]) - hi_tau
         if h_hi <= 0.0:
-            work[LO, lane] = edge[i]
-            work[HI, lane] = edge[i + 1]
-            work[TURNS, lane] = turns
-            chord = width * h / (h - h_hi)
-            tangent = width - h_hi / h1_hi if i % 2 == 1 else -h / h1
-            work[X, lane] = edge[i] + 0.5 * (chord + tangent)
+            work[LO, lane], work[HI, lane], work[TURNS, lane] = edge[lane, i], edge[lane, i + 1], turns
+            work[H_LO, lane], work[H_HI, lane] = h, h_hi
+            work[TANGENT, lane] = edge[lane, i + 1] - h_hi / h1_hi if i % 2 == 1 else edge[lane, i] - h / h1
             return True
         if i % 2 == 0 and h1 < 0.0 < h1_hi:
-            meet = (h_hi - h - h1_hi * width) / (h1 - h1_hi)
-            if h + h1 * meet <= PLAIN_GRAZE:
-                return False
+            lo, hi = (edge[lane, i], h, h1), (edge[lane, i + 1], h_hi, h1_hi)
+            verdict, lo, hi = _dip(tones, gamma, (phi0, s0, slope0), turns, lo, hi)
+            if verdict != CLEAR:
+                work[LO, lane], work[HI, lane], work[TURNS, lane] = lo[0], hi[0], turns
+                work[H_LO, lane], work[H_HI, lane], work[TANGENT, lane] = lo[1], hi[1], lo[0] - lo[1] / lo[2]
+                return verdict == TOUCHES
         i += 1
         tau, h, h1 = hi_tau, h_hi, h1_hi
         if i == 2 * n_windows:
             i = 0
             turns += TWO_PI
-        if discriminant > 0.0 and v - root < tau < v + root - TWO_PI:
-            skipped = TWO_PI * math.floor((v + root - tau) / TWO_PI)
+        if clear_from < tau < clear_to:
+            skipped = TWO_PI * math.floor((clear_to - tau) * (1.0 / TWO_PI) + 1.0)
             turns += skipped
             tau += skipped
-            h = gamma * (s0 + slope0 * tau - edge_s[i]) - 0.5 * tau * tau
+            h = gamma * (s0 + slope0 * tau - edge_s[lane, i]) - 0.5 * tau * tau
             h1 -= skipped
 
 
 @compiled
-def _leave(edge: Floats, n_windows: int, landing: float) -> tuple[float, bool]:
-    """Take-off phase of a ball on the plate at the folded phase ``landing``, and whether it waited for a threshold."""
-    i = branch_of(edge, n_windows, landing)
-    if i % 2 == 0 and landing > edge[i]:
-        return landing, False
-    return edge[2 * (((i + 1) // 2) % n_windows)], True
+def _leave(edge: Floats, lane: int, n_windows: int, landing: float) -> tuple[float, int, bool]:
+    """Where a ball on the plate at the folded phase ``landing`` leaves: phase, branch, whether it waited."""
+    i = 0
+    while i + 1 < 2 * n_windows and landing >= edge[lane, i + 1]:
+        i += 1
+    if i % 2 == 0 and landing > edge[lane, i]:
+        return landing, i, False
+    i = i + i % 2
+    if i == 2 * n_windows:
+        i = 0
+    return edge[lane, i], i, True
 
 
 @compiled
 def _fill_tables(
-    tones: Floats, turning: Floats, gammas: Floats, edges: Floats, edge_s: Floats, edge_slope: Floats, windows: Flags
+    tones: Floats, turning: Floats, gammas: Floats, edges: Floats, edge_s: Floats, edge_slope: Floats, windows: Rows
 ) -> None:
-    """Each lane's edges (`model.branches.fill_edges`) with ``s`` and ``s'`` there; the last column of s: a bound on s."""
-    highest = 0.0
-    for j in range(tones.shape[0]):
-        highest += tones[j, 1]
+    """Each lane's edges (`model.branches.fill_edges`) with ``s`` and ``s'`` there."""
     for lane in range(gammas.shape[0]):
         windows[lane] = fill_edges(tones, turning, gammas[lane], edges[lane])
         for i in range(2 * windows[lane] + 1):
             edge_s[lane, i], edge_slope[lane, i], _ = shape(tones, edges[lane, i])
-        edge_s[lane, -1] = highest
 
 
 @compiled
@@ -148,26 +212,28 @@ def _lanes(
 ) -> None:
     """The given ``rows`` of `lockstep_diagram`: at most LANES, all above take-off."""
     n = gammas.shape[0]
-    size = turning.shape[0] + 3
+    size = turning.shape[0] + 2
     edges, edge_s, edge_slope = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
-    windows = np.empty(n, dtype=np.int8)
+    windows = np.empty(n, dtype=np.int64)
     _fill_tables(tones, turning, gammas, edges, edge_s, edge_slope, windows)
-    work = np.zeros((11, n))
+    work = np.zeros((16, n))
+    highest = tones[:, 1].sum()
     landing = np.empty(n)
+    branch = np.empty(n, dtype=np.int64)
     reset = np.empty(n, dtype=np.bool_)
     plain = np.empty(n, dtype=np.bool_)
     for lane in range(n):
         landing[lane] = fold(phi_rest, edges[lane, 0])
     for k in range(-n_transient, taus.shape[1]):
         for lane in range(n):
-            work[PHI0, lane], reset[lane] = _leave(edges[lane], windows[lane], landing[lane])
+            work[PHI0, lane], branch[lane], reset[lane] = _leave(edges, lane, windows[lane], landing[lane])
         _shapes(tones, work, PHI0, n)
-        work[S0] = work[SINE]
-        work[SLOPE0] = work[COSINE]
+        _start(gammas, highest, work, n)
         for lane in range(n):
             plain[lane] = _bracket(
-                gammas[lane], edges[lane], edge_s[lane], edge_slope[lane], windows[lane], work, lane
+                tones, gammas[lane], edges, edge_s, edge_slope, windows[lane], branch[lane], work, lane
             )
+        _guess(work, n)
         for _ in range(ROUNDS):
             _shapes(tones, work, X, n)
             _halley_round(gammas, work, n)
@@ -181,7 +247,7 @@ def _lanes(
                 tau, landing[lane], _, flag = land(tones, gammas[lane], edges[lane], windows[lane], phi0, a0, 0.0)
             if k >= 0:
                 taus[rows[lane], k] = tau
-                phases[rows[lane], k] = fold(phi0, 0.0)
+                phases[rows[lane], k] = phi0 - TWO_PI if phi0 >= TWO_PI else phi0
                 flags[rows[lane], k] = flag | (RESET if reset[lane] else 0)
 
 
