@@ -75,7 +75,7 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
 
 
 def _core_rms(deviation: Floats) -> float:
-    """Standard deviation of normal noise from all but its largest 2 %; unlike the median it sees through quantisation."""
+    """Standard deviation of normal noise from all but its largest 2 %; sees through quantisation."""
     if not deviation.size:
         return 0.0
     core = deviation[deviation <= np.quantile(deviation, 0.98)]
@@ -251,7 +251,7 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
 
 def _towards(crossings: Crossings, kind: int) -> Floats:
     """Samples around edges of one kind as 1 before the edge, decaying to 0, shape (n, BEFORE + AFTER)."""
-    fraction = crossings.window[crossings.kind == kind].astype(np.float64)
+    fraction: Floats = crossings.window[crossings.kind == kind].astype(np.float64)
     return fraction if kind == CLOSES else 1.0 - fraction
 
 
@@ -271,7 +271,7 @@ def _still_missing(
 
 
 def _first_moved(y: Floats, noise: float, gap: Ints | int = FAR) -> Ints:
-    """Column of the first sample that the edge has visibly moved: backwards from the crossing, not past the one before."""
+    """Column of the first sample visibly moved: backwards from the crossing, not past the one before."""
     first = np.full(y.shape[0], BEFORE)
     active = np.ones(y.shape[0], dtype=np.bool_)
     for column in range(BEFORE - 1, 0, -1):
@@ -338,8 +338,8 @@ def fit_edges(
     dt = 1.0 / rate_hz
     first = _first_moved(y, noise, gap)
     columns = np.arange(y.shape[1])
-    middle = (first - 0.5 - BEFORE) * dt
-    uniform = np.full(y.shape[0], dt / np.sqrt(12.0))
+    middle: Floats = (first - 0.5 - BEFORE) * dt
+    uniform: Floats = np.full(y.shape[0], dt / np.sqrt(12.0))
     if shape.tau_s == 0.0 or y.shape[0] == 0:
         return middle, uniform
     sigma_y = noise * shape.chi
@@ -347,7 +347,8 @@ def fit_edges(
     use = (columns >= first[:, None]) & (columns <= np.maximum(last, first)[:, None])
     w = np.where(use, np.exp(-(columns - first[:, None]) * dt / shape.tau_s), 0.0)
     power = (w**2).sum(axis=1)
-    u, sigma_u = (y * w).sum(axis=1) / power, sigma_y / np.sqrt(power)  # u = exp(-d / tau), d: edge to first moved sample
+    # u = exp(-d / tau), d from the edge to the first moved sample
+    u, sigma_u = (y * w).sum(axis=1) / power, sigma_y / np.sqrt(power)
     clear = u > 6.0 * sigma_u
     since = -shape.tau_s * np.log(np.where(clear, u, 1.0))
     sigma = np.where(clear, shape.tau_s * sigma_u / np.where(clear, u, 1.0), np.inf)

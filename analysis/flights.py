@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from analysis.brief import refine_brief
 from analysis.contact import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
 from analysis.flight_table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.impacts import NO_IMPACTS, Impacts, WitnessOffset, calibrate
@@ -58,7 +59,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     plate = found.plate
     true = (flags & FlightFlag.FALSE) == 0
     contact = _contacts(takeoff, landing, true)
-    flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, landing, contact, step, true)
+    flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, contact, step, true)
     flags |= _hidden(plate, setup.g_mps2.value, takeoff, landing, contact, step, flags)
     return Flights(
         takeoff_s=takeoff, landing_s=landing,
@@ -74,16 +75,19 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
     levels = found.survey.levels
     if levels is None:
         nothing = np.zeros(0)
-        return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), EdgeReport(None, SHARP, SHARP, None, 0)
+        silent = EdgeReport(None, SHARP, SHARP, None, 0)
+        return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), silent
     edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
-    takeoff, landing, takeoff_sigma, landing_sigma, flags = _intervals(edges, found.starts_open, n_samples / rate_hz)
+    end_s = n_samples / rate_hz
+    _, landing, _, landing_sigma, flags = _intervals(edges, found.starts_open, end_s)
     whole = (flags & (FlightFlag.FALSE | FlightFlag.CUT)) == 0
     impacts, offset = _impacts(found, landing[whole], landing_sigma[whole], rate_hz)
-    takeoff, landing, takeoff_sigma, landing_sigma, flags = _split(
-        takeoff, landing, takeoff_sigma, landing_sigma, flags, _with_dips(impacts, edges, rate_hz), 3.0 / rate_hz
-    )
+    edges = refine_brief(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
+    table = _split(*_intervals(edges, found.starts_open, end_s), impacts, 3.0 / rate_hz)
+    takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, 4.0 / rate_hz)
-    report = EdgeReport(levels, opening, closing, offset, int(np.count_nonzero(edges.kind == DIP)))
+    dips = int(np.count_nonzero(found.crossings.kind == DIP))
+    report = EdgeReport(levels, opening, closing, offset, dips)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
 
 
@@ -92,7 +96,7 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
     known = edges.kind != DIP
     time_s, sigma, kind = edges.time_s[known], edges.uncertainty_s[known], edges.kind[known]
     first_cut = starts_open and (kind.size == 0 or kind[0] == CLOSES)
-    last_cut = kind.size > 0 and kind[-1] == OPENS or (kind.size == 0 and starts_open)
+    last_cut = (kind.size > 0 and kind[-1] == OPENS) or (kind.size == 0 and starts_open)
     takeoff, landing = time_s[kind == OPENS], time_s[kind == CLOSES]
     takeoff_sigma, landing_sigma = sigma[kind == OPENS], sigma[kind == CLOSES]
     if first_cut:
@@ -118,25 +122,6 @@ def _impacts(
     if found.survey.waveform is None:
         return NO_IMPACTS, None
     return calibrate(found.impacts, landing, landing_sigma, 5.0 / rate_hz)
-
-
-def _with_dips(impacts: Impacts, edges: Edges, rate_hz: float) -> Impacts:
-    """Dips of the continuity voltage are landings too, where the accelerometer has none."""
-    dips = edges.kind == DIP
-    time_s, sigma = edges.time_s[dips], edges.uncertainty_s[dips]
-    if impacts.time_s.size and time_s.size:
-        after = np.clip(np.searchsorted(impacts.time_s, time_s), 1, max(impacts.time_s.size - 1, 1))
-        near = np.minimum(
-            np.abs(time_s - impacts.time_s[after - 1]), np.abs(time_s - impacts.time_s[np.minimum(after, impacts.time_s.size - 1)])
-        )
-        alone = near > 5.0 / rate_hz
-        time_s, sigma = time_s[alone], sigma[alone]
-    merged = np.concatenate([impacts.time_s, time_s])
-    order = np.argsort(merged)
-    return Impacts(
-        merged[order], np.concatenate([impacts.uncertainty_s, sigma])[order],
-        np.concatenate([impacts.strength, np.full(time_s.size, np.nan)])[order],
-    )
 
 
 def _split(
@@ -218,9 +203,9 @@ def _contacts(takeoff: Floats, landing: Floats, true: npt.NDArray[np.bool_]) -> 
 
 
 def _launch_flags(
-    plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Ints, true: npt.NDArray[np.bool_]
+    plate: PlateMotion, g: float, takeoff: Floats, contact: Floats, step: Ints, true: npt.NDArray[np.bool_]
 ) -> Ints:
-    """Flags `RELAUNCHED` (the plate was falling away where the ball had just landed) and `DOUBLE_HIT` (it was pushing)."""
+    """Flags `RELAUNCHED` (where the ball had just landed the plate fell away) and `DOUBLE_HIT` (it pushed)."""
     flags = np.zeros(takeoff.size, dtype=np.int64)
     brief = true & (contact < REBOUND_CONTACT_S)
     if not brief.any():

@@ -7,6 +7,7 @@ out exactly), blocks that an impact touches are left out, and each block counts 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -125,7 +126,7 @@ class Folder:
             return
         gaps = self.recording.gaps
         cuts = [start, *(int(g) for g in gaps[:, 0] if start < g < stop), stop]
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in pairwise(cuts):
             lost = int(gaps[gaps[:, 0] <= a, 1].sum())
             block = -(-(a + lost) // self.width)
             begin = block * self.width - lost
@@ -199,7 +200,7 @@ class Folder:
 
 
 def _masked(spans: list[Span], mask_blocks: float) -> list[Span]:
-    """Spans with the blocks after impacts left out; a shorter mask where impacts come so fast that little would be left."""
+    """Spans with the blocks after impacts left out; fewer where impacts come so fast that little would be left."""
     since = np.concatenate([s.since for s in spans])
     for part in (1.0, 0.7, 0.5, 0.35, 0.25):
         length = max(int(np.ceil(part * mask_blocks)), 1)
@@ -273,4 +274,5 @@ def _part_phase(
     sigma = float(fit.amplitude_sigma()[strongest]) / max(float(np.abs(fit.amplitudes[strongest])), 1e-300)
     if sigma > 0.3:
         return None
-    return 0.5 * (low + high) / rate_hz, float(np.angle(fit.amplitudes[strongest])), 1.0 / max(sigma, 1e-9), int(tones[strongest])
+    middle, angle = 0.5 * (low + high) / rate_hz, float(np.angle(fit.amplitudes[strongest]))
+    return middle, angle, 1.0 / max(sigma, 1e-9), int(tones[strongest])

@@ -2,7 +2,7 @@
 
 The rule kept here: nothing is assumed about what an impact looks like. Its waveform is learnt from the landings that
 the continuity circuit saw, the filter matched to it finds the others, and the offset between the two witnesses, with
-its scatter, is measured on the landings that both saw. A rig whose accelerometer shows no impacts has no second witness.
+its scatter, is measured on the landings that both saw. Where the accelerometer shows no impacts, there is none.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Waveform:
     Attributes
     ----------
     fine : array, shape (ECHO * FINE,)
-        Mean waveform in volts per unit strength, ``FINE`` points a sample, the electrical edge at point ``LEAD * FINE``.
+        Mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``.
     taps : float32 array, shape (LENGTH,)
         Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
     projector : array, shape (LENGTH, LENGTH)
@@ -59,7 +59,7 @@ def white_noise(x: Floats) -> float:
         return 0.0
     second = np.diff(x, 2)
     deviation = np.abs(second - np.median(second))
-    return float(np.median(deviation)) * 1.4826 / np.sqrt(6.0)
+    return float(np.median(deviation) * 1.4826 / np.sqrt(6.0))
 
 
 def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
@@ -142,7 +142,8 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
         np.add.at(bottom, inside, part * weight**2)
     known = bottom > 1e-9 * bottom.max()
     grid = np.arange(points)
-    return np.asarray(np.interp(grid, grid[known[:points]], (top[:points] / np.where(known, bottom, 1.0)[:points])[known[:points]]))
+    mean, known = top / np.where(known, bottom, 1.0), known[:points]
+    return np.asarray(np.interp(grid, grid[known], mean[:points][known]))
 
 
 def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
@@ -205,7 +206,8 @@ class ImpactScan:
         recent = self._found[-1][-self.RECENT :]
         out[: len(recent)] = recent
         total = _time(
-            volts, first - pad, found[:n], self.waveform.fine, self._bank, self._norms, self.waveform.projector, limit, out, len(recent)
+            volts, first - pad, found[:n], self.waveform.fine, self._bank, self._norms, self.waveform.projector,
+            limit, out, len(recent),
         )
         new = out[len(recent) : total].copy()
         self._found[-1] = np.concatenate([self._found[-1], new])
@@ -326,13 +328,16 @@ class WitnessOffset:
     pairs: int
 
 
-def calibrate(impacts: Impacts, landing_s: Floats, landing_sigma_s: Floats, reach_s: float) -> tuple[Impacts, WitnessOffset]:
+def calibrate(
+    impacts: Impacts, landing_s: Floats, landing_sigma_s: Floats, reach_s: float
+) -> tuple[Impacts, WitnessOffset]:
     """Put impacts on the axis of the electrical edges; ``reach_s`` is how far apart two of one landing may be."""
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return impacts, WitnessOffset(0.0, np.inf, 0.0, 0)
-    nearest = np.clip(np.searchsorted(landing_s, impacts.time_s), 1, max(landing_s.size - 1, 1))
-    lower, upper = landing_s[nearest - 1], landing_s[np.minimum(nearest, landing_s.size - 1)]
-    partner = np.where(np.abs(impacts.time_s - lower) <= np.abs(impacts.time_s - upper), nearest - 1, np.minimum(nearest, landing_s.size - 1))
+    after = np.minimum(np.searchsorted(landing_s, impacts.time_s), landing_s.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(impacts.time_s - landing_s[before]) <= np.abs(impacts.time_s - landing_s[after])
+    partner = np.where(nearer, before, after)
     difference = impacts.time_s - landing_s[partner]
     paired = np.abs(difference) < reach_s
     if paired.sum() < 3:

@@ -29,7 +29,7 @@ class Line:
 
 @dataclass(frozen=True)
 class SlowMotion:
-    """What is left of the plate's acceleration below the forcing, at a low rate: ``mps2`` at ``time_s``, NaN where masked."""
+    """What is left of the acceleration below the forcing, at a low rate: ``mps2`` at ``time_s``; NaN: masked."""
 
     time_s: Floats
     mps2: Floats
@@ -122,7 +122,8 @@ class StepPlate:
     def tone(self, multiple: int) -> tuple[complex, Floats]:
         """Amplitude of a multiple of the forcing (m/s^2) and its 2 x 2 covariance of (Re, Im)."""
         i = self.multiples.index(multiple)
-        return complex(self.acceleration.amplitudes[i]), self.acceleration.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        fit, own = self.acceleration, slice(2 * i, 2 * i + 2)
+        return complex(fit.amplitudes[i]), fit.covariance[own, own]
 
     @property
     def forcing_multiples(self) -> tuple[int, ...]:

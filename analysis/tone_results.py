@@ -50,7 +50,7 @@ def windows(
     times, amplitudes, sigmas = [], [], []
     for span in spans:
         residual = residual_of(span, fit, rate_hz, width)
-        length = max(int(round(WINDOW_CYCLES * rate_hz / frequency)), 1)
+        length = max(round(WINDOW_CYCLES * rate_hz / frequency), 1)
         for start in range(0, residual.size - length + 1, length):
             part = slice(start, start + length)
             use = np.isfinite(residual[part])
@@ -86,7 +86,7 @@ def slow_motion(
 
 
 def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[Line, ...]:
-    """Lines below 0.9 of the forcing that stand out of the residual's own background, strongest first, at most three."""
+    """Lines below 0.9 of the forcing that stand out of the residual's background, strongest first, at most three."""
     known = np.isfinite(slow.mps2)
     if known.sum() < 16:
         return ()
@@ -140,7 +140,7 @@ def _gated(part: LockIn | None, whole: ToneFit, rows: list[int]) -> ToneFit | No
         return None
     rhs = (part.rhs[:, 0] - part.gram @ held)[unknown]
     own = np.linalg.solve(gram, rhs)
-    covariance = np.linalg.inv(gram) * whole.rms**2
+    covariance = np.asarray(np.linalg.inv(gram) * whole.rms**2, dtype=np.float64)
     return ToneFit(
         whole.frequencies_hz[rows], own[1::2] + 1j * own[2::2], covariance[1:, 1:], whole.rms,
         float(own[0]), float(np.sqrt(covariance[0, 0])), part.n,
@@ -148,7 +148,7 @@ def _gated(part: LockIn | None, whole: ToneFit, rows: list[int]) -> ToneFit | No
 
 
 def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ratio: int) -> float:
-    """``A w^2 / g`` of tones given as acceleration in m/s^2: from the first tone, or the second where the first has none."""
+    """``A w^2 / g`` of tones in m/s^2: from the first tone, or the second where the first has no amplitude."""
     g = setup.g_mps2.value
     tones = dict(setup.forcing.displacement_tones())
     if setup.forcing.ratio != ratio:
@@ -213,6 +213,7 @@ def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup
 def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
     """All chapters' windows in one, in m/s^2."""
     if not fold.windows:
-        return Windows(np.zeros(0), np.zeros((0, tones), complex), np.zeros((0, tones)))
-    time_s, amplitudes, sigmas = (np.concatenate(column) for column in zip(*fold.windows, strict=True))
-    return Windows(time_s, amplitudes * factor, sigmas * abs(factor))
+        return Windows(np.zeros(0), np.zeros((0, tones), np.complex128), np.zeros((0, tones)))
+    time_s = np.concatenate([w[0] for w in fold.windows])
+    amplitudes = np.concatenate([w[1] for w in fold.windows])
+    return Windows(time_s, amplitudes * factor, np.concatenate([w[2] for w in fold.windows]) * abs(factor))
