@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fit import Fitted, Fitter, parameter_of
-from analysis.likelihood import DRIFT, Key, Whitener, World
+from analysis.likelihood import DRIFT, Key, Whitener, World, robust_loss
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects import registry
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ class Attributor:
     def explain(self, hints_hz: Sequence[float] = ()) -> Attribution:
         """Add effects one after the other while held-out steps gain."""
         nothing = Whitener.of(self.world, {})
-        before = self._judged((), self._settled(nothing, (), self.fitter.fit(nothing, (), {}).values))
+        before = self._judged((), self._settled(self.fitter.fit(nothing, (), {})))
         best, rounds, tried = before, [], []
         pool = candidates_of(self.world, hints_hz)
         rivals: list[Explanation] = []
@@ -207,21 +209,22 @@ class Attributor:
         if not free:
             return None
         start = self._start(best, candidate, free)
-        fitted = self._settled(best.whitener, (*best.free, *free), start)
-        if not np.any(fitted.jacobian[:, len(best.free) : len(best.free) + len(free)]):
+        added = Candidate(candidate.names, free)
+        fitted = self.fitter.fit(best.whitener, (*best.free, *free), start, best.fitted.slopes)
+        if not np.any(fitted.bare[:, len(best.free) : len(best.free) + len(free)]):
             return None
-        return self._judged((*best.candidates, Candidate(candidate.names, free)), fitted)
+        if best.fitted.loss - fitted.loss < HOPELESS_NATS:
+            return Explanation((*best.candidates, added), fitted, best.whitener, fitted.held_out(best.whitener))
+        return self._judged((*best.candidates, added), self._settled(fitted))
 
-    def _settled(self, whitener: Whitener, free: Sequence[Key], start: Mapping[Key, float]) -> Fitted:
-        """Fit, and again with the weights of the point found, until the excess no longer shrinks."""
-        fitted = self.fitter.fit(whitener, free, start)
+    def _settled(self, fitted: Fitted) -> Fitted:
+        """Fit again with the weights of the point found, until the excess no longer shrinks."""
         for _ in range(6):
-            tighter = Whitener.of(self.world, fitted.values)
-            shrunk = max(a / b for a, b in zip(whitener.excess_s, tighter.excess_s, strict=True))
-            if 0.8 < shrunk < 1.25 and np.median(np.abs(tighter.log_sigma - whitener.log_sigma)) < 0.1:
+            before, after = fitted.state.whitener, Whitener.of(self.world, fitted.values)
+            shrunk = max(a / b for a, b in zip(before.excess_s, after.excess_s, strict=True))
+            if 0.8 < shrunk < 1.25 and np.median(np.abs(after.log_sigma - before.log_sigma)) < 0.1:
                 break
-            whitener = tighter
-            fitted = self.fitter.fit(whitener, free, fitted.values)
+            fitted = self.fitter.fit(after, fitted.free, fitted.values)
         return fitted
 
     def _start(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> dict[Key, float]:
@@ -238,8 +241,6 @@ class Attributor:
         return best_point
 
     def _quick(self, whitener: Whitener, values: Mapping[Key, float]) -> float:
-        from analysis.likelihood import robust_loss
-
         events, plate = whitener.white(self.world.residuals(values))
         ev = self.world.evidence
         return float(robust_loss(events[self.train[whitener.step]]).sum() + robust_loss(plate[self.train[ev.plate.step]]).sum())

@@ -178,7 +178,7 @@ def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArra
     rest = opening - landing[before]
     at_once = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
     judged = linked & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
-    return Measured(opening, landing, at_once, linked, step.astype(np.int64)), judged, keep
+    return Measured(opening, landing, at_once, linked, step.astype(np.int64), judged), judged, keep
 
 
 def join(parts: Sequence[Evidence]) -> Evidence:
@@ -197,6 +197,7 @@ def join(parts: Sequence[Evidence]) -> Evidence:
     measured = Measured(
         events("opening_s"), events("landing_s"), events("at_once"), events("linked"),  # type: ignore[arg-type]
         np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
+        events("wanted"),  # type: ignore[arg-type]
     )
     table = Steps(
         np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),

@@ -7,7 +7,7 @@ what they cannot; a fit is judged only on steps it did not see.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,8 +120,9 @@ class Fitter:
         return mean, inverse
 
     # -- the fit ----------------------------------------------------------------------------------------------
-    def fit(self, whitener: Whitener, free: Sequence[Key], start: Mapping[Key, float], fixed: Mapping[Key, float] | None = None,
-            iterations: int = MOST_ITERATIONS) -> Fitted:
+    def fit(
+        self, whitener: Whitener, free: Sequence[Key], start: Mapping[Key, float], slopes: Mapping[Key, Array] | None = None
+    ) -> Fitted:
         """Levenberg-Marquardt on the robust loss from ``start``.
 
         Parameters
@@ -132,44 +133,48 @@ class Fitter:
             Parameters without prior; those of ``self.priors`` are always free within theirs.
         start
             Where to begin; missing ones begin at their prior's mean or absent value.
-        fixed
-            Parameters held at a value.
+        slopes
+            Known derivatives of the bare residuals, for parameters that are not free: they save predictions where the
+            point has not moved far.
         """
-        fixed = dict(fixed or {})
-        always = [k for k in self.priors if k not in free and k not in fixed]
+        always = [k for k in self.priors if k not in free]
         keys = [*free, *always]
         x = np.array([self._to_x(k, start.get(k, self.priors[k].mean if k in self.priors else parameter_of(k).absent)) for k in keys])
-        mean, inverse = self._prior_rows(keys, frozenset(free))
-        state = _State(self, whitener, keys, fixed, mean, inverse)
-        z, loss = state.residuals(x)
-        damping, jacobian = 1e-3, np.zeros((len(z), len(keys)))
-        for i in range(iterations):
-            columns = range(len(keys)) if i in (0, 4) else range(len(free))
-            state.fill(jacobian, x, z, columns)
-            normal, gradient = state.normal(jacobian, z, x, state.mask)
+        state = _State(self, whitener, keys, *self._prior_rows(keys, frozenset(free)))
+        raw = state.raw(x)
+        loss = state.loss(raw, x)
+        bare = np.zeros((len(raw), len(keys)))
+        known = dict(slopes or {})
+        for j, key in enumerate(keys):
+            if key in known and j >= len(free):
+                bare[:, j] = known[key]
+            else:
+                state.fill(bare, x, raw, (j,))
+        damping = 1e-3
+        for i in range(MOST_ITERATIONS):
+            if i > 0:
+                state.fill(bare, x, raw, range(len(free)))
+            normal, gradient = state.normal(whitener.white_all(bare), whitener.white_all(raw), x, state.mask)
             gained = 0.0
             for _ in range(6):
-                step = _solve(normal, gradient, damping)
-                trial = state.clip(x + step)
-                zt, lt = state.residuals(trial)
-                if lt < loss:
-                    gained = loss - lt
-                    x, z, loss, damping = trial, zt, lt, max(damping * 0.2, 1e-7)
+                trial = x + _solve(normal, gradient, damping, state.low - x, state.high - x)
+                raw_trial = state.raw(trial)
+                loss_trial = state.loss(raw_trial, trial)
+                if loss_trial < loss:
+                    gained = loss - loss_trial
+                    x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
             if gained < ENOUGH:
-                if i < 4 and gained > 0.0:
-                    continue
                 break
-        state.fill(jacobian, x, z, range(len(keys)))
-        return Fitted(self, state, tuple(free), keys, x, z, loss, jacobian)
+        return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
 
 class _State:
     """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""
 
-    def __init__(self, fitter: Fitter, whitener: Whitener, keys: Sequence[Key], fixed: Mapping[Key, float], mean: Array, inverse: Array):
-        self.fitter, self.whitener, self.keys, self.fixed = fitter, whitener, list(keys), dict(fixed)
+    def __init__(self, fitter: Fitter, whitener: Whitener, keys: Sequence[Key], mean: Array, inverse: Array) -> None:
+        self.fitter, self.whitener, self.keys = fitter, whitener, list(keys)
         self.mean, self.inverse = mean, inverse
         self.step = np.concatenate([whitener.step, fitter.world.evidence.plate.step])
         self.mask = fitter.train[self.step]
@@ -177,23 +182,24 @@ class _State:
         self.high = np.array([fitter._to_x(k, parameter_of(k).high) for k in keys])
 
     def point(self, x: Array) -> dict[Key, float]:
-        return {**self.fixed, **self.fitter.values(self.keys, x)}
+        return self.fitter.values(self.keys, x)
 
-    def clip(self, x: Array) -> Array:
-        return np.clip(x, self.low, self.high)
+    def raw(self, x: Array) -> Array:
+        """Bare residuals at ``x``, stacked."""
+        return self.whitener.stacked(self.fitter.world.residuals(self.point(x)))
 
-    def residuals(self, x: Array) -> tuple[Array, float]:
-        z = np.concatenate(self.whitener.white(self.fitter.world.residuals(self.point(x))))
-        prior = 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
-        return z, float(np.sum(robust_loss(z[self.mask]))) + prior
+    def loss(self, raw: Array, x: Array) -> float:
+        """Robust loss of the training steps, priors included."""
+        z = self.whitener.white_all(raw)
+        return float(np.sum(robust_loss(z[self.mask]))) + 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
-    def fill(self, jacobian: Array, x: Array, z: Array, columns: range) -> None:
-        """Finite differences of the stacked residuals, one column a parameter."""
+    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
+        """Finite differences of the bare residuals, one column a parameter."""
         for j in columns:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             moved = x.copy()
             moved[j] += h
-            jacobian[:, j] = (self.residuals(moved)[0] - z) / h
+            bare[:, j] = (self.raw(moved) - raw) / h
 
     def normal(self, jacobian: Array, z: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Normal equations of the weighted step, priors included."""
@@ -203,10 +209,21 @@ class _State:
         return weighted.T @ jacobian + np.diag(pull), -(weighted.T @ z) - pull * (x - self.mean)
 
 
-def _solve(normal: Array, gradient: Array, damping: float) -> Array:
+def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: Array) -> Array:
+    """Step that lowers the quadratic model within ``below <= step <= above``: what hits a bound stays on it."""
     diagonal = np.diag(normal).copy()
     diagonal[diagonal <= 0] = 1e-12
-    return np.asarray(np.linalg.lstsq(normal + np.diag(damping * diagonal + 1e-12), gradient, rcond=None)[0])
+    damped = normal + np.diag(damping * diagonal + 1e-12)
+    step, loose = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
+    for _ in range(len(gradient)):
+        push = gradient[loose] - damped[np.ix_(loose, ~loose)] @ step[~loose]
+        step[loose] = np.linalg.lstsq(damped[np.ix_(loose, loose)], push, rcond=None)[0]
+        beyond = loose & ((step < below) | (step > above))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step, below, above)[beyond]
+        loose &= ~beyond
+    return step
 
 
 @dataclass(frozen=True)
@@ -218,9 +235,18 @@ class Fitted:
     free: tuple[Key, ...]
     keys: list[Key]
     x: Array
-    z: Array
+    raw: Array
     loss: float
-    jacobian: Array
+    bare: Array
+
+    @property
+    def slopes(self) -> dict[Key, Array]:
+        """Derivatives of the bare residuals, by parameter."""
+        return {k: self.bare[:, j] for j, k in enumerate(self.keys)}
+
+    def _normal(self, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+        white = self.state.whitener.white_all
+        return self.state.normal(white(self.bare), white(self.raw), self.x, mask)
 
     @property
     def values(self) -> dict[Key, float]:
@@ -229,7 +255,7 @@ class Fitted:
 
     def covariance(self) -> Array:
         """Of all coordinates."""
-        normal, _ = self.state.normal(self.jacobian, self.z, self.x, self.state.mask)
+        normal, _ = self._normal(self.state.mask)
         return np.asarray(np.linalg.pinv(normal, rcond=1e-14))
 
     def sigma(self, key: Key) -> float:
@@ -250,8 +276,8 @@ class Fitted:
         world, out = self.fitter.world, {}
         for fold in self.fitter.folds:
             mask = self.state.mask & ~fold[self.state.step]
-            normal, gradient = self.state.normal(self.jacobian, self.z, self.x, mask)
-            x = self.state.clip(self.x + _solve(normal, gradient, 1e-6))
+            normal, gradient = self._normal(mask)
+            x = self.x + _solve(normal, gradient, 1e-6, self.state.low - self.x, self.state.high - self.x)
             losses = step_losses(world, whitener, world.residuals(self.state.point(x)))
             for channel, values in losses.items():
                 out[channel] = out.get(channel, np.zeros_like(values)) + np.where(fold, values, 0.0)

@@ -27,7 +27,6 @@ Values = Mapping[Key, float]
 DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
 FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
-PLATE_FARTHEST = 1e4
 LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
 EDGE_STEP_S = 2e-6
 GRAZING = 10.0  # times the median uncertainty: a landing so uncertain is left out of rms figures
@@ -125,13 +124,16 @@ class World:
             out[name] = table
         return out
 
-    def scalar(self, values: Values, hook: str, nothing: float) -> float | Array:
-        """Product (around 1) or sum (around 0) of a plain hook over the effects, per step."""
-        total: float | Array = nothing
-        for name, table in self.by_step(values).items():
-            hooks = effect(name).hooks
-            if hook in hooks:
-                one = np.array([hooks[hook]({k: float(v[i]) for k, v in table.items()}) for i in range(len(self.evidence.steps))])
+    def per_step(self, values: Values, hook: str, nothing: float) -> Array:
+        """Product (around 1) or sum (around 0) of a plain hook over the effects, (m,)."""
+        total = np.full(len(self.evidence.steps), nothing)
+        point = self.start(values)
+        names = [r for r in registry() if hook in r.hooks and any(k[0] == r.effect.name for k in point)]
+        if names:
+            tables = self.by_step({k: v for k, v in point.items() if k[0] in {r.effect.name for r in names}})
+            for entry in names:
+                table = tables[entry.effect.name]
+                one = np.array([entry.hooks[hook](dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)])
                 total = total * one if nothing == 1.0 else total + one
         return total
 
@@ -140,11 +142,11 @@ class World:
         """One event ahead at ``values``; times are those that the instrument would show."""
         ev = self.evidence
         step = ev.measured.step
-        shift = np.broadcast_to(np.asarray(self.scalar(values, "shift_s", 0.0)), (len(ev.steps),))[step]
-        reading = np.asarray(self.scalar(values, "reading", 1.0))
-        gap = np.broadcast_to(np.asarray(self.scalar(values, "gap_m", 0.0)), (len(ev.steps),))[step]
+        shift = self.per_step(values, "shift_s", 0.0)[step]
+        reading = self.per_step(values, "reading", 1.0)
+        gap = self.per_step(values, "gap_m", 0.0)[step]
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
-        plate = replace(ev.steps.plate, acceleration_mps2=z / (reading if reading.ndim == 0 else reading[:, None]))
+        plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
         moved = ev.measured.landing_s - shift
         if landing_shift_s is not None:
             moved = moved + landing_shift_s
@@ -262,13 +264,24 @@ class Whitener:
         sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         return cls(opening, landing, step[order], order, tuple(blocks), np.concatenate([cap_o, cap_l]), logs, sigma, log, excess)
 
+    def stacked(self, r: Residuals) -> Array:
+        """Bare residuals in one column: events in the order of ``step``, then plate data."""
+        events = _capped(np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]]), self.cap)
+        return np.concatenate([events[self.order], r.plate])
+
+    def white_all(self, bare: Array) -> Array:
+        """Whitened residuals, or columns of derivatives, from bare ones."""
+        out = np.empty_like(bare)
+        for lo, hi, factor in self.blocks:
+            out[lo:hi] = solve_triangular(factor, bare[lo:hi], lower=True, check_finite=False)
+        n = len(self.step)
+        out[n:] = (bare[n:].T / self.plate_sigma).T
+        return out
+
     def white(self, r: Residuals) -> tuple[Array, Array]:
         """Whitened event residuals (in the order of ``step``) and plate residuals."""
-        both = _capped(np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]]), self.cap)[self.order]
-        out = np.empty_like(both)
-        for lo, hi, factor in self.blocks:
-            out[lo:hi] = solve_triangular(factor, both[lo:hi], lower=True, check_finite=False)
-        return out, np.clip(r.plate / self.plate_sigma, -PLATE_FARTHEST, PLATE_FARTHEST)
+        both = self.white_all(self.stacked(r))
+        return both[: len(self.step)], both[len(self.step) :]
 
 
 def _excess(residual: Array, sigma: Array) -> float:

@@ -6,9 +6,9 @@ in one place (`expected`), from the hooks of the effects' own files.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,43 +183,42 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
     out = np.zeros(len(data))
     for entry in registry():
         table = values.get(entry.effect.name)
-        if table is None or not entry.hooks:
+        if table is None or not entry.hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
             continue
-        for j in np.unique(data.step):
-            p = {name: float(column[j]) for name, column in table.items()}
-            if p == entry.effect.absent:
-                continue
-            rows = data.step == j
-            _add(out, data, rows, entry.hooks, p)
+        points = np.array(list(table.values()))
+        for point in np.unique(points, axis=1).T:
+            p = dict(zip(table, map(float, point), strict=True))
+            if p != entry.effect.absent:
+                rows = np.all(points == point[:, None], axis=0)[data.step]
+                _add(out, data, rows, entry.hooks, p)
     return out
 
 
-def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[str, object], p: dict[str, float]) -> None:
-    """Add one effect's share to the data of one step."""
-    kind = data.kind
+def _logarithm_of_transfer(out: Array, data: PlateData, rows: NDArray[np.bool_], factor: NDArray[np.complex128]) -> None:
+    gain, phase = data.kind[rows] == GAIN, data.kind[rows] == PHASE
+    out[rows] += np.where(gain, np.log(np.abs(factor)), 0.0) + np.where(phase, np.angle(factor), 0.0)
 
-    def put(k: int, value: float) -> None:
-        out[rows & (kind == k)] += value
 
-    for name, hook in hooks.items():
+PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
+    "transfer": (GAIN, float),
+    "reading": (GAIN, lambda factor: float(np.log(factor))),
+    "harmonics": (SECOND, lambda pair: float(pair[0] ** 2)),
+    "hum_mps2": (HUM, lambda size: size**2),
+    "modulation": (MODULATION, lambda depth: depth**2),
+    "gate": (GATE, lambda change: float(np.log1p(change))),
+    "offset_mps2": (OFFSET, float),
+    "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
+}
+
+
+def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[str, Any], p: dict[str, float]) -> None:
+    """Add one effect's share to the data of the steps in ``rows``."""
+    for name in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
         if name == "transfer":
-            tones = np.flatnonzero(rows & ((kind == GAIN) | (kind == PHASE)))
-            for i in tones:
-                factor = hook(p, data.omega_radps[i : i + 1], float(data.accel_g[i]))[0]  # type: ignore[operator]
-                out[i] += np.log(abs(factor)) if kind[i] == GAIN else np.angle(factor)
-        elif name == "reading":
-            put(GAIN, float(np.log(hook(p))))  # type: ignore[operator]
-        elif name == "harmonics":
-            second, third = hook(p)  # type: ignore[operator]
-            put(SECOND, second**2)
-            put(THIRD, third**2)
-        elif name == "hum_mps2":
-            put(HUM, hook(p) ** 2)  # type: ignore[operator]
-        elif name == "modulation":
-            put(MODULATION, hook(p) ** 2)  # type: ignore[operator]
-        elif name == "gate":
-            put(GATE, float(np.log1p(hook(p))))  # type: ignore[operator]
-        elif name == "offset_mps2":
-            put(OFFSET, hook(p))  # type: ignore[operator]
-        elif name == "time_scale":
-            put(CLOCK, 1.0 / hook(p) - 1.0)  # type: ignore[operator]
+            _logarithm_of_transfer(out, data, rows, hooks[name](p, data.omega_radps[rows], data.accel_g[rows]))
+            continue
+        kind, share = PLAIN_HOOKS_OF_KIND[name]
+        said = hooks[name](p)
+        out[rows & (data.kind == kind)] += share(said)
+        if name == "harmonics":
+            out[rows & (data.kind == THIRD)] += said[1] ** 2

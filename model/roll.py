@@ -122,6 +122,8 @@ class Measured:
         The flight before in the table is the flight before in reality.
     step
         Row of `PlateSteps`.
+    wanted
+        Which flights a prediction is wanted for.
     """
 
     opening_s: Array
@@ -129,6 +131,7 @@ class Measured:
     at_once: NDArray[np.bool_]
     linked: NDArray[np.bool_]
     step: NDArray[np.int64]
+    wanted: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,6 @@ class Predicted:
     kind: Array
     launch_mps: Array
     impact_mps: Array
-    pull_mps2: Array
 
 
 def one_ahead(
@@ -173,10 +175,10 @@ def one_ahead(
     """
     n = len(measured.landing_s)
     rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
-    out = np.full((n, 10), np.nan)
+    out = np.full((n, 9), np.nan)
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1) | np.any(rows[:, _columns("mode")] > 0.0, axis=1)
     kernel().one_ahead(
-        measured.opening_s, measured.landing_s, measured.at_once, measured.linked, measured.step,
+        measured.opening_s, measured.landing_s, measured.at_once, measured.linked, measured.wanted, measured.step,
         plate.period_s, plate.omega_radps, np.ascontiguousarray(plate.acceleration_mps2.real),
         np.ascontiguousarray(plate.acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"),
         elastic, np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)), unseen_s,

@@ -49,7 +49,7 @@ def mode(p):
 
 
 # ---- kernel ----
-STEPS_PER_PERIOD = 48
+STEPS_PER_PERIOD = 32
 FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
 LONGEST_PERIODS = 60.0
 TAIL_PART = 2e-3  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
@@ -190,7 +190,7 @@ def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
             if i == 0:
                 return 0.0, direction
             lo, hi = last, s
-            for _ in range(46):
+            for _ in range(34):
                 mid = 0.5 * (lo + hi)
                 f = pull(t0 + mid, s0 + mid, h, 0.0, q, qd, om, ze, w, ar, ai, p)
                 over = f - up - (hold(dwell0 + mid, p) if h == 0.0 else 0.0)
@@ -435,7 +435,7 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
         over = pull(t, s0 + t - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level
         if over_later and not over:
             lo, hi = t, later
-            for _ in range(44):
+            for _ in range(34):
                 mid = 0.5 * (lo + hi)
                 if pull(mid, s0 + mid - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level:
                     hi = mid
@@ -448,15 +448,17 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
 
 @njit(cache=True, error_model="numpy")
 def one_ahead(
-    opening, landing, at_once, linked, step, period, w, ar, ai, p, forced, rough, bounce, gap, unseen_s, passable_s, out
+    opening, landing, at_once, linked, wanted, step, period, w, ar, ai, p, forced, rough, bounce, gap, unseen_s,
+    passable_s, out,
 ):
     """Predict each event from the measured one before it.
 
     ``opening, landing, at_once, linked, step`` (n,) describe the measured flights in order: seen to open, seen to land,
     whether it left at its predecessor's landing, whether its predecessor is the flight before it without a gap, and the
-    row of ``period`` (m,), ``w, ar, ai`` (m, k) with the plate's motion; ``p`` (n, P + 1). Fills ``out`` (n, 10):
+    row of ``period`` (m,), ``w, ar, ai`` (m, k) with the plate's motion; only those ``wanted`` are predicted;
+    ``p`` (n, P + 1). Fills ``out`` (n, 9):
     take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as predicted, then
-    launch velocity and impact speed of the measured flight itself, and the relative acceleration at the landing.
+    launch velocity and impact speed of the measured flight itself (where an elastic impact needs them).
     """
     q, qd = 0.0, 0.0  # of the plate mode, just after the landing before
     previous_hit = 0.0
@@ -473,7 +475,7 @@ def one_ahead(
             known = False
             q, qd = 0.0, 0.0
             t_previous = opening[i]
-        if linked[i] and (known or not bounce[i]):
+        if wanted[i] and linked[i] and (known or not bounce[i]):
             off, v0, land, hit, opened, hidden, kind, _, _ = next_seen(
                 t_previous, previous_hit, q, qd, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough, gap[i],
                 min(unseen_s, 0.5 * (landing[i] - opening[i])), opening[i], passable_s,
@@ -481,28 +483,28 @@ def one_ahead(
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = off, v0, land, hit
             out[i, 4], out[i, 5], out[i, 6] = opened, hidden, kind
         # the measured flight itself: how fast did it leave and land?
-        if at_once[i] and linked[i]:
-            start = t_previous
-        else:
-            qo, qdo, _ = ring(opening[i] - t_previous, q, qd, om, ze)
-            start = thrown_before(opening[i], period[m], qo, qdo, 0.0, om, ze, wi, ri, ii, dt, pi)
-            start = max(start, t_previous)
-        qs, qds, _ = ring(start - t_previous, q, qd, om, ze)
-        if bounce[i] or ratio != 0.0:
-            if at_once[i]:
-                v0, hit = launch_of(start, landing[i], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
-            else:
-                lasts, hit, _ = flight(start, 0.0, qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough, 0.0)
-                v0 = 0.0
-                if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
-                    v0, hit = launch_of(start, landing[i], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
-            hit = max(hit, 0.0)
-            out[i, 7], out[i, 8] = v0, hit
-            q, qd = strike(qs, qds, landing[i] - start, hit, om, ze, ratio, pi)
-            previous_hit = hit
-        known = True
-        out[i, 9] = pull(landing[i], 0.0, 0.0, 0.0, q, qd, om, ze, wi, ri, ii, pi)
+        t_landed = t_previous
         t_previous = landing[i]
+        known = True
+        needed = ratio != 0.0 or (bounce[i] and i + 1 < landing.shape[0] and wanted[i + 1])
+        if not (needed or (bounce[i] and wanted[i])):
+            continue
+        if at_once[i] and linked[i]:
+            start = t_landed
+        else:
+            qo, qdo, _ = ring(opening[i] - t_landed, q, qd, om, ze)
+            start = thrown_before(opening[i], period[m], qo, qdo, 0.0, om, ze, wi, ri, ii, dt, pi)
+            start = max(start, t_landed)
+        qs, qds, _ = ring(start - t_landed, q, qd, om, ze)
+        v0, hit = 0.0, 0.0
+        lasts = -1.0
+        if not at_once[i]:
+            lasts, hit, _ = flight(start, 0.0, qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough, 0.0)
+        if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
+            v0, hit = launch_of(start, landing[i], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
+        previous_hit = max(hit, 0.0)
+        out[i, 7], out[i, 8] = v0, previous_hit
+        q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 
 
 @njit(cache=True, error_model="numpy")

@@ -18,7 +18,7 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 
 ====================================== =========================================================================
 ``transfer(p, omega_radps, accel_g)``  complex factor on drive -> plate at the tones ``omega_radps`` (k,), where the
-                                       drive asks for a first tone of ``accel_g``
+                                       drive asks for first tones of ``accel_g`` (k,)
 ``reading(p)``                         factor by which the accelerometer reads too much
 ``shift_s(p)``                         delay of the continuity channel, both edges
 ``harmonics(p)``                       amplitude of the 2nd and 3rd harmonic relative to the first tone, (2,)
@@ -68,7 +68,8 @@ class Parameter:
     calibration
         One standard deviation to which the number is known without being declared (0: exactly absent).
     power
-        The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height.
+        The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height, 0.5 where
+        data are squares.
     shape
         True for a number that only shapes the effect (a frequency, a length): a fit needs the others to be non-zero.
     """

@@ -21,6 +21,8 @@ EFFECT = Effect(
 )
 
 
-def transfer(p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: float) -> NDArray[np.complex128]:
+def transfer(
+    p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: NDArray[np.float64]
+) -> NDArray[np.complex128]:
     """Factor on drive -> plate."""
     return np.full(omega_radps.shape, 1.0 + p["relative"], dtype=np.complex128)

@@ -21,7 +21,8 @@ EFFECT = Effect(
 )
 
 
-def transfer(p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: float) -> NDArray[np.complex128]:
+def transfer(
+    p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: NDArray[np.float64]
+) -> NDArray[np.complex128]:
     """Factor on drive -> plate."""
-    loss = p["per_g2"] * accel_g**2
-    return np.full(omega_radps.shape, 1.0 / (1.0 + loss) if loss > -0.9 else 10.0, dtype=np.complex128)
+    return (1.0 / np.maximum(1.0 + p["per_g2"] * accel_g**2, 0.1)).astype(np.complex128)

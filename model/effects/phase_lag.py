@@ -21,6 +21,8 @@ EFFECT = Effect(
 )
 
 
-def transfer(p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: float) -> NDArray[np.complex128]:
+def transfer(
+    p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: NDArray[np.float64]
+) -> NDArray[np.complex128]:
     """Factor on drive -> plate."""
     return np.exp(-1j * omega_radps * p["delay_s"])
