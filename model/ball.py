@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,13 @@ Floats = NDArray[np.float64]
 class Itinerary:
     """Where an orbit from rest went: landing phases (folded), landing indices, and the first flight of the cycle.
 
-    ``index`` counts branches (`model.cycle_kernel`); ``first = -1`` when the orbit did not close.
+    ``index`` counts branches (`model.cycle_kernel`); ``rests`` marks landings from which a completed chatter leads to
+    rest (its small bounces are left out); ``first = -1`` when the orbit did not close.
     """
 
     landing: Floats
     index: NDArray[np.int64]
+    rests: NDArray[np.bool_]
     first: int
 
 
@@ -36,6 +39,9 @@ class IdealBall:
     """The completely inelastic ball on ``forcing``, nothing added."""
 
     forcing: Forcing
+    bounces: ClassVar[bool] = False
+    most_flights: ClassVar[int] = 64
+    coarse: ClassVar[float] = 1e-5
 
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbit.Ball.fly`."""
@@ -90,13 +96,13 @@ class IdealBall:
         ok, _, periods, multiplier = cycle_kernel.close_cycle(
             self.forcing.tones, gamma, edge, n_windows, near.phase, n, phases, taus, index
         )
-        if not ok or _has_shorter(phases):
+        if not ok or has_shorter(phases):
             return None
         turn = int(np.argmin(np.mod(phases, TWO_PI)))
         phases, taus = np.roll(np.mod(phases, TWO_PI), -turn), np.roll(taus, -turn)
         forcing = self.forcing
         speeds = np.array([flight.first_landing(forcing, gamma, p).impact_speed for p in phases])
-        return LockedCycle(phases, taus, speeds, periods, multiplier)
+        return LockedCycle(phases, np.zeros(n), taus, speeds, periods, multiplier)
 
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
@@ -115,7 +121,7 @@ class IdealBall:
             self.forcing.tones, gamma, edge, n_windows, 0.0, tau, phase, speed, index, threshold
         )
         landing = np.mod(phase[:stop] + tau[:stop] - edge[0], TWO_PI) + edge[0]
-        return Itinerary(landing, index[:stop], first)
+        return Itinerary(landing, index[:stop], np.zeros(stop, dtype=bool), first)
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
         """See `model.cycle_kernel.locked_family`."""
@@ -151,7 +157,7 @@ def _q(forcing: Forcing, phase: Floats) -> Floats:
     return np.asarray((b * n * n * np.sin(n * phase[:, None] + p)).sum(axis=1))
 
 
-def _has_shorter(phases: Floats) -> bool:
+def has_shorter(phases: Floats) -> bool:
     """Whether a cycle is a shorter one run through several times."""
     n = phases.size
     return any(n % k == 0 and bool(np.all(np.abs(phases - np.roll(phases, k)) < 1e-9)) for k in range(1, n))

@@ -21,12 +21,13 @@ from model import locked, staircase
 from model.ball import Itinerary
 from model.branches import TWO_PI
 from model.cycle_kernel import FLIGHTS, PERIOD
-from model.orbit import Ball, State
+from model.continuation import follow_both_ways
+from model.orbit import Ball, State, attractor
 from model.staircase import Window
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 LONGEST = 32  # flights of the longest cycle looked for
-MOST_FLIGHTS = 64  # before an orbit from rest is given up in the search: the way into the cycle and the cycle
+MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 SAME = 1e-9  # two edges nearer than this are one event
 CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles has not jumped (a cube root may move 1e-5)
 BESIDE = 8  # doubles beyond an edge at which the other side is looked at
@@ -37,7 +38,7 @@ Floats = NDArray[np.float64]
 
 
 class Map(Ball, Protocol):
-    """A ball whose state after a landing is one phase, so that its cycles can be followed in gamma."""
+    """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
         """See `model.ball.IdealBall.signatures`."""
@@ -49,6 +50,21 @@ class Map(Ball, Protocol):
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
         """See `model.cycle_kernel.locked_family`."""
+        ...
+
+    @property
+    def bounces(self) -> bool:
+        """Whether an impact can throw it back; then the state after a landing is a phase and a speed."""
+        ...
+
+    @property
+    def most_flights(self) -> int:
+        """Before an orbit from rest is given up in the search: the way into the cycle and the cycle."""
+        ...
+
+    @property
+    def coarse(self) -> float:
+        """Spacing in gamma of the search that goes everywhere."""
         ...
 
     @property
@@ -71,7 +87,7 @@ class Bifurcation:
     """One change of the attractor: where in gamma, its type, and the cycles just below and above.
 
     ``type`` is one of: ``take-off``, ``new take-off window``, ``take-off windows merge``, ``lock`` (a cycle with a reset
-    stops sticking), ``stick lost``, ``stick gained``, ``flight lost``, ``flight gained`` (one of zero length, at the end
+    stops sticking, or a locked 1-cycle is born at a fold), ``stick lost``, ``stick gained``, ``flight lost``, ``flight gained`` (one of zero length, at the end
     of a take-off window), ``grazing`` (a landing jumps), ``period doubling``, ``fold``, ``accumulation``, ``basin`` (the
     orbit from rest goes to another cycle; neither changes).
     """
@@ -134,14 +150,16 @@ def cycle_windows(ball: Map, low: float, high: float, *, narrowest: float = NARR
             continue
         room = 4 * np.spacing(max(b, 1.0))  # at the level itself the tables are in two minds
         out += staircase.windows(
-            lambda g: ball.signatures(g, MOST_FLIGHTS), lambda w: _locked_beside(ball, w), a + room, b - room, narrowest
+            lambda g: ball.signatures(g, ball.most_flights), lambda w: _locked_beside(ball, w),
+            lambda stretches, spacing: _locked_within(ball, stretches, spacing), a + room, b - room, narrowest,
+            ball.coarse,
         )
     return out
 
 
 def _locked_beside(ball: Map, window: Window) -> list[Window]:
     """Windows of the locked cycles that begin where the last stick of ``window`` is lost."""
-    if window.resets != 1:
+    if window.resets != 1 or ball.bounces:
         return []
     out = []
     for edge in (window.low, window.high):
@@ -159,6 +177,25 @@ def _locked_beside(ball: Map, window: Window) -> list[Window]:
                         0, True, ("", family.how) if up else (family.how, ""),
                     )
                 )
+    return out
+
+
+def _locked_within(ball: Map, stretches: list[tuple[float, float]], spacing: float) -> list[Window]:
+    """Windows of locked cycles met by sampling the orbits from rest: all there is to do where a landing has a speed."""
+    if not ball.bounces:
+        return []
+    out: list[Window] = []
+    for low, high in stretches:
+        count = min(max(int((high - low) / spacing), 1), MOST_SAMPLES)
+        for gamma in low + (np.arange(count) + 0.5) * (high - low) / count:
+            if any(w.low <= gamma <= w.high for w in out):
+                continue
+            found = attractor(ball, float(gamma), max_flights=4 * ball.most_flights)
+            cycle = ball.close(float(gamma), found.last, found.flights) if found.locked else None
+            if cycle is not None:
+                branch = follow_both_ways(ball.close, float(gamma), cycle, low, high)
+                how = tuple("" if end == "limit" else end for end in branch.ends)
+                out.append(Window(branch.low, branch.high, found.flights, 0, cycle.periods, 0, True, (how[0], how[1])))
     return out
 
 
@@ -180,7 +217,9 @@ def _edges(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcat
         if not _near(gamma, cuts):
             left = next((w for _, w, is_high in here if is_high), None)
             right = next((w for _, w, is_high in here if not is_high), None)
-            out.append(_event(ball, gamma, left, right))
+            event = _event(ball, gamma, left, right)
+            if event.type != "basin" or event.before != event.after:
+                out.append(event)
     return out
 
 
@@ -189,13 +228,17 @@ def _event(ball: Map, gamma: float, left: Window | None, right: Window | None) -
     before = _side(left) if left is not None else _side_at(ball, gamma, -1, [])
     after = _side(right) if right is not None else _side_at(ball, gamma, +1, [])
     if known in ("period doubling", "merged"):
-        return Bifurcation(gamma, "period doubling", *_doubled(before, after))
-    if known == "fold":
-        return Bifurcation(gamma, "fold", before, after)
+        return Bifurcation(gamma, "period doubling", *_doubled(before, after, 2.0 if known == "period doubling" else 0.5))
+    if known == "fold" and right is not None and right.flights == 1 and right.locked:
+        return Bifurcation(gamma, "lock", before, after)
+    if known in ("fold", "grazing"):
+        return Bifurcation(gamma, known, before, after)
     room = BESIDE * np.spacing(max(gamma, 1.0))
     low = left.high if left is not None and not left.locked else gamma - room
     high = right.low if right is not None and not right.locked else max(gamma, low) + room
-    kind = change(ball.itinerary(low, MOST_FLIGHTS), ball.itinerary(high, MOST_FLIGHTS))
+    kind = change(ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights))
+    if ball.bounces:
+        return Bifurcation(gamma, kind, before, after)
     if kind == "stick lost" and before.resets == 1:  # a locked cycle begins there, however short its window
         return Bifurcation(gamma, "lock", before, _unstuck(before))
     if kind == "stick gained" and after.resets == 1:
@@ -203,13 +246,12 @@ def _event(ball: Map, gamma: float, left: Window | None, right: Window | None) -
     return Bifurcation(gamma, kind, before, after)
 
 
-def _doubled(before: Side, after: Side) -> tuple[Side, Side]:
-    """A locked cycle and its double, whichever of the two has a window wide enough to be listed."""
+def _doubled(before: Side, after: Side, factor: float) -> tuple[Side, Side]:
+    """A locked cycle and its double, where only one of the two has a window wide enough to be listed."""
     if before.flights is not None and after.flights is None:
-        odd = before.flights % 2 == 1
-        return before, _times(before, 2.0 if odd else 0.5)
+        return before, _times(before, factor)
     if after.flights is not None and before.flights is None:
-        return _times(after, 2.0 if after.flights % 2 == 1 else 0.5), after
+        return _times(after, factor), after
     return before, after
 
 
@@ -226,10 +268,12 @@ def _unstuck(side: Side) -> Side:
 def change(below: Itinerary, above: Itinerary) -> str:
     """What happens between two neighbouring gammas: told by the first flight whose landing index differs."""
     n = min(below.index.size, above.index.size)
-    differ = np.flatnonzero(below.index[:n] != above.index[:n])
+    differ = np.flatnonzero((below.index[:n] != above.index[:n]) | (below.rests[:n] != above.rests[:n]))
     if differ.size == 0:
         return "basin"
     k = int(differ[0])
+    if below.index[k] == above.index[k]:  # a chatter that comes to its end, or just does not
+        return "stick lost" if below.rests[k] else "stick gained"
     if abs(math.remainder(below.landing[k] - above.landing[k], TWO_PI)) > CONTINUOUS:
         return "grazing"
     if 0 <= below.first and k < below.first and 0 <= above.first and k < above.first:
@@ -251,7 +295,7 @@ def _side_at(ball: Map, gamma: float, direction: int, windows: list[Window]) -> 
     for window in windows:
         if window.low <= beside <= window.high:
             return _side(window)
-    row = ball.signatures(np.array([beside]), MOST_FLIGHTS)[0]
+    row = ball.signatures(np.array([beside]), ball.most_flights)[0]
     if row[FLIGHTS] == 0:
         return Side(1, 0, 0)
     return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[1])) if row[FLIGHTS] > 0 else Side()
@@ -273,7 +317,7 @@ def _accumulations(ball: Map, windows: list[Window], cuts: list[float]) -> list[
 
 def _falls_on_cycle(ball: Map, low: float, high: float, n: int) -> float | None:
     """The gamma between two at which the orbits' last common landing falls on an unstable cycle of ``n`` flights."""
-    below, above = ball.itinerary(low, MOST_FLIGHTS), ball.itinerary(high, MOST_FLIGHTS)
+    below, above = ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights)
     m = min(below.index.size, above.index.size)
     differ = np.flatnonzero(below.index[:m] != above.index[:m])
     common = int(differ[0]) if differ.size else m

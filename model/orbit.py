@@ -70,9 +70,10 @@ class Path:
 
 @dataclass(frozen=True)
 class LockedCycle:
-    """A cycle that never sticks: the root of ``T^n(x) = x``."""
+    """A cycle that never sticks: the root of ``T^n(x) = x``; ``start`` are the speeds at take-off, ``speed`` at impact."""
 
     phase: Floats
+    start: Floats
     tau: Floats
     speed: Floats
     periods: int

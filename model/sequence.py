@@ -8,6 +8,7 @@ from __future__ import annotations
 from model.ball import IdealBall
 from model.bifurcation import NARROWEST, Bifurcation, bifurcations
 from model.orbit import Ball
+from model.rough_ball import RoughBall
 
 
 def sequence(
@@ -20,6 +21,6 @@ def sequence(
     ValueError
         If the range is empty, negative or not finite.
     """
-    if isinstance(ball, IdealBall) and sweep is None:
+    if isinstance(ball, IdealBall | RoughBall) and sweep is None:
         return bifurcations(ball, low, high, narrowest=narrowest)
     raise ValueError("not yet")

@@ -47,6 +47,7 @@ class Window:
 def windows(
     signatures: Signatures,
     locked_beside: Callable[[Window], list[Window]],
+    locked_within: Callable[[list[tuple[float, float]], float], list[Window]],
     low: float,
     high: float,
     narrowest: float,
@@ -62,6 +63,8 @@ def windows(
         Of the orbits from rest.
     locked_beside
         The windows of locked cycles that begin at the edges of a window with a reset.
+    locked_within
+        The windows of locked cycles that are met in stretches not yet covered, sampled at a spacing.
     narrowest, coarse
         Width in gamma, and spacing of the search that goes everywhere.
     """
@@ -75,7 +78,10 @@ def windows(
             if window.width > narrowest and key not in sticking:
                 sticking[key] = window
                 locked += [w for w in locked_beside(window) if w.width > narrowest]
-        found = _reached([w for w in locked if low < w.high and w.low < high], _joined(list(sticking.values())))
+        closed = _joined(list(sticking.values()))
+        open_ = _between(_reached(locked, closed, low, high), low, high, narrowest)
+        locked += [w for w in locked_within(open_, spacing) if w.width > narrowest]
+        found = _reached(locked, closed, low, high)
         stretches = _between(found, low, high, narrowest)
     return found
 
@@ -91,21 +97,21 @@ def _joined(found: list[Window]) -> list[Window]:
     return out
 
 
-def _reached(locked: list[Window], sticking: list[Window]) -> list[Window]:
+def _reached(locked: list[Window], sticking: list[Window], lowest: float, highest: float) -> list[Window]:
     """All in order; of a locked cycle only where no orbit from rest goes to a cycle with a reset instead."""
     out = list(sticking)
     ends = np.array([w.high for w in sticking])
     seen: set[float] = set()
-    for window in locked:
+    for window in (w for w in locked if lowest < w.high and w.low < highest):
         first = int(np.searchsorted(ends, window.low, side="right"))
-        low = window.low
-        while low < window.high:
+        low, top = max(window.low, lowest), min(window.high, highest)
+        while low < top:
             other = sticking[first] if first < len(sticking) else None
-            high = window.high if other is None else min(window.high, other.low)
+            high = top if other is None else min(top, other.low)
             if high - low > 8 * np.spacing(high) and low not in seen:
                 seen.add(low)
                 out.append(_part(window, low, high))
-            low = window.high if other is None else max(low, other.high)
+            low = top if other is None else max(low, other.high)
             first += 1
     return sorted(out, key=lambda w: w.low)
 

@@ -1,0 +1,145 @@
+"""The ball with Coulomb friction and restitution as `model.orbit` wants it, by the exact kernel.
+
+The rule kept here: as in `model.ball`. Without restitution its state after a landing is one phase, and its bifurcations
+have equations of their own (`model.bifurcation`); with restitution it is a phase and a speed.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model import flight
+from model import rough_cycle_kernel as kernel
+from model.ball import IdealBall, Itinerary, has_shorter, resting
+from model.branches import TWO_PI
+from model.cycle_kernel import SIGNATURE_SIZE
+from model.friction_kernel import fill_rough_edges
+from model.orbit import LockedCycle, Path, State
+from model.tones import Forcing
+
+Floats = NDArray[np.float64]
+Tables = tuple[Floats, int, Floats, int]
+
+
+@dataclass(frozen=True)
+class RoughBall:
+    """A ball with friction ``mu_up``, ``mu_down`` and restitution ``e0 - e1 v`` (v in g/w) on ``forcing``."""
+
+    forcing: Forcing
+    mu_up: float = 0.0
+    mu_down: float = 0.0
+    e0: float = 0.0
+    e1: float = 0.0
+
+    @property
+    def rough(self) -> tuple[float, float, float, float]:
+        """As the kernels take it."""
+        return self.mu_up, self.mu_down, self.e0, self.e1
+
+    @property
+    def bounces(self) -> bool:
+        """Whether an impact can throw it back."""
+        return self.e0 > 0.0 or self.e1 < 0.0
+
+    @property
+    def most_flights(self) -> int:
+        """Enough for a cycle of 32 flights, and for the bounces of a chatter."""
+        return 64 if not self.bounces else 512
+
+    @property
+    def coarse(self) -> float:
+        """Spacing in gamma of the search that goes everywhere."""
+        return 1e-5 if not self.bounces else 1e-3
+
+    def _tables(self, gamma: float) -> Tables:
+        turning = flight.turning_points(self.forcing)
+        up, down = np.zeros((2, turning.size + 2))
+        n_up, n_down = fill_rough_edges(self.forcing.tones, turning, gamma, self.rough, up, down)
+        return up, n_up, down, n_down
+
+    def _fly(self, gamma: float, start: State, max_flights: int) -> tuple[tuple[Floats, ...], int, int, int, State]:
+        up, n_up, down, n_down = self._tables(gamma)
+        tau, phase, speed = np.empty((3, max_flights))
+        index, threshold, mark = np.empty((3, max_flights), dtype=np.int64)
+        first, stop, periods, phi, v = kernel.fly_rough_until_closed(
+            self.forcing.tones, gamma, up, n_up, down, n_down, self.rough, start.phase, start.speed,
+            tau, phase, speed, index, threshold, mark,
+        )
+        kept = tuple(x[:stop] for x in (tau, phase, speed, index, threshold, mark))
+        return kept, first, stop, periods, State(phi, v)
+
+    def fly(self, gamma: float, start: State, max_flights: int) -> Path:
+        """See `model.orbit.Ball.fly`."""
+        if self._tables(gamma)[1] == 0:
+            return resting(start)
+        (tau, phase, speed, _, threshold, mark), first, stop, periods, last = self._fly(gamma, start, max_flights)
+        if stop == 0:
+            return resting(last)
+        chatter = (np.asarray(mark) & kernel.CHATTERS) > 0
+        return Path(
+            tau, phase, speed, np.full(stop, math.nan), np.asarray(threshold) >= 0, chatter, first, periods, last
+        )
+
+    def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+        """Signatures (`model.cycle_kernel`) of the orbits from rest at each gamma, shape (m, SIGNATURE_SIZE)."""
+        out = np.empty((len(gammas), SIGNATURE_SIZE), dtype=np.int64)
+        turning = flight.turning_points(self.forcing)
+        kernel.rough_signatures(
+            self.forcing.tones, turning, np.ascontiguousarray(gammas), self.rough, max_flights, out
+        )
+        return out
+
+    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
+        """Where the orbit from rest at ``gamma`` goes until it closes."""
+        (tau, phase, _, index, _, mark), first, _, _, _ = self._fly(gamma, State(), max_flights)
+        start = self._tables(gamma)[0][0]
+        landing = np.mod(phase + tau - start, TWO_PI) + start
+        kept: list[int] = []
+        pending: list[int] = []
+        rests: list[bool] = []
+        entry = -1
+        for k, bits in enumerate(np.asarray(mark, dtype=np.int64)):
+            if k == first:
+                entry = len(kept)
+            pending.append(k)
+            if bits & kernel.CHATTERS:
+                pending = pending[:1]
+            if bits & kernel.CHATTERS or k + 1 == len(tau) or not int(mark[k + 1]) & kernel.SMALL:
+                kept += pending
+                rests += [False] * (len(pending) - 1) + [bool(bits & kernel.CHATTERS)]
+                pending = []
+        return Itinerary(landing[kept], np.asarray(index, dtype=np.int64)[kept], np.array(rests, dtype=bool), entry)
+
+    def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
+        """See `model.cycle_kernel.locked_family`; for a ball that does not rebound."""
+        turning = flight.turning_points(self.forcing)
+        return kernel.rough_locked_family(self.forcing.tones, turning, gamma, self.rough, window, after, n)
+
+    @property
+    def take_off_levels(self) -> tuple[Floats, Floats]:
+        """See `model.ball.IdealBall.take_off_levels`: friction raises them all by ``1 + mu_up``."""
+        births, merges = IdealBall(self.forcing).take_off_levels
+        return births * (1.0 + self.mu_up), merges * (1.0 + self.mu_up)
+
+    def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
+        """See `model.orbit.Ball.close`."""
+        if self._tables(gamma)[1] == 0:
+            return None
+        phases, taus, speeds, starts = np.empty((4, n))
+        ok, periods, trace, determinant = kernel.close_rough_cycle(
+            self.forcing.tones, flight.turning_points(self.forcing), gamma, self.rough, near.phase, near.speed, n,
+            phases, taus, speeds, starts,
+        )
+        if not ok or has_shorter(phases):
+            return None
+        root = cmath.sqrt(trace * trace / 4.0 - determinant)
+        multiplier = max((trace / 2.0 + root, trace / 2.0 - root), key=abs)
+        size = multiplier.real if multiplier.imag == 0.0 else math.copysign(abs(multiplier), multiplier.real)
+        turn = -int(np.argmin(np.mod(phases, TWO_PI)))
+        phases, starts, taus, speeds = (np.roll(x, turn) for x in (np.mod(phases, TWO_PI), starts, taus, speeds))
+        return LockedCycle(phases, starts, taus, speeds, periods, size)
