@@ -25,7 +25,9 @@ HARMONICS = 5
 MAINS_HZ = (50.0, 60.0)
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # masked before an impact
-LEAST_CLEAR = 0.6  # of a step, below which the mask is shortened
+SURELY_CLEAR = 0.85  # of a step, above which no mask can do harm
+MOST_INFLATED = 1.6  # of a tone's uncertainty, by the mask
+LOOKED_CYCLES = 12.0  # of a step, on which the mask is judged
 CHAPTER = 1 << 18  # means kept in memory before they are folded in
 
 
@@ -146,7 +148,8 @@ class Folder:
         # the block in which an impact begins, a little early, counts as touched
         begins = (hits - int(LEAD_S * self.rate_hz)) // self.width
         last = np.searchsorted(begins, blocks, side="right") - 1
-        since = np.where(last >= 0, blocks - (hits // self.width)[np.maximum(last, 0)], np.iinfo(np.int32).max // 2)
+        began = np.append(hits // self.width, 0)  # there may be none: index -1 must still exist
+        since = np.where(last >= 0, blocks - began[last], np.iinfo(np.int32).max // 2)
         fraction = means.get("continuity", np.full(count, 0.5, np.float32))
         in_air = np.where(fraction > 0.9, 1, np.where(fraction < 0.1, 0, -1)).astype(np.int8)
         drive = means.get("drive", np.zeros(count, np.float32))
@@ -159,11 +162,13 @@ class Folder:
             return
         rate = self.rate_hz / self.width
         has_drive = "drive" in self.recording.channels
-        fold.spans[:] = _masked(fold.spans, self.mask_s * rate)
         if not np.isfinite(fold.frequency_hz):
             fold.frequency_hz, fold.frequency_uncertainty_hz = _refine(fold, rate, has_drive)
             fold.multiples, frequencies = self._frequencies(fold)
             fold.contact, fold.rest, fold.flight = (LockIn(rate, frequencies, 2, self.width) for _ in range(3))
+        rows = [fold.multiples.index(m) for m in sorted({1, fold.ratio}) if m in fold.multiples]
+        tones = fold.frequency_hz * np.array(fold.multiples)
+        fold.spans[:] = _masked(fold.spans, self.mask_s * rate, tones, rows, rate)
         parts = ((fold.contact, 0), (fold.rest, -1), (fold.flight, 1))
         for span in fold.spans:
             values = np.column_stack([span.accelerometer, span.drive])
@@ -173,7 +178,6 @@ class Folder:
             fold.clear += int(span.clear.sum())
         fit = _solve(_total(fold), 0)
         if fit is not None:
-            rows = [fold.multiples.index(m) for m in sorted({1, fold.ratio}) if m in fold.multiples]
             fold.windows.append(tone_results.windows(fold.spans, fit, rows, rate, self.width))
             fold.slow.append(tone_results.slow_motion(fold.spans, fit, rate, self.width, fold.frequency_hz))
         fold.spans.clear()
@@ -199,13 +203,32 @@ class Folder:
         self.done.append(None if total is None else tone_results.step_plate(self.recording, fold, total))
 
 
-def _masked(spans: list[Span], mask_blocks: float) -> list[Span]:
-    """Spans with the blocks after impacts left out; fewer where impacts come so fast that little would be left."""
-    since = np.concatenate([s.since for s in spans])
+def _masked(
+    spans: list[Span], mask_blocks: float, frequencies_hz: Floats, rows: list[int], rate_hz: float
+) -> list[Span]:
+    """Spans with the blocks after impacts left out, as long as what is left still holds the forcing's tones ``rows``.
+
+    Impacts at the same phases of every cycle may leave holes that tones and harmonics fill at will; then the mask is
+    shortened (the learnt waveform has been subtracted anyway) until no tone's uncertainty is more than `MOST_INFLATED`
+    times that of an unmasked step.
+    """
+    cycles = frequencies_hz / rate_hz
+    looked = LOOKED_CYCLES / cycles[0]
+    first = spans[0].first
+    index = np.concatenate([s.first + np.arange(s.since.size) for s in spans if s.first - first < looked])
+    since = np.concatenate([s.since for s in spans if s.first - first < looked])
     for part in (1.0, 0.7, 0.5, 0.35, 0.25):
         length = max(int(np.ceil(part * mask_blocks)), 1)
-        if np.mean(since > length) >= LEAST_CLEAR:
+        kept = since > length
+        if np.mean(kept) > SURELY_CLEAR:
             break
+        if kept.sum() > 4 * (2 * cycles.size + 1):
+            angle = 2.0 * np.pi * np.outer(index[kept], cycles)
+            design = np.hstack([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)])
+            spread = np.diag(np.linalg.pinv(design.T @ design, hermitian=True))
+            worst = max(spread[1 + r] + spread[1 + cycles.size + r] for r in rows)
+            if worst < 4.0 / since.size * MOST_INFLATED**2:
+                break
     return [replace(s, clear=s.since > length) for s in spans]
 
 

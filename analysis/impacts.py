@@ -21,6 +21,7 @@ LENGTH = LEAD + TAIL
 ECHO = 128  # samples of the waveform learnt: an impact's ringing must not be taken for the next impact
 FINE = 8  # template points per sample
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
+UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that its waveform may get wrong
 MIN_LANDINGS = 6  # landings needed to learn a waveform
 TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
@@ -82,7 +83,7 @@ def learn_waveform(
     Parameters
     ----------
     snippets : array, shape (n, ECHO)
-        Accelerometer volts; column ``LEAD`` is the first sample at or after the landing.
+        Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
     fractions : array, shape (n,)
         How long before column ``LEAD`` the landing was, in samples, in [0, 1).
     noise_v : float
@@ -105,27 +106,12 @@ def learn_waveform(
         return None
     direction = mean / strength
     size = flat @ direction
-    fine = _oversample(_above_the_motion(snippets, size, noise_v, tones_hz / rate_hz), fractions, size)
+    fine = _oversample(snippets, fractions, size)
     fine[: (LEAD - 1) * FINE] = 0.0  # nothing rings before the impact
     # matched to the whole waveform, but blind to the motion under it
     taps = fine[: LENGTH * FINE : FINE] @ projector
     norm = float(np.linalg.norm(taps))
     return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
-
-
-def _above_the_motion(snippets: Floats, size: Floats, noise_v: float, cycles_per_sample: Floats) -> Floats:
-    """Snippets less the plate's motion: a smooth curve that leans on the samples where no impact rings."""
-    basis = motion_basis(ECHO, 4, cycles_per_sample)
-    weight = np.ones(ECHO)
-    flat = snippets
-    for _ in range(4):
-        lever = basis.T * weight
-        flat = snippets - snippets @ lever.T @ np.linalg.inv(lever @ basis) @ basis.T
-        ring = np.abs((size @ flat) / (size @ size)) * np.median(size)
-        envelope = np.maximum.accumulate(ring[::-1])[::-1]
-        envelope[: LEAD - 1] = 0.0
-        weight = 1.0 / (1.0 + (10.0 * envelope / noise_v) ** 2)
-    return flat
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
@@ -147,14 +133,14 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
 
 
 def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
-    """How long to leave samples out after a strong impact whose waveform has been subtracted.
+    """How long to leave samples out after a strong impact.
 
-    What the subtraction may leave (`ECHO_MARGIN` of the waveform) adds its time integral to a tone's amplitude, a cycle
-    at a time; it must stay below the noise of that amplitude in one second.
+    What the subtraction may leave (`UNLEARNT` of the waveform) adds its time integral to a tone's amplitude,
+    `TYPICAL_HZ` times a second; that must stay below the noise of the amplitude in one second.
     """
     after = fine[LEAD * FINE :] * np.quantile(size, 0.9)
-    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1]))) [::-1] / FINE / rate_hz  # V s still to come
-    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * ECHO_MARGIN)
+    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1])))[::-1] / FINE / rate_hz  # V s still to come
+    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * UNLEARNT)
     end = np.flatnonzero(left > allowed)
     last = (end.max() + 1) / FINE / rate_hz if end.size else 0.0
     return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))

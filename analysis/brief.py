@@ -1,0 +1,145 @@
+"""Contacts so brief that the continuity voltage never settles: both edges from the dent they leave.
+
+The rule kept here: closing and opening are fitted together to the samples (and to the impact in the accelerometer,
+where there is one); a dent that fits many pairs says so in its uncertainty.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+
+from analysis.contact import BEFORE, CLOSES, DIP, OPENS, Crossings, Edges, EdgeShape, Levels
+from analysis.impacts import Impacts
+
+Floats = npt.NDArray[np.float64]
+
+FAR = 1 << 30
+STARTS = 25  # grid points a parameter in the search for a start
+LONGEST = 3.0  # samples
+BRIEF = 2  # samples between closing and opening up to which a contact is fitted as one dent
+SHARPEST = 0.02  # samples: a time constant below this cannot be told from none
+
+
+def brief_contact(
+    fraction: Floats,
+    noise: float,
+    tau_samples: tuple[float, float],
+    begin: tuple[float, float],
+    prior: tuple[float, float] | None = None,
+) -> tuple[float, float, float, float]:
+    """Closing and opening of one brief contact, in samples from the window's first, each with its uncertainty.
+
+    Parameters
+    ----------
+    fraction : array, shape (n,)
+        Fraction of the swing, 1 open, around the dent.
+    noise : float
+        Its standard deviation.
+    tau_samples : tuple of float
+        Time constants of closing and opening, in samples.
+    begin : tuple of float
+        Between which places the closing is looked for.
+    prior : tuple of float, optional
+        The impact's time according to the accelerometer, and its uncertainty, in samples.
+
+    Returns
+    -------
+    close, close_sigma, open, open_sigma : float
+    """
+    tau = (max(tau_samples[0], SHARPEST), max(tau_samples[1], SHARPEST))
+
+    def misfit(p: Floats) -> Floats:
+        own = (fraction - dent(fraction.size, p[0], p[1], tau)) / noise
+        return own if prior is None else np.append(own, (p[0] - prior[0]) / prior[1])
+
+    close, length = np.meshgrid(np.linspace(*begin, STARTS), np.linspace(0.02, LONGEST, STARTS))
+    grid = np.column_stack([close.ravel(), length.ravel()])
+    if prior is not None:
+        fine = np.linspace(0.01, LONGEST, 8 * STARTS)
+        grid = np.concatenate([grid, np.column_stack([np.full(fine.size, prior[0]), fine])])
+    costs = ((fraction - dent(fraction.size, grid[:, :1], grid[:, 1:], tau)) ** 2).sum(axis=1) / noise**2
+    if prior is not None:
+        costs += ((grid[:, 0] - prior[0]) / prior[1]) ** 2
+    bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, LONGEST + 1.0])
+    chosen = np.clip(grid[np.argsort(costs)[:3]], *bounds)
+    tries = [least_squares(misfit, start, bounds=bounds, x_scale=0.1) for start in chosen]
+    best = min(tries, key=lambda t: float(t.cost))
+    # where the samples cannot tell (both edges between the same two), the edges lie within their sample all the same
+    slopes = np.asarray(best.jac)
+    information = slopes.T @ slopes / max(1.0, 2.0 * best.cost / (fraction.size - 2)) + 12.0 * np.eye(2)
+    covariance = np.linalg.inv(information)
+    open_variance = covariance[0, 0] + 2 * covariance[0, 1] + covariance[1, 1]
+    return float(best.x[0]), float(np.sqrt(covariance[0, 0])), float(best.x.sum()), float(np.sqrt(open_variance))
+
+
+def dent(n: int, close: npt.ArrayLike, length: npt.ArrayLike, tau: tuple[float, float]) -> Floats:
+    """Fraction of the swing at samples ``0 ... n - 1`` around a contact of ``length`` from ``close`` (samples)."""
+    since = np.arange(n) - np.asarray(close)
+    closed = np.clip(since, 0.0, length)
+    depth = -np.expm1(-closed / tau[0])
+    return np.asarray(1.0 - depth * np.exp(-np.maximum(since - length, 0.0) / tau[1]))
+
+
+def refine_brief(
+    edges: Edges,
+    crossings: Crossings,
+    levels: Levels,
+    shapes: tuple[EdgeShape, EdgeShape],
+    impacts: Impacts,
+    rate_hz: float,
+) -> Edges:
+    """Edges with every brief contact fitted as one dent; a dip becomes a closing and an opening.
+
+    Parameters
+    ----------
+    edges, crossings
+        Of the whole recording, equal in length.
+    levels
+        Of the circuit.
+    shapes : tuple of EdgeShape
+        Of opening and closing edges.
+    impacts
+        The accelerometer's, on the axis of the edges.
+    rate_hz
+        Sampling rate.
+    """
+    kind, sample = edges.kind, crossings.sample
+    pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & (np.diff(sample) <= BRIEF))
+    first = np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)]))
+    if not first.size:
+        return edges
+    noise = levels.noise_v / abs(levels.swing_v)
+    tau = (shapes[1].tau_s * rate_hz, shapes[0].tau_s * rate_hz)
+    closing, opening = np.empty((first.size, 2)), np.empty((first.size, 2))
+    for row, k in enumerate(first):
+        start = int(sample[k]) - BEFORE
+        after = sample[k + 1 :][: 2][kind[k + 1 :][: 2] == CLOSES]  # the next contact is none of this one's
+        n = int(min(crossings.window.shape[1], (after[0] - start - 1) if after.size else FAR))
+        prior = _prior(impacts, start, float(sample[k]), rate_hz)
+        own = crossings.window[k, : max(n, BEFORE + 2)].astype(np.float64)
+        fit = brief_contact(own, noise, tau, (BEFORE - 2.5, float(BEFORE)), prior)
+        closing[row] = (start + fit[0]) / rate_hz, fit[1] / rate_hz
+        opening[row] = (start + fit[2]) / rate_hz, fit[3] / rate_hz
+    gone = np.concatenate([first, pair + 1])
+    left = np.ones(kind.size, dtype=np.bool_)
+    left[gone] = False
+    columns = (
+        np.concatenate([edges.time_s[left], closing[:, 0], opening[:, 0]]),
+        np.concatenate([edges.uncertainty_s[left], closing[:, 1], opening[:, 1]]),
+        np.concatenate([kind[left], np.full(first.size, CLOSES), np.full(first.size, OPENS)]).astype(np.int8),
+    )
+    order = np.argsort(columns[0], kind="stable")
+    return Edges(columns[0][order], columns[1][order], columns[2][order])
+
+
+def _prior(impacts: Impacts, start: int, sample: float, rate_hz: float) -> tuple[float, float] | None:
+    """The accelerometer's impact at this dent, in samples of the window; None where it saw none."""
+    if not impacts.time_s.size:
+        return None
+    k = int(np.argmin(np.abs(impacts.time_s * rate_hz - sample + 0.5)))
+    place = float(impacts.time_s[k] * rate_hz)
+    if abs(place - sample + 0.5) > BRIEF + 1:
+        return None
+    return place - start, max(float(impacts.uncertainty_s[k]) * rate_hz, 1e-3)
