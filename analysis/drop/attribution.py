@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,24 @@ from analysis.drop.rows import Drop, Rows, noise_of, predict_s
 Array = NDArray[np.float64]
 
 LEAST_GAIN_NATS = 3.0
+CHANCE_LOSS_NATS = 0.5
 _ENOUGH_DROPS = 4
 _MOST_FOLDS = 8
 _LEAST_ROWS = 5  # fewer bounces than this leave nothing to hold out
+
+
+class Scored(Protocol):
+    """A rung of any ladder: its model, and its held-out log likelihood unit by unit."""
+
+    @property
+    def model(self) -> BounceModel:
+        """Name and parameters."""
+        ...
+
+    @property
+    def scores(self) -> Array:
+        """Held-out log likelihood, (units,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -44,6 +60,11 @@ class Judged:
     held_out_rms_s: float
     scores: Array
     identifiable: bool = True
+
+    @property
+    def model(self) -> BounceModel:
+        """The rung."""
+        return self.fit.model
 
 
 @dataclass(frozen=True)
@@ -135,30 +156,35 @@ def _try(
     return Judged(whole, rms, held_rms, np.concatenate(scores) if scores else np.empty(0))
 
 
-def _gain(rival: Judged, than: Judged) -> tuple[float, float]:
-    """Held-out gain of ``rival`` in nats, and how much of it would be in doubt."""
-    difference = rival.scores - than.scores
-    if len(difference) < 2:
-        return 0.0, np.inf
-    return float(difference.sum()), 2.0 * float(difference.std(ddof=1)) * float(np.sqrt(len(difference)))
+def gain_of(rival: Scored, than: Scored) -> tuple[float, bool]:
+    """Held-out gain of ``rival`` in nats, and whether it is beyond doubt.
+
+    Beyond doubt: above `LEAST_GAIN_NATS`, and either above twice the standard error of the paired gains or shared by
+    all units (a long flight says more than a short one, so their gains may differ widely and still all agree).
+    """
+    each = rival.scores - than.scores
+    if len(each) < 2:
+        return 0.0, False
+    gain = float(each.sum())
+    doubt = 2.0 * float(each.std(ddof=1)) * float(np.sqrt(len(each)))
+    agreed = bool(each.min() > -CHANCE_LOSS_NATS)
+    return gain, gain > LEAST_GAIN_NATS and (gain > doubt or agreed)
 
 
-def choose(rungs: Sequence[Judged]) -> tuple[str, tuple[str, ...]]:
+def choose(rungs: Sequence[Scored]) -> tuple[str, tuple[str, ...]]:
     """Climb from the simplest rung while the gain is beyond doubt; then name who is not worse beyond doubt."""
     best = rungs[0]
     while True:
-        gains = [(_gain(rival, best), rival) for rival in rungs if rival.fit.model.nests(best.fit.model)]
-        better = [(gain, rival) for (gain, doubt), rival in gains if gain > max(doubt, LEAST_GAIN_NATS)]
+        gains = [(gain_of(rival, best), rival) for rival in rungs if rival.model.nests(best.model)]
+        better = [(gain, rival) for (gain, sure), rival in gains if sure]
         if not better:
             break
-        fewest = min(len(rival.fit.model.parameters) for _, rival in better)
-        best = max((b for b in better if len(b[1].fit.model.parameters) == fewest), key=lambda b: b[0])[1]
-    ties = [best.fit.model.name]
+        fewest = min(len(rival.model.parameters) for _, rival in better)
+        best = max((b for b in better if len(b[1].model.parameters) == fewest), key=lambda b: b[0])[1]
+    ties = [best.model.name]
     for rival in rungs:
-        if rival is best or rival.fit.model.nests(best.fit.model) or best.fit.model.nests(rival.fit.model):
+        if rival is best or rival.model.nests(best.model) or best.model.nests(rival.model):
             continue
-        behind, doubt = _gain(best, rival)
-        ahead, fuss = _gain(rival, rungs[0])
-        if len(rungs[0].scores) and behind <= max(doubt, LEAST_GAIN_NATS) and ahead > max(fuss, LEAST_GAIN_NATS):
-            ties.append(rival.fit.model.name)
-    return best.fit.model.name, tuple(ties)
+        if not gain_of(best, rival)[1] and gain_of(rival, rungs[0])[1]:
+            ties.append(rival.model.name)
+    return best.model.name, tuple(ties)

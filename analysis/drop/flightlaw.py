@@ -19,7 +19,7 @@ _NO_DRAG = 1e-9  # k v^2 / g below this is a parabola to the last digit that mat
 
 @dataclass(frozen=True)
 class FlightLaw:
-    """Gravity with friction and drag.
+    """Gravity with friction and drag; each may be an array (one law for each draw of a fit), then all broadcast.
 
     Attributes
     ----------
@@ -31,30 +31,35 @@ class FlightLaw:
         ``k`` of ``-k |v| v``, 1/m.
     """
 
-    g_mps2: float
-    friction: float = 0.0
-    drag_per_m: float = 0.0
+    g_mps2: Any
+    friction: Any = 0.0
+    drag_per_m: Any = 0.0
 
     @property
-    def up_mps2(self) -> float:
+    def _free(self) -> bool:
+        return bool(np.max(self.drag_per_m) <= _NO_DRAG)
+
+    @property
+    def up_mps2(self) -> Any:
         """Deceleration on the way up at zero speed."""
         return self.g_mps2 * (1.0 + self.friction)
 
     @property
-    def down_mps2(self) -> float:
+    def down_mps2(self) -> Any:
         """Acceleration on the way down at zero speed."""
         return self.g_mps2 * (1.0 - self.friction)
 
     def apex_m(self, speed_mps: Any) -> Array:
         """Height reached from take-off at ``speed_mps``."""
         v = np.asarray(speed_mps, dtype=np.float64)
-        return _log1p_over(self.drag_per_m, v * v / self.up_mps2) / 2.0
+        ratio = v * v / self.up_mps2
+        return (ratio if self._free else np.log1p(self.drag_per_m * ratio) / self.drag_per_m) / 2.0
 
     def landing_speed_mps(self, height_m: Any) -> Array:
         """Speed after a fall from rest through ``height_m``."""
         h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
         k = self.drag_per_m
-        if k <= _NO_DRAG:
+        if self._free:
             return np.sqrt(2.0 * self.down_mps2 * h)
         return np.sqrt(self.down_mps2 / k * -np.expm1(-2.0 * k * h))
 
@@ -62,7 +67,7 @@ class FlightLaw:
         """Height of a fall from rest that ends at ``speed_mps`` (infinite at the terminal speed and beyond)."""
         v = np.asarray(speed_mps, dtype=np.float64)
         ratio = v * v / self.down_mps2
-        if self.drag_per_m <= _NO_DRAG:
+        if self._free:
             return ratio / 2.0
         inside = 1.0 - self.drag_per_m * ratio
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -71,7 +76,7 @@ class FlightLaw:
     def rise_s(self, speed_mps: Any) -> Array:
         """Time from take-off to the apex."""
         v = np.asarray(speed_mps, dtype=np.float64)
-        if self.drag_per_m <= _NO_DRAG:
+        if self._free:
             return v / self.up_mps2
         rate = np.sqrt(self.drag_per_m * self.up_mps2)
         return np.arctan(v * np.sqrt(self.drag_per_m / self.up_mps2)) / rate
@@ -80,7 +85,7 @@ class FlightLaw:
         """Time of a fall from rest through ``height_m``."""
         h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
         k = self.drag_per_m
-        if k <= _NO_DRAG:
+        if self._free:
             return np.sqrt(2.0 * h / self.down_mps2)
         x = np.expm1(k * h)  # acosh(1 + x) without the cancellation of acosh near 1
         return np.log1p(x + np.sqrt(x * (x + 2.0))) / np.sqrt(k * self.down_mps2)
@@ -97,7 +102,7 @@ class FlightLaw:
         """Take-off speed of a flight of ``duration_s``: Newton on `duration_s`, which grows with the speed."""
         t = np.asarray(duration_s, dtype=np.float64)
         v = t / (1.0 / self.up_mps2 + 1.0 / np.sqrt(self.up_mps2 * self.down_mps2))
-        if self.drag_per_m <= _NO_DRAG:
+        if self._free:
             return v
         for _ in range(12):
             u = np.maximum(self.return_speed_mps(v), 1e-12)
@@ -109,7 +114,7 @@ class FlightLaw:
     def drop_m(self, since_apex_s: Any) -> Array:
         """Distance below the apex ``since_apex_s`` after it (negative: before it)."""
         t = np.asarray(since_apex_s, dtype=np.float64)
-        if self.drag_per_m <= _NO_DRAG:
+        if self._free:
             return np.where(t < 0.0, self.up_mps2, self.down_mps2) * t * t / 2.0
         k = self.drag_per_m
         rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)  # tan's pole: no flight gets there
@@ -119,7 +124,7 @@ class FlightLaw:
     def velocity_mps(self, since_apex_s: Any) -> Array:
         """Upward velocity ``since_apex_s`` after the apex."""
         t = np.asarray(since_apex_s, dtype=np.float64)
-        if self.drag_per_m <= _NO_DRAG:
+        if self._free:
             return -np.where(t < 0.0, self.up_mps2, self.down_mps2) * t
         k = self.drag_per_m
         rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)
@@ -127,7 +132,3 @@ class FlightLaw:
         up = np.sqrt(self.up_mps2 / k) * np.tan(rise)
         return np.where(t < 0.0, up, -np.sqrt(self.down_mps2 / k) * np.tanh(fall))
 
-
-def _log1p_over(k: float, x: Array) -> Array:
-    """``log(1 + k x) / k``, and its limit ``x``."""
-    return x if k <= _NO_DRAG else np.log1p(k * x) / k

@@ -80,11 +80,11 @@ def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
             f"{clip.name}: no impact with a bounce after it among {len(t)} tracked frames; a bounce must last at least "
             f"{_LEAST_FLIGHT_FRAMES:.0f} frames to be measured: film faster or drop from higher"
         )
-    parts = [Flight(number, 0, *_fall(t[: low[0]], h[: low[0]], clip.acceleration), lands=True)]
+    parts = [Flight(number, 0, *_fall(t[: low[0]], h[: low[0]], clip.acceleration), True)]
     for k, start in enumerate(low):
         last = k + 1 == len(low)
         stop, lands = _end_of_last(h, int(start)) if last else (int(low[k + 1]), True)
-        parts.append(Flight(number, k + 1, t[start + 1 : stop], h[start + 1 : stop], lands))
+        parts.append(Flight(number, k + 1, *_inside(t[start + 1 : stop], h[start + 1 : stop]), lands))
     return [part for part in parts if part.order == 0 or len(part.frame) >= LEAST_SAMPLES]
 
 
@@ -129,7 +129,7 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
     if n < LEAST_SAMPLES:
         return t[start:], h[start:]
     first = len(t) - LEAST_SAMPLES
-    noise = max(jitter(h[start:]), 1e-6 * float(np.ptp(h)), 0.01 * acceleration)
+    noise = max(jitter(h[start:]), 5e-4 * float(np.ptp(h)), 0.01 * acceleration)
     for begin in range(len(t) - LEAST_SAMPLES, start - 1, -1):
         s = t[begin:] - t[-1]
         fit = np.polynomial.Polynomial.fit(s, h[begin:], 2)
@@ -140,4 +140,9 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
                 break
             continue
         first = begin
-    return t[first:], h[first:]
+    return _inside(t[first:], h[first:])
+
+
+def _inside(t: Array, h: Array) -> tuple[Array, Array]:
+    """A long flight without its samples next to the impacts: their exposure or the contact may straddle one."""
+    return (t[1:-1], h[1:-1]) if len(t) >= 2 * LEAST_SAMPLES else (t, h)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _WINDOW = 7  # samples in which free flight is looked for
 _LONGEST_GAP = 8.0  # frames a track may be lost
 _GATE_OF_RANGE = 0.012
-_NEW_GATE_OF_RANGE = 0.04
+_NEW_GATE_OF_RANGE, _NEW_FALL_OF_RANGE = 0.04, 0.15  # a track's first step: across, and up or down
 _RIVAL_SHARE = 0.4
 _LEAST_BALLISTIC = 6  # windows
 
@@ -135,6 +135,7 @@ def _candidates(
     live: list[_Open], points: range, x: Array, y: Array, now: float, gate: float, new_gate: float
 ) -> list[tuple[float, int, int]]:
     found = []
+    fall = _NEW_FALL_OF_RANGE / _NEW_GATE_OF_RANGE * new_gate
     for k, track in enumerate(live):
         span = now - track.clock
         reach = (new_gate if track.fresh else gate) * max(1.0, span) ** 0.5
@@ -145,6 +146,8 @@ def _candidates(
             sideways = abs(dx - ahead[0])
             if miss <= reach + 0.15 * abs(ahead[1]):
                 found.append((miss, k, i))
+            elif track.fresh and sideways <= reach and abs(dy) <= fall:
+                found.append((miss + reach, k, i))
             elif sideways <= reach and abs(dy) <= 1.15 * track.speed * span + reach:
                 found.append((miss + reach, k, i))
     return found

@@ -70,9 +70,10 @@ class Shape:
 
 
 def law_of(name: str, values: Array) -> FlightLaw:
-    """Flight law of shape ``name``."""
-    named = dict(zip(SHAPES[name], values, strict=True))
-    return FlightLaw(named["g"], named.get("f", 0.0), named.get("k", 0.0))
+    """Flight law of shape ``name`` at ``values`` (p,), or at each of (draws, p)."""
+    named = dict(zip(SHAPES[name], np.moveaxis(values, -1, 0), strict=True))
+    drag = np.maximum(named["k"], 1e-8) if "k" in named else 0.0  # 0 to a parabola's last digit, but still a drag
+    return FlightLaw(named["g"], named.get("f", 0.0), drag)
 
 
 def noise_of(flights: Sequence[Flight]) -> float:

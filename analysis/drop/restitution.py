@@ -1,0 +1,86 @@
+"""Restitution against impact speed, from measured speeds before and after each impact.
+
+The rule kept here: every bounce has its measuring error and, besides, a restitution a little its own (estimated from
+the scatter, by moments); with one bounce the interval is the measuring error alone, and it is said that it is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+
+_LEAST_FOR_HOLD_OUT = 3
+
+
+@dataclass(frozen=True)
+class RestitutionFit:
+    """``e = e0 - e1 u``, or constant.
+
+    Attributes
+    ----------
+    theta, half_width : (p,) float64
+        ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval.
+    scatter : float
+        Standard deviation of the restitution from bounce to bounce, beyond the measuring error.
+    predicted, held_out : (n,) float64
+        Restitution of each bounce from all, and from the other bounces (NaN where there are too few).
+    scores : (n,) float64
+        Held-out log likelihood of each bounce; 0 where there are too few to hold any out.
+    """
+
+    theta: Array
+    half_width: Array
+    scatter: float
+    predicted: Array
+    held_out: Array
+    scores: Array
+
+
+def fit_restitution(speed: Array, ratio: Array, sigma: Array, with_speed: bool) -> RestitutionFit:
+    """Fit ``ratio`` (n,) at impact speeds ``speed`` (n,), each with measuring error ``sigma`` (n,)."""
+    n = len(ratio)
+    if with_speed and n < 3:
+        constant = fit_restitution(speed, ratio, sigma, with_speed=False)
+        theta, width = np.append(constant.theta, 0.0), np.append(constant.half_width, np.inf)
+        return RestitutionFit(theta, width, constant.scatter, constant.predicted, constant.held_out, constant.scores)
+    basis = np.column_stack([np.ones(n), -speed]) if with_speed else np.ones((n, 1))
+    theta, covariance, scatter = _weighted(basis, ratio, sigma)
+    held_out, scores = np.full(n, np.nan), np.zeros(n)
+    if n >= _LEAST_FOR_HOLD_OUT + basis.shape[1] - 1:
+        for i in range(n):
+            keep = np.arange(n) != i
+            part, spread, own = _weighted(basis[keep], ratio[keep], sigma[keep])
+            held_out[i] = basis[i] @ part
+            total = sigma[i] ** 2 + max(own, scatter) ** 2 + basis[i] @ spread @ basis[i]
+            scores[i] = stats.t.logpdf(ratio[i], max(n - 1 - basis.shape[1], 1), held_out[i], np.sqrt(total))
+    freedom = n - basis.shape[1]
+    wide = float(stats.t.ppf(0.975, freedom)) if freedom >= 1 and scatter > 0.0 else 1.96
+    half_width = wide * np.sqrt(np.diag(covariance))
+    return RestitutionFit(theta, half_width, scatter, basis @ theta, held_out, scores)
+
+
+def _weighted(basis: Array, ratio: Array, sigma: Array) -> tuple[Array, Array, float]:
+    """Weighted least squares with a common extra scatter that brings chi-square to its degrees of freedom."""
+    n, p = basis.shape
+    floor = max(1e-6, 1e-3 * float(np.median(sigma)))
+    scatter = 0.0
+    for _ in range(40):
+        variance = sigma**2 + scatter**2 + floor**2
+        weight = 1.0 / variance
+        covariance = np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True)
+        theta = covariance @ (basis.T @ (weight * ratio))
+        squares = (ratio - basis @ theta) ** 2
+        excess = float((weight * squares).sum()) - (n - p)
+        slope = float((weight**2 * squares).sum())
+        if n <= p or slope <= 0.0:
+            break
+        moved = max(scatter**2 + excess / slope, 0.0)
+        if abs(moved - scatter**2) < 1e-12:
+            break
+        scatter = float(np.sqrt(moved))
+    return theta, covariance, scatter
