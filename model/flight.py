@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from model import branches, ideal_kernel, lockstep, stage
 from model.tones import Forcing
 
-SNAP = 4.5e-16  # a phase this near to a threshold, relative, is that threshold
+SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
 Floats = NDArray[np.float64]
 
 
@@ -98,16 +98,19 @@ def take_off_phases(forcing: Forcing, gamma: float) -> Windows:
     return Windows(table[0 : 2 * n : 2].copy(), table[1 : 2 * n : 2].copy())
 
 
-def relative_height(forcing: Forcing, gamma: float, phi0: float, tau: ArrayLike, v0: float = 0.0) -> Floats:
+def relative_height(
+    forcing: Forcing, gamma: float, phi0: ArrayLike, tau: ArrayLike, v0: ArrayLike = 0.0
+) -> Floats:
     """Height above the plate ``tau`` after a take-off at ``phi0`` with relative speed ``v0`` (the paper's eq. 4).
 
-    For pictures and checks: plain arithmetic, any ``tau`` (negative too), units g/w^2.
+    For pictures and checks: plain arithmetic, any ``tau`` (negative too), arrays broadcast, units g/w^2.
     """
-    t = np.asarray(tau, dtype=np.float64)
+    start, t, v = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in (phi0, tau, v0)))
     n, b, p = forcing.tones.T
-    angle = n * phi0 + p
-    moved = (b * (np.sin(angle) + n * np.cos(angle) * t[..., None] - np.sin(angle + n * t[..., None]))).sum(axis=-1)
-    return np.asarray(gamma * moved + v0 * t - 0.5 * t * t)
+    angle = n * start[..., None] + p
+    x = n * t[..., None]
+    moved = (b * (np.sin(angle) + x * np.cos(angle) - np.sin(angle + x))).sum(axis=-1)
+    return np.asarray(gamma * moved + v * t - 0.5 * t * t)
 
 
 def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) -> Landing:

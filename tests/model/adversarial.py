@@ -1,0 +1,72 @@
+"""Flights chosen to break a landing solver: tiny, at a threshold, just inside a window, grazing, bounced, long."""
+
+import numpy as np
+
+from model.flight import first_landing, take_off_phases
+from model.tones import Forcing
+
+KINDS = ("threshold", "tiny", "take-off", "graze", "bounce", "long", "tones")
+
+
+def forcing_of(kind, rng):
+    """A forcing for the kind: mostly the paper's, c up to 7; for ``tones`` any three harmonics and phases."""
+    if kind == "tones":
+        harmonics = tuple(rng.choice(np.arange(1, 8), 3, replace=False).astype(float))
+        return Forcing(harmonics, tuple(rng.uniform(0.1, 1, 3)), tuple(rng.uniform(0, 2 * np.pi, 3)))
+    phases = (0.0, float(rng.choice([0.0, rng.uniform(0, 6)])))
+    return Forcing.superposition(int(rng.integers(1, 8)), (1.0, 1.0), phases)
+
+
+def threshold_gamma(forcing):
+    """The amplitude at which the plate first lifts the ball, to grid accuracy refined by the windows themselves."""
+    phi = np.linspace(0, 2 * np.pi, 4001)
+    n, b, p = forcing.tones.T
+    guess = 1.0 / (b * n * n * np.sin(n * phi[:, None] + p)).sum(axis=1).max()
+    lo, hi = 0.99 * guess, 1.01 * guess
+    for _ in range(60):
+        middle = 0.5 * (lo + hi)
+        lo, hi = (lo, middle) if take_off_phases(forcing, middle).start.size else (middle, hi)
+    return hi
+
+
+def flight_of(kind, rng):
+    """``(forcing, gamma, phi0, v0, at_threshold)`` of one flight of a kind in `KINDS`."""
+    forcing = forcing_of(kind, rng)
+    lowest = threshold_gamma(forcing)
+    if kind == "threshold":
+        gamma = lowest * (1 + 10 ** rng.uniform(-11, -2))
+    elif kind == "long":
+        gamma = rng.uniform(6, 50)
+    else:
+        gamma = lowest * 10 ** rng.uniform(0.01, 1.3)
+    windows = take_off_phases(forcing, gamma)
+    i = int(rng.integers(windows.start.size))
+    start, stop = windows.start[i], windows.stop[i]
+    if kind == "tiny":
+        return forcing, gamma, stop - min(10 ** rng.uniform(-9, -1), 0.9 * (stop - start)), 0.0, False
+    if kind == "take-off":
+        return forcing, gamma, start + min(10 ** rng.uniform(-12, -3), 0.5 * (stop - start)), 0.0, False
+    if kind == "bounce":
+        return forcing, gamma, rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-6, 1), False
+    if kind == "graze":
+        return forcing, grazing_gamma(forcing, gamma, i, rng), None, 0.0, True
+    if kind in ("long", "tones"):
+        return forcing, gamma, rng.uniform(start, stop), 0.0, False
+    return forcing, gamma, start, 0.0, True
+
+
+def grazing_gamma(forcing, gamma, i, rng):
+    """A gamma within ``10^-13 .. 10^-4`` (relative) of one where the landing after the first threshold jumps."""
+    grid = gamma * np.linspace(1, 1.3, 40)
+    tau = np.array([first_landing(forcing, g, take_off_phases(forcing, g).start[0]).tau for g in grid])
+    jump = int(np.argmax(np.abs(np.diff(tau))))
+    lo, hi = grid[jump], grid[jump + 1]
+    t_lo, t_hi = tau[jump], tau[jump + 1]
+    for _ in range(60):
+        middle = 0.5 * (lo + hi)
+        t = first_landing(forcing, middle, take_off_phases(forcing, middle).start[0]).tau
+        if abs(t - t_lo) < abs(t - t_hi):
+            lo, t_lo = middle, t
+        else:
+            hi, t_hi = middle, t
+    return hi * (1 + rng.choice([-1, 1]) * 10 ** rng.uniform(-13, -4))
