@@ -35,7 +35,7 @@ class Request:
     phase_deg: float = 0.0
     steps: int = 1000
     adaptive: bool = False
-    narrowest: float = 1e-6
+    narrowest: float | None = None
     workers: int = 1
     cluster: str | None = None
     paper_figure: int | None = None

@@ -104,7 +104,7 @@ def _lost(close: Close, trail: Sequence[tuple[float, LockedCycle]]) -> tuple[flo
     n = cycle.tau.size
     if n % 2 == 0 and float(np.max(np.abs(cycle.tau[: n // 2] - cycle.tau[n // 2 :]))) < HALVES:
         half = close(here, state_of(cycle), n // 2)
-        merging = None if half is None else _doubling_near(close, here, half, 1e-3)
+        merging = None if half is None else doubling_near(close, here, half, 1e-3)
         if merging is not None:
             return merging[0], "merged"
     before, old = trail[-2]
@@ -136,7 +136,7 @@ def doubling_curve(
     out = np.full(len(second), np.nan)
     for i, value in enumerate(second):
         close = close_at(float(value))
-        found = _doubling_near(close, gamma, cycle, reach)
+        found = doubling_near(close, gamma, cycle, reach)
         if found is None:
             break
         gamma, cycle = found
@@ -144,7 +144,7 @@ def doubling_curve(
     return out
 
 
-def _doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) -> tuple[float, LockedCycle] | None:
+def doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) -> tuple[float, LockedCycle] | None:
     """Secant for ``multiplier = -1`` from ``gamma``, each cycle found from the one before."""
     n = cycle.tau.size
     here, old, last = gamma, gamma - 1e-6, None

@@ -7,14 +7,23 @@ from __future__ import annotations
 
 from model.ball import IdealBall
 from model.bifurcation import NARROWEST, Bifurcation, bifurcations
+from model.observed import observed
 from model.orbit import Ball
 from model.rough_ball import RoughBall
 
+BOUNCING = 1e-4  # default width of the narrowest window where most gammas are chaotic, and a search as fine as 1e-6 slow
+
 
 def sequence(
-    ball: Ball, low: float, high: float, *, narrowest: float = NARROWEST, sweep: str | None = None
+    ball: Ball, low: float, high: float, *, narrowest: float | None = None, sweep: str | None = None
 ) -> list[Bifurcation]:
     """Bifurcations between ``low`` and ``high`` of the attractor reached from rest, or carried along by ``sweep``.
+
+    Parameters
+    ----------
+    narrowest
+        Width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution `BOUNCING`. A sweep and
+        an integrated ball are looked at step by step instead (`model.observed`).
 
     Raises
     ------
@@ -22,5 +31,6 @@ def sequence(
         If the range is empty, negative or not finite.
     """
     if isinstance(ball, IdealBall | RoughBall) and sweep is None:
-        return bifurcations(ball, low, high, narrowest=narrowest)
-    raise ValueError("not yet")
+        finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
+        return bifurcations(ball, low, high, narrowest=finest)
+    return observed(ball, low, high, sweep=sweep)

@@ -19,7 +19,7 @@ def command(
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
     steps: int = typer.Option(1000, min=2, help="Gammas of a diagram over --gamma-range."),
     adaptive: bool = typer.Option(False, "--adaptive", help="More gammas where something happens."),
-    narrowest: float = typer.Option(1e-6, help="Narrowest window of gamma looked for by --bifurcations."),
+    narrowest: float | None = typer.Option(None, help="Narrowest window of gamma listed; 1e-6, bouncing 1e-4."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
