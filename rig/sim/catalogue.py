@@ -322,5 +322,5 @@ def parameter_dtype() -> np.dtype[np.void]:
     fields = [(name, "f8") for name in RIG_DEFAULTS]
     fields += [(f"{e.name}_{p.name}", "f8") for e in EFFECTS.values() for p in e.parameters]
     switches = ("has_friction", "has_unusual_friction", "has_force", "has_hold", "has_mode", "is_ballistic")
-    fields += [(name, "f8") for name in switches]
+    fields += [(name, "f8") for name in (*switches, "is_simple")]
     return np.dtype(fields)

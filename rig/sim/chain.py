@@ -13,6 +13,8 @@ from numba import njit
 
 from rig.sim.forces import G_MPS2
 
+_SIXTH = 1.0 / 6.0
+
 MEAN_SQUARE_S = 0.05
 """Time constant of each of the two stages that follow the drive's mean square."""
 
@@ -24,10 +26,12 @@ LEAK_S = 1.0
 def _amplifier(s: Any, p: Any, volts: float) -> float:
     """Gain errors, bending and clipping; volts that would drive an ideal shaker."""
     t = s.t_s + s.dt_s
-    rate = s.dt_s / MEAN_SQUARE_S
+    rate = s.dt_s * (1.0 / MEAN_SQUARE_S)
     s.mean_square_1 += (volts * volts - s.mean_square_1) * rate
     s.mean_square_v2 += (s.mean_square_1 - s.mean_square_v2) * rate
-    out = volts * (1.0 + p.drive_gain_relative) / (1.0 + p.gain_compression_per_v2 * s.mean_square_v2)
+    out = volts * (1.0 + p.drive_gain_relative)
+    if p.gain_compression_per_v2 != 0.0:
+        out /= 1.0 + p.gain_compression_per_v2 * s.mean_square_v2
     if p.amplitude_modulation_depth != 0.0:
         out *= 1.0 + p.amplitude_modulation_depth * math.sin(2.0 * math.pi * p.amplitude_modulation_frequency_hz * t)
     out += p.harmonic_distortion_second_per_v * (volts * volts - s.mean_square_v2)
@@ -68,9 +72,9 @@ def drive_plate(s: Any, p: Any, volts: float) -> None:
     # Lagrange through u = -2, -1, 0, 1
     oldest, older, old = s.node3, s.node2, s.node1
     s.a0 = old
-    s.a1 = oldest / 6.0 - older + 0.5 * old + node / 3.0
+    s.a1 = _SIXTH * oldest - older + 0.5 * old + 2.0 * _SIXTH * node
     s.a2 = 0.5 * (older + node) - old
-    s.a3 = (node - oldest) / 6.0 + 0.5 * (older - old)
+    s.a3 = _SIXTH * (node - oldest) + 0.5 * (older - old)
     s.node3, s.node2, s.node1 = older, old, node
-    mean = s.a0 + s.a1 / 2.0 + s.a2 / 3.0 + s.a3 / 4.0
-    s.plate_mps += s.dt_s * (mean - s.plate_mps / LEAK_S)
+    mean = s.a0 + 0.5 * s.a1 + 2.0 * _SIXTH * s.a2 + 0.25 * s.a3
+    s.plate_mps += s.dt_s * (mean - s.plate_mps * (1.0 / LEAK_S))

@@ -11,6 +11,7 @@ from typing import Any
 
 from numba import njit
 
+from rig.sim.chance import uniform
 from rig.sim.state import BOUNCE_CLOSE, BOUNCE_OPEN, CLOSE, EDGE_CAPACITY, OPEN
 
 
@@ -53,7 +54,7 @@ def push_edge(s: Any, p: Any, t: float, kind: int) -> None:
 
 
 @njit(cache=True)
-def landing_edges(s: Any, p: Any, t: float, rng: Any) -> None:
+def landing_edges(s: Any, p: Any, t: float) -> None:
     """Close the circuit at an impact, with contact bounce where the rig has it."""
     if s.commanded_open == 0:
         s.closed_s = t if p.contact_closure_duration_s > 0.0 else s.closed_s
@@ -63,12 +64,12 @@ def landing_edges(s: Any, p: Any, t: float, rng: Any) -> None:
     if p.bounce_s <= 0.0:
         return
     late = t + p.contact_latency_delay_s
-    at = late + 0.2 * p.bounce_s * rng.random()
-    for _ in range(1 + int(3.0 * rng.random())):
-        gone = 0.15 * p.bounce_s * rng.random()
+    at = late + 0.2 * p.bounce_s * uniform(s)
+    for _ in range(1 + int(3.0 * uniform(s))):
+        gone = 0.15 * p.bounce_s * uniform(s)
         _insert(s, at, BOUNCE_OPEN)
         _insert(s, at + gone, BOUNCE_CLOSE)
-        at += gone + 0.15 * p.bounce_s * rng.random()
+        at += gone + 0.15 * p.bounce_s * uniform(s)
 
 
 @njit(cache=True)

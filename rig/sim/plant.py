@@ -1,7 +1,7 @@
 """The simulated rig: drive volts in, raw codes of three channels out, block by block.
 
 The rule kept here: the plant sees drive samples and nothing else. It never learns gamma, frequency or c, and
-blocks of any size give the same codes, because all it knows is carried in its state and its two generators.
+blocks of any size give the same codes, because all it knows is carried in its state and its generator.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rig.sim.chain import drive_plate
+from rig.sim.chance import small_noise
 from rig.sim.circuit import run_circuit
 from rig.sim.forces import G_MPS2, gravity, plate_acceleration
 from rig.sim.motion import move_ball
@@ -29,25 +30,9 @@ NOISE_BLOCK = 65536
 REFRESH_SAMPLES = 64
 """Drifting parameters are brought up to date this often, counted from the start of the run."""
 
-_GOLDEN, _MIX_1, _MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_HALF_WORD = np.uint64(0xFFFF)
-_FOUR_UNIFORMS_MEAN, _FOUR_UNIFORMS_SD = 131070.0, 37837.2
-
-
 @njit(cache=True)
 def _code(volts: float, scale_v: float, limit: float) -> int:
     return int(min(max(math.floor(volts / scale_v + 0.5), -limit), limit - 1.0))
-
-
-@njit(cache=True)
-def _small_noise(counter: Any) -> float:
-    """Unit noise from a counter: the sum of four uniforms of a SplitMix64 word; for the two quiet channels."""
-    z = counter * _GOLDEN
-    z = (z ^ (z >> np.uint64(30))) * _MIX_1
-    z = (z ^ (z >> np.uint64(27))) * _MIX_2
-    z ^= z >> np.uint64(31)
-    total = (z & _HALF_WORD) + ((z >> np.uint64(16)) & _HALF_WORD) + ((z >> np.uint64(32)) & _HALF_WORD)
-    return (float(total + (z >> np.uint64(48))) - _FOUR_UNIFORMS_MEAN) / _FOUR_UNIFORMS_SD
 
 
 @njit(cache=True)
@@ -64,7 +49,7 @@ def _refresh(s: Any, p: Any, values: Any, drift: Any, dt_s: float) -> None:
 
 
 @njit(cache=True)
-def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: float, codes: Any, rng: Any) -> None:
+def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: float, codes: Any) -> None:
     """March the rig over the samples of one block, one interval ending at each sample."""
     s, p, values = state[0], params[0], params.view(np.float64)
     limit = 2.0 ** (p.adc_bits - 1.0)
@@ -76,15 +61,15 @@ def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: fl
         drive_plate(s, p, drive_v[i])
         re, im = s.ring_re, s.ring_im
         s.ring_re, s.ring_im = s.turn_re * re - s.turn_im * im, s.turn_re * im + s.turn_im * re
-        move_ball(s, p, rng)
+        move_ball(s, p)
         run_circuit(s, p)
         a = plate_acceleration(s, p, 1.0, s.mode_m, s.mode_mps, s.state != FLIGHT)[0]
         a += p.accelerometer_reads_gravity * gravity(p) + G_MPS2 * p.ring_g_s_per_m * s.ring_im
         counter = s.noise_key + np.uint64(2 * s.sample)
-        continuity_v = s.continuity_v + p.continuity_noise_v * _small_noise(counter)
+        continuity_v = s.continuity_v + p.continuity_noise_v * small_noise(counter)
         codes[i, 0] = _code(continuity_v, scale_v, limit)
         codes[i, 1] = _code(s.zero_v + s.volts_per_mps2 * a + noise_v * noise[i], scale_v, limit)
-        codes[i, 2] = _code(drive_v[i] + p.drive_noise_v * _small_noise(counter + np.uint64(1)), scale_v, limit)
+        codes[i, 2] = _code(drive_v[i] + p.drive_noise_v * small_noise(counter + np.uint64(1)), scale_v, limit)
         s.t_s += s.dt_s
         s.sample += 1
 
@@ -119,8 +104,9 @@ class Plant:
         self._params, self._drift = scenario.parameters()
         scale_v = float(self._params["adc_range_v"][0]) / 2.0 ** (float(self._params["adc_bits"][0]) - 1.0)
         self.channel_scales = dict.fromkeys(CHANNELS, scale_v)
-        self._noise_rng, self._event_rng = rng.spawn(2)
-        self._state = initial_state(int(self._event_rng.integers(2**63)), -1.0 / self.rate_hz)
+        self._rng = rng.spawn(1)[0]
+        keys = self._rng.integers(2**63, size=2)
+        self._state = initial_state(int(keys[0]), int(keys[1]), -1.0 / self.rate_hz)
 
     def exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.
@@ -146,9 +132,7 @@ class Plant:
         codes = np.empty((drive.size, len(CHANNELS)), np.int16)
         for start in range(0, drive.size, NOISE_BLOCK):
             stop = min(start + NOISE_BLOCK, drive.size)
-            noise = self._noise_rng.standard_normal(stop - start, dtype=np.float32)
-            _run(
-                self._state, self._params, self._drift, drive[start:stop], noise, 1.0 / self.rate_hz,
-                codes[start:stop], self._event_rng,
-            )
+            noise = self._rng.standard_normal(stop - start, dtype=np.float32)
+            piece = slice(start, stop)
+            _run(self._state, self._params, self._drift, drive[piece], noise, 1.0 / self.rate_hz, codes[piece])
         return codes

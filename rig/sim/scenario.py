@@ -34,6 +34,8 @@ _FORCES = (
     "air_cushion", "oil_film",
 )  # fmt: skip
 
+_NOT_SIMPLE = ("adhesion", "ageing_threshold", "impact_hold", "mass_loading")
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -102,7 +104,8 @@ class Scenario:
         params["has_unusual_friction"], params["has_force"] = unusual, forced
         params["has_friction"] = unusual or self._has("coulomb_friction")
         params["has_hold"], params["has_mode"] = self._has("impact_hold"), self._has("table_resonance")
-        params["is_ballistic"] = not (unusual or forced or self._has("table_resonance"))
+        ballistic = not (unusual or forced or self._has("table_resonance"))
+        params["is_ballistic"], params["is_simple"] = ballistic, ballistic and not self._has(*_NOT_SIMPLE)
         places = {name: place for place, name in enumerate(dtype.names or ())}
         drift = np.zeros(len(self.drift_per_minute), DRIFT_DTYPE)
         for row, (dotted, per_minute) in enumerate(self.drift_per_minute.items()):

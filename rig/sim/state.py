@@ -33,16 +33,16 @@ _INTEGERS = ("state", "direction", "parity", "commanded_open", "closed", "bounci
 STATE_DTYPE = np.dtype(
     [(name, "f8") for name in _FLOATS]
     + [(name, "i8") for name in _INTEGERS]
-    + [("noise_key", "u8")]
+    + [("noise_key", "u8"), ("event_counter", "u8")]
     + [("edge_s", "f8", (EDGE_CAPACITY,)), ("edge_kind", "i8", (EDGE_CAPACITY,))]
 )
 
 
-def initial_state(noise_key: int, start_s: float) -> np.ndarray:
+def initial_state(noise_key: int, event_key: int, start_s: float) -> np.ndarray:
     """One-record array: ball and plate at rest, circuit closed, one interval (``start_s`` < 0) before sample 0."""
     state = np.zeros(1, STATE_DTYPE)
     state["state"] = CONTACT
-    state["noise_key"], state["t_s"] = noise_key, start_s
+    state["noise_key"], state["event_counter"], state["t_s"] = noise_key, event_key, start_s
     state["direction"] = 1
     state["closed"] = 1
     state["left_s"] = state["landed_s"] = state["contact_since_s"] = state["closed_s"] = -1.0
