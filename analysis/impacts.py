@@ -325,8 +325,9 @@ def calibrate(
     nearer = np.abs(impacts.time_s - landing_s[before]) <= np.abs(impacts.time_s - landing_s[after])
     partner = np.where(nearer, before, after)
     difference = impacts.time_s - landing_s[partner]
-    paired = np.abs(difference) < reach_s
-    if paired.sum() < 3:
+    # an elastic ball closes the circuit only at the end of its rebounds, on impacts too weak to date: strong ones count
+    paired = (np.abs(difference) < reach_s) & (impacts.strength >= np.median(impacts.strength))
+    if paired.sum() < 5:
         return impacts, WitnessOffset(0.0, np.inf, 0.0, int(paired.sum()))
     d = difference[paired]
     own = np.hypot(impacts.uncertainty_s, landing_sigma_s[partner])[paired]
