@@ -29,18 +29,28 @@ def threshold_gamma(forcing):
     return hi
 
 
-def flight_of(kind, rng):
-    """``(forcing, gamma, phi0, v0, at_threshold)`` of one flight of a kind in `KINDS`."""
-    forcing = forcing_of(kind, rng)
-    lowest = threshold_gamma(forcing)
+def flights_of(kind, rng, per_forcing=25):
+    """Endless ``(forcing, gamma, phi0, v0, at_threshold)`` of one kind in `KINDS`, ``per_forcing`` of each forcing."""
+    while True:
+        forcing = forcing_of(kind, rng)
+        lowest = threshold_gamma(forcing)
+        jump = grazing_gamma(forcing, lowest * rng.uniform(1.2, 8)) if kind == "graze" else None
+        for _ in range(per_forcing):
+            yield _flight(kind, rng, forcing, lowest, jump)
+
+
+def _flight(kind, rng, forcing, lowest, jump):
+    """One flight of a kind on ``forcing``, which first lifts the ball at ``lowest``."""
     if kind == "threshold":
         gamma = lowest * (1 + 10 ** rng.uniform(-11, -2))
+    elif kind == "graze":
+        gamma = jump * (1 + rng.choice([-1, 1]) * 10 ** rng.uniform(-13, -4))
     elif kind == "long":
         gamma = rng.uniform(6, 50)
     else:
         gamma = lowest * 10 ** rng.uniform(0.01, 1.3)
     windows = take_off_phases(forcing, gamma)
-    i = int(rng.integers(windows.start.size))
+    i = 0 if kind == "graze" else int(rng.integers(windows.start.size))
     start, stop = windows.start[i], windows.stop[i]
     if kind == "tiny":
         return forcing, gamma, stop - min(10 ** rng.uniform(-9, -1), 0.9 * (stop - start)), 0.0, False
@@ -48,25 +58,27 @@ def flight_of(kind, rng):
         return forcing, gamma, start + min(10 ** rng.uniform(-12, -3), 0.5 * (stop - start)), 0.0, False
     if kind == "bounce":
         return forcing, gamma, rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-6, 1), False
-    if kind == "graze":
-        return forcing, grazing_gamma(forcing, gamma, i, rng), None, 0.0, True
     if kind in ("long", "tones"):
         return forcing, gamma, rng.uniform(start, stop), 0.0, False
     return forcing, gamma, start, 0.0, True
 
 
-def grazing_gamma(forcing, gamma, i, rng):
-    """A gamma within ``10^-13 .. 10^-4`` (relative) of one where the landing after the first threshold jumps."""
+def grazing_gamma(forcing, gamma):
+    """An amplitude above ``gamma`` at which the landing after the first threshold jumps, to the last bit."""
     grid = gamma * np.linspace(1, 1.3, 40)
-    tau = np.array([first_landing(forcing, g, take_off_phases(forcing, g).start[0]).tau for g in grid])
+    tau = np.array([_first_tau(forcing, g) for g in grid])
     jump = int(np.argmax(np.abs(np.diff(tau))))
     lo, hi = grid[jump], grid[jump + 1]
     t_lo, t_hi = tau[jump], tau[jump + 1]
     for _ in range(60):
         middle = 0.5 * (lo + hi)
-        t = first_landing(forcing, middle, take_off_phases(forcing, middle).start[0]).tau
+        t = _first_tau(forcing, middle)
         if abs(t - t_lo) < abs(t - t_hi):
             lo, t_lo = middle, t
         else:
             hi, t_hi = middle, t
-    return hi * (1 + rng.choice([-1, 1]) * 10 ** rng.uniform(-13, -4))
+    return hi
+
+
+def _first_tau(forcing, gamma):
+    return first_landing(forcing, gamma, take_off_phases(forcing, gamma).start[0]).tau

@@ -4,6 +4,8 @@ The rule kept here: nothing of `model` is used but the forcing's plain numbers. 
 points of the plate's acceleration as roots of a polynomial in ``exp(i phi)``, and bisects from there.
 """
 
+import itertools
+
 import mpmath as mp
 import numpy as np
 from numba import njit
@@ -20,6 +22,7 @@ class Exact:
         self.gamma = mp.mpf(float(gamma))
         self.tones = [(int(n), mp.mpf(b), mp.mpf(p)) for n, b, p in forcing.tones]
         self.turning = self._turning()
+        self.known = {}  # crossings in one period, by level
 
     def derivative(self, order, phi):
         """The ``order``-th derivative of ``s`` at ``phi``."""
@@ -44,19 +47,23 @@ class Exact:
 
     def crossings(self, level, start, stop):
         """Ascending phases in ``(start, stop)`` where ``gamma q = level``."""
-        first = int(mp.floor(start / (2 * mp.pi))) - 1
-        last = int(mp.ceil(stop / (2 * mp.pi))) + 1
-        pieces = [x + 2 * mp.pi * turn for turn in range(first, last) for x in self.turning]
+        if level not in self.known:
+            self.known[level] = self._crossings_of_a_period(level)
+        first, last = int(mp.floor(start / (2 * mp.pi))) - 1, int(mp.ceil(stop / (2 * mp.pi))) + 1
+        shifted = (x + 2 * mp.pi * turn for turn in range(first, last) for x in self.known[level])
+        return [x for x in shifted if start < x < stop]
+
+    def _crossings_of_a_period(self, level):
+        pieces = [*self.turning, self.turning[0] + 2 * mp.pi]
 
         def excess(phi):
             return -self.gamma * self.derivative(2, phi) - level
 
-        values = [excess(x) for x in pieces]
-        found = []
-        for a, b, fa, fb in zip(pieces, pieces[1:], values, values[1:], strict=False):
-            if fa * fb < 0 and b > start and a < stop:
-                found.append(bisect_newton(excess, lambda phi: -self.gamma * self.derivative(3, phi), a, b))
-        return [x for x in found if start < x < stop]
+        return [
+            bisect_newton(excess, lambda phi: -self.gamma * self.derivative(3, phi), a, b)
+            for a, b in itertools.pairwise(pieces)
+            if excess(a) * excess(b) < 0
+        ]
 
     def threshold_near(self, phi):
         """The up-crossing of ``gamma q = 1`` nearest to ``phi``."""
@@ -175,3 +182,14 @@ def stays_above(tones, gamma, phi0, v0, start, stop, noise):
         todo.append((a, middle, h_a, h))
         todo.append((middle, b, h, h_b))
     return verdict
+
+
+def lifted_until(forcing, gamma, phi0, v0, at_threshold):
+    """A time before which a ball taking off at ``phi0`` is surely in the air: the Taylor bound of its height."""
+    n, b, p = forcing.tones.T
+    a = 0.0 if at_threshold else max(gamma * float(np.sum(b * n**2 * np.sin(n * phi0 + p))) - 1.0, -1e300)
+    jerk = gamma * float(np.sum(b * n**3 * np.cos(n * phi0 + p)))
+    snap = gamma * float(np.sum(b * n**4))
+    t = np.geomspace(1e-9, 1.0, 400)
+    free = v0 + t * (a / 2 + t * (jerk / 6 - t * snap / 24)) > 0
+    return 0.0 if not free[0] else float(t[np.argmin(free) - 1] if not free.all() else t[-1])
