@@ -35,6 +35,7 @@ class Request:
     phase_deg: float = 0.0
     steps: int = 1000
     adaptive: bool = False
+    grid: tuple[str, ...] = ()
     narrowest: float | None = None
     workers: int = 1
     cluster: str | None = None
@@ -50,7 +51,7 @@ def run(request: Request) -> None:
         if request.paper_figure is not None:
             from bench.predict_pictures import paper_figure
 
-            paper_figure(request.paper_figure, request.figure)
+            paper_figure(request.paper_figure, request.figure, request.steps)
             return
         ball = _ball(request)
         if request.gamma_range is None:
@@ -60,7 +61,7 @@ def run(request: Request) -> None:
         else:
             from bench.predict_diagram import diagram
 
-            diagram(ball, request)
+            diagram(ball, request, forcing_of(request), parse_effects(request.effects))
     except ValueError as error:
         fail(str(error), EXIT_USAGE)
 

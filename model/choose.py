@@ -48,22 +48,35 @@ def ball_of(
     if not active:
         return IdealBall(forcing)
     scaled = sorted(set(active) - EXACT)
-    if active.get("restitution", {}).get("e1_s_per_m", 0.0) != 0.0:
-        scaled.append("restitution.e1_s_per_m")
     if scaled and frequency_hz is None:
         raise ValueError(f"{', '.join(scaled)} needs --frequency-hz, because it has a scale of its own")
     if active.keys() <= EXACT:
         from model.rough_ball import RoughBall
 
-        friction = active.get("coulomb_friction", {})
-        bounce = active.get("restitution", {})
-        speed_mps = g_mps2 / (2.0 * math.pi * frequency_hz) if frequency_hz is not None else 0.0
-        return RoughBall(
-            forcing, friction.get("mu_up", 0.0), friction.get("mu_down", 0.0), bounce.get("e0", 0.0),
-            bounce.get("e1_s_per_m", 0.0) * speed_mps,
-        )
+        return RoughBall(forcing, *rough_of(active, frequency_hz, g_mps2))
     from model.rolled_ball import RolledBall
 
     if frequency_hz is None:
         raise ValueError("effects in SI units need --frequency-hz")
     return RolledBall(forcing, active, frequency_hz, g_mps2)
+
+
+def rough_of(
+    effects: Mapping[str, Mapping[str, float]], frequency_hz: float | None, g_mps2: float
+) -> tuple[float, float, float, float]:
+    """``mu_up, mu_down, e0, e1`` of resolved effects, dimensionless (speeds in units of g/w).
+
+    Raises
+    ------
+    ValueError
+        If restitution depends on speed and the frequency is missing, or friction holds the ball for ever.
+    """
+    friction = effects.get("coulomb_friction", {})
+    bounce = effects.get("restitution", {})
+    e1_s_per_m = bounce.get("e1_s_per_m", 0.0)
+    if e1_s_per_m != 0.0 and frequency_hz is None:
+        raise ValueError("restitution.e1_s_per_m needs --frequency-hz, because it has a scale of its own")
+    if not friction.get("mu_down", 0.0) < 1.0:
+        raise ValueError("coulomb_friction.mu_down must be less than 1: else the ball stays on the rod of a still plate")
+    speed_mps = g_mps2 / (2.0 * math.pi * frequency_hz) if frequency_hz is not None else 0.0
+    return friction.get("mu_up", 0.0), friction.get("mu_down", 0.0), bounce.get("e0", 0.0), e1_s_per_m * speed_mps

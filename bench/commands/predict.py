@@ -20,6 +20,7 @@ def command(
     steps: int = typer.Option(1000, min=2, help="Gammas of a diagram over --gamma-range."),
     adaptive: bool = typer.Option(False, "--adaptive", help="More gammas where something happens."),
     narrowest: float | None = typer.Option(None, help="Narrowest window of gamma listed; 1e-6, bouncing 1e-4."),
+    grid: list[str] = typer.Option([], help="name.parameter=from:to:count, one more axis of the diagram; repeatable."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
@@ -36,6 +37,8 @@ def command(
     bench predict --c 1 --gamma-range 0.5 6 --bifurcations --json -
 
     bench predict --c 2 --gamma-range 0.2 3 --out diagram.h5 --figure diagram.png
+
+    bench predict --gamma-range 0.5 4 --steps 10000 --grid restitution.e0=0:0.9:100 --workers 2 --out map.h5
     """
     from bench.predict_run import Request, run
 
@@ -43,7 +46,7 @@ def command(
         Request(
             ratio=c, gamma=gamma, gamma_peak=gamma_peak, gamma_range=gamma_range, bifurcations=bifurcations,
             effects=tuple(effect), frequency_hz=frequency_hz, sweep=sweep, phase_deg=phase_deg, steps=steps,
-            adaptive=adaptive, narrowest=narrowest, workers=workers, cluster=cluster, paper_figure=paper_figure,
+            adaptive=adaptive, grid=tuple(grid), narrowest=narrowest, workers=workers, cluster=cluster, paper_figure=paper_figure,
             json_to=json_to, out=out, figure=figure,
         )
     )

@@ -145,8 +145,9 @@ def _progress(quiet: bool) -> Iterator[Callable[[Status], None]]:
                 task,
                 total=status.n_samples,
                 completed=min(status.sample, status.n_samples),
-                description=f"step {status.step.index + 1}/{status.n_steps} gamma {status.step.gamma:.4g} "
-                f"{status.state.value}, plate {status.plate_mps2:.3g} m/s², lost {status.lost_samples}",
+                description=f"{status.step.index + 1}/{status.n_steps} γ {status.step.gamma:.4g} {status.state.value}, "
+                f"last achieved {status.achieved_gamma:.4g}, limits {status.limit_in_use:.0%}, "
+                f"contact {status.contact_age_cycles:.0f} cycles ago, lost {status.lost_samples}",
             )
 
         yield show

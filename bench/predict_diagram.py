@@ -1,0 +1,124 @@
+"""The diagrams of `bench predict`: over a range of gammas and any other axes, on one core, several, or a cluster.
+
+The rule kept here: progress goes to standard error, at most once a second.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.console import write_json
+from daq.errors import InputError
+from model import ensemble
+from model.diagram import KINDS, Rows, adaptive
+from model.diagram import diagram as rows_at
+from model.orbit import Ball
+from model.tones import Forcing
+
+if TYPE_CHECKING:
+    from bench.predict_run import Request
+
+MOST_ROWS_AS_JSON = 100_000
+
+
+def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str, Mapping[str, float]]) -> None:
+    """Fly the diagram that ``request`` asks for, and write it as HDF5, picture and JSON, whichever were asked for.
+
+    Raises
+    ------
+    InputError
+        For options that contradict one another.
+    """
+    job = _job(request, effects)
+    if request.out is None and request.figure is None and request.json_to is None:
+        raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
+    if request.adaptive:
+        if request.sweep or request.grid or request.workers > 1 or request.cluster:
+            raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")
+        low, high = request.gamma_range or (0.0, 0.0)
+        rows = adaptive(lambda g: rows_at(ball, g), low, high, request.steps)
+        if request.out is not None:
+            ensemble.save(job, rows, request.out)
+    else:
+        rows = _flown(job, request)
+    if request.json_to is not None:
+        write_json(_rows_json(rows, job), request.json_to)
+    if request.figure is not None:
+        if request.grid:
+            raise InputError("--figure shows a diagram over gamma alone; with --grid give --out")
+        from bench.predict_pictures import diagram_picture
+
+        diagram_picture(rows.sorted(), forcing, request, request.figure)
+
+
+def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemble.Job:
+    low, high = request.gamma_range or (0.0, 0.0)
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
+        raise InputError(f"--gamma-range wants a smaller and a larger number, neither negative, not {low:g} {high:g}")
+    gammas = np.linspace(low, high, request.steps)
+    if request.sweep == "down":
+        gammas = gammas[::-1]
+    return ensemble.Job(
+        ratio=request.ratio, gammas=tuple(gammas.tolist()), phase_rad=math.radians(request.phase_deg), effects=effects,
+        axes=tuple(_axis(text) for text in request.grid), frequency_hz=request.frequency_hz,
+        sweep=request.sweep is not None,
+    )
+
+
+def _axis(text: str) -> ensemble.Axis:
+    name, equals, values = text.partition("=")
+    try:
+        low, high, count = values.split(":")
+        numbers = np.linspace(float(low), float(high), int(count))
+    except ValueError:
+        numbers = np.empty(0)
+    if not (equals and "." in name and numbers.size and np.all(np.isfinite(numbers))):
+        raise InputError(f"--grid wants name.parameter=from:to:count, such as restitution.e0=0:0.9:10, not {text!r}")
+    return ensemble.Axis(name.strip(), tuple(numbers.tolist()))
+
+
+def _flown(job: ensemble.Job, request: Request) -> Rows:
+    with tempfile.TemporaryDirectory() as folder:
+        path = request.out or Path(folder) / "diagram.h5"
+        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=_Progress())
+        if request.figure is None and request.json_to is None:
+            return Rows(*(np.empty(0) for _ in range(7)))
+        return ensemble.load(path)[0]
+
+
+class _Progress:
+    """A line on standard error, at most once a second."""
+
+    def __init__(self) -> None:
+        self.began = self.said = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Say how far it is."""
+        now = time.monotonic()
+        if now - self.said < 1.0:
+            return
+        self.said = now
+        sys.stderr.write(f"{done} of {total} points, {now - self.began:.0f} s\n")
+
+
+def _rows_json(rows: Rows, job: ensemble.Job) -> list[dict[str, Any]]:
+    if rows.gamma.size > MOST_ROWS_AS_JSON or job.axes:
+        raise InputError(f"as JSON at most {MOST_ROWS_AS_JSON} gammas and no --grid; give --out for HDF5")
+    out = []
+    for i in range(rows.gamma.size):
+        tau = rows.tau[i][np.isfinite(rows.tau[i])].tolist()
+        seconds = None if job.frequency_hz is None else [t / (2.0 * math.pi * job.frequency_hz) for t in tau]
+        out.append({
+            "c": job.ratio, "gamma": float(rows.gamma[i]), "kind": KINDS[int(rows.kind[i])],
+            "period": int(rows.period[i]) or None, "flights": int(rows.flights[i]), "resets": int(rows.resets[i]),
+            "locked": bool(rows.locked[i]), "tau": tau, "flight_time_s": seconds,
+        })
+    return out

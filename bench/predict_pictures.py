@@ -1,0 +1,168 @@
+"""Pictures of `bench predict`: bifurcation diagrams with their forbidden zones, and those of the paper's figures.
+
+The rule kept here: an axis says which gamma it shows, and whether a time is in seconds or in forcing periods.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from model.ball import IdealBall
+from model.bifurcation import bifurcations
+from model.diagram import Rows, adaptive, diagram
+from model.tones import Forcing
+from model.zones import forbidden_zones
+
+if TYPE_CHECKING:
+    from bench.predict_run import Request
+
+Floats = NDArray[np.float64]
+
+INK = "#16324f"
+ZONE = "#e8a33d"
+LINE = "#9b2226"
+PAPER_HZ = 20.0  # the paper's "omega = 20"
+ZONE_GAMMAS = 160
+PAPER_FIGURES: dict[int, tuple[tuple[int, float, float], ...]] = {  # figure: (c, from, to) of each panel, in gamma
+    4: ((1, 0.4, 6.0),),
+    10: ((2, 0.15, 3.0),),
+    11: ((3, 0.08, 2.0),),
+    12: ((1, 0.4, 6.0), (2, 0.15, 3.0), (3, 0.08, 2.0)),
+}
+STYLE = {
+    "font.family": "serif", "mathtext.fontset": "cm", "font.size": 10, "axes.linewidth": 0.8, "xtick.direction": "in",
+    "ytick.direction": "in", "xtick.top": True, "figure.constrained_layout.use": True, "savefig.dpi": 200,
+}
+
+
+def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) -> None:
+    """Draw one diagram; the forbidden zones are those of the ideal ball and are drawn for it alone."""
+    figure, axes = _figure(1, path)
+    _panel(axes[0], rows, forcing, request.ratio, request.frequency_hz, ideal=not request.effects and not request.sweep)
+    if request.effects:
+        axes[0].set_title(", ".join(request.effects), fontsize=9)
+    if request.sweep:
+        axes[0].set_title(f"gamma swept {request.sweep}", fontsize=9, loc="right")
+    _save(figure, path)
+
+
+def paper_figure(number: int, path: Path | None, steps: int) -> None:
+    """Draw one of the paper's bifurcation diagrams, from the ideal ball at the paper's 20 Hz.
+
+    Raises
+    ------
+    InputError
+        For another number, or without a path.
+    """
+    if number not in PAPER_FIGURES:
+        known = ", ".join(map(str, PAPER_FIGURES))
+        raise InputError(f"--paper-figure wants one of {known}, not {number}")
+    path = path or Path(f"figure{number}.png")
+    panels = PAPER_FIGURES[number]
+    figure, axes = _figure(len(panels), path)
+    for ax, (ratio, low, high) in zip(axes, panels, strict=True):
+        forcing = Forcing.superposition(ratio)
+        ball = IdealBall(forcing)
+        rows = adaptive(lambda g, b=ball: diagram(b, g), low, high, steps)
+        _panel(ax, rows, forcing, ratio, PAPER_HZ, ideal=True)
+    _save(figure, path)
+
+
+def _figure(panels: int, path: Path) -> tuple[Any, list[Any]]:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    pyplot.rcParams.update(STYLE)
+    figure, axes = pyplot.subplots(panels, 1, figsize=(7.0, 1.2 + 3.2 * panels), squeeze=False)
+    return figure, list(axes[:, 0])
+
+
+def _save(figure: Any, path: Path) -> None:
+    from matplotlib import pyplot
+
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot write the picture {path}: {error}; give a name ending in .png, .pdf or .svg") from error
+    finally:
+        pyplot.close(figure)
+
+
+def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: float | None, *, ideal: bool) -> None:
+    """One diagram: flight times against gamma (gamma_peak at c = 1), zones shaded, the large events marked."""
+    scale = 2.0 if ratio == 1 and forcing.amplitude == (2.0,) else 1.0
+    unit = 1.0 / (2.0 * math.pi * frequency_hz) if frequency_hz else 1.0 / (2.0 * math.pi)
+    x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
+    y = rows.tau.ravel() * unit
+    shown = np.isfinite(y)
+    crowd = np.repeat((rows.kind == 2) | (rows.flights > 8), rows.tau.shape[1])
+    low, high = float(rows.gamma[0]), float(rows.gamma[-1])
+    if ideal:
+        _zones(ax, forcing, low, high, scale, unit)
+        _marks(ax, forcing, low, high, scale)
+    ax.plot(x[shown & crowd], y[shown & crowd], ".", ms=0.6, mew=0, color=INK, alpha=0.5, rasterized=True)
+    ax.plot(x[shown & ~crowd], y[shown & ~crowd], ".", ms=1.8, mew=0, color=INK, rasterized=True)
+    top = float(np.nanmax(y)) if shown.any() else 1.0
+    ax.set_xlim(low * scale, high * scale)
+    ax.set_ylim(0.0, 1.05 * top)
+    name = r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$" if scale == 2.0 else r"$\Gamma = A\omega^2/g$"
+    ax.set_xlabel(f"{name}   (c = {ratio})")
+    if frequency_hz:
+        ax.set_ylabel(f"flight time (s) at {frequency_hz:g} Hz")
+        ax.secondary_yaxis("right", functions=(lambda t: t * frequency_hz, lambda n: n / frequency_hz)).set_ylabel(
+            "forcing periods"
+        )
+    else:
+        ax.set_ylabel("flight time (forcing periods)")
+
+
+def _zones(ax: Any, forcing: Forcing, low: float, high: float, scale: float, unit: float) -> None:
+    """Forbidden zones, each followed through gamma by what it overlaps."""
+    gammas = np.linspace(low, high, ZONE_GAMMAS)
+    growing: list[list[tuple[float, float, float]]] = []
+    done: list[list[tuple[float, float, float]]] = []
+    for gamma in gammas:
+        still = []
+        for a, b in forbidden_zones(forcing, float(gamma)):
+            mine = next((z for z in growing if z[-1][1] < b and a < z[-1][2]), None)
+            if mine is None:
+                mine = []
+            else:
+                growing.remove(mine)
+            mine.append((float(gamma), float(a), float(b)))
+            still.append(mine)
+        done += growing
+        growing = still
+    for i, zone in enumerate(done + growing):
+        g, a, b = np.array(zone).T
+        ax.fill_between(
+            g * scale, a * unit, b * unit, color=ZONE, alpha=0.35, lw=0, label="forbidden" if i == 0 else None
+        )
+    if done or growing:
+        ax.legend(loc="upper left", frameon=False, fontsize=9)
+
+
+def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> None:
+    """The events of windows wide enough to be seen, as fine lines with their names."""
+    wide = (high - low) / 60.0
+    kinds = {"take-off": "take-off", "new take-off window": "2nd window", "lock": "lock", "period doubling": "doubling"}
+    last = -math.inf
+    for event in bifurcations(IdealBall(forcing), low, high, narrowest=wide):
+        if event.type in kinds and (event.before.flights or 0) <= 1:
+            ax.axvline(event.gamma * scale, color=LINE, lw=0.6, ls=(0, (4, 3)), zorder=0)
+            if event.gamma - last > (high - low) / 40.0:
+                ax.text(
+                    event.gamma * scale, 0.985, f" {kinds[event.type]}", rotation=90, va="top", ha="right", fontsize=7,
+                    color=LINE, transform=ax.get_xaxis_transform(),
+                )
+            last = event.gamma
+
+

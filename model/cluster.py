@@ -1,0 +1,38 @@
+"""Chunks of an ensemble on a Dask cluster.
+
+The rule kept here: Dask is imported nowhere else, and only when a cluster is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from model.diagram import Rows
+from model.ensemble import Job, compute
+
+
+def on_cluster(
+    job: Job, todo: list[tuple[int, int]], workers: int, address: str
+) -> Iterator[tuple[int, int, Rows]]:
+    """Chunks of ``job`` as they come in, from the scheduler at ``address`` or, where that is ``"local"``, one here.
+
+    Raises
+    ------
+    ValueError
+        If Dask is not installed.
+    """
+    try:
+        from distributed import Client, LocalCluster, as_completed
+    except ImportError as error:
+        raise ValueError("--cluster needs Dask: pip install 'shakerbench[distributed]'") from error
+    local = address == "local"
+    cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) if local else address
+    try:
+        with Client(cluster) as client:
+            waiting = {client.submit(compute, job, start, stop, pure=False): (start, stop) for start, stop in todo}
+            for future in as_completed(list(waiting)):
+                start, stop = waiting.pop(future)
+                yield start, stop, future.result()
+    finally:
+        if local:
+            cluster.close()
