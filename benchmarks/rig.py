@@ -2,8 +2,8 @@
 
     python benchmarks/rig.py [--seconds 60] [--repeats 5]
 
-One sine of 25.37 Hz at 20 kHz in blocks of 1024 samples (a run's default), three channels out. Each row is the fastest of the repeats
-of process time: the machine may be shared.
+One sine of 25.37 Hz at 20 kHz, in blocks of 1024 samples as a run has, three channels out. Each row is the fastest of
+the repeats in process time: the machine may be shared.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def scenarios() -> dict[str, Scenario]:
 def times_real_time(scenario: Scenario, gamma_peak: float, seconds: float, repeats: int) -> float:
     """Seconds simulated for each second of process time, the best of several runs."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    blocks = np.split(-0.5 * gamma_peak * np.sin(2.0 * math.pi * 25.37 * t) * np.minimum(t, 1.0), range(BLOCK, t.size, BLOCK))
+    volts = -0.5 * gamma_peak * np.sin(2.0 * math.pi * 25.37 * t) * np.minimum(t, 1.0)
+    blocks = np.split(volts, range(BLOCK, t.size, BLOCK))
     best = math.inf
     for seed in range(repeats):
         plant = Plant(scenario, RATE_HZ, np.random.default_rng(seed))

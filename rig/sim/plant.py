@@ -28,7 +28,7 @@ NOISE_BLOCK = 65536
 
 
 REFRESH_SAMPLES = 64
-"""Drifting parameters are brought up to date this often, counted from the start of the run."""
+"""Drifting parameters are brought up to date this often, counted from the start of the run; a power of two."""
 
 @njit(cache=True)
 def _code(volts: float, scale_v: float, limit: float) -> int:
@@ -56,7 +56,7 @@ def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: fl
     scale_v = p.adc_range_v / limit
     noise_v = p.accelerometer_v_per_g * p.accelerometer_noise_g
     for i in range(drive_v.size):
-        if s.sample % REFRESH_SAMPLES == 0:
+        if s.sample & (REFRESH_SAMPLES - 1) == 0:
             _refresh(s, p, values, drift, dt_s)
         drive_plate(s, p, drive_v[i])
         re, im = s.ring_re, s.ring_im

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from rig.sim.catalogue import EFFECTS
+from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
 from rig.sim.scenario import Scenario, load_scenario
 from rig.sim.sealed import STRENGTHS, pool, sealed_scenario
 
@@ -105,3 +105,10 @@ def test_asking_for_more_effects_than_named_is_refused() -> None:
     """Three of two cannot be drawn."""
     with pytest.raises(ValueError, match="0 to 2"):
         sealed_scenario(np.random.default_rng(0), ["adhesion", "restitution"], count=3)
+
+
+def test_the_documentation_names_every_effect_parameter_and_rig_key() -> None:
+    """docs/scenarios.md lists all there is to write into a scenario."""
+    text = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    words = [word for name, entry in EFFECTS.items() for word in (name, *(p.name for p in entry.parameters))]
+    assert [word for word in (*words, *RIG_DEFAULTS) if f"`{word}`" not in text] == []
