@@ -48,7 +48,7 @@ class Judged:
     ----------
     fit : Fit
     rms_s, held_out_rms_s : float
-        Of the flight durations, in sample and held out (NaN where nothing could be held out).
+        Of the flight durations predicted from flights, in sample and held out (NaN where nothing could be held out).
     scores : (units,) float64
         Held-out log likelihood of each drop (or bounce, where there are few drops).
     identifiable : bool
@@ -145,13 +145,13 @@ def _try(
     for held in folds:
         theta = converge(model, whole.theta, rows.keep(~held), widths, g_mps2)
         residual = rows.after_s - predict_s(model, theta, rows, g_mps2)
-        squares.append(residual[held] ** 2)
+        squares.append(residual[held & ~rows.from_height] ** 2)
         lower = noise_of(model, theta, rows.keep(held), g_mps2).lower(*widths)
         white = np.linalg.solve(lower, np.where(held, residual, 0.0)[..., None])[..., 0]
         log = -0.5 * white**2 - np.log(np.diagonal(lower, axis1=1, axis2=2)) - 0.5 * np.log(2 * np.pi)
         log = np.where(held, log, 0.0)
         scores.append(log.sum(axis=1)[held.any(axis=1)] if by_drop else log[held])
-    rms = float(np.sqrt(np.nanmean(whole.residuals_s**2)))
+    rms = float(np.sqrt(np.nanmean(whole.residuals_s[~rows.from_height] ** 2)))
     held_rms = float(np.sqrt(np.concatenate(squares).mean())) if squares else float("nan")
     return Judged(whole, rms, held_rms, np.concatenate(scores) if scores else np.empty(0))
 

@@ -37,13 +37,17 @@ class BounceModel:
         return set(other.parameters) < set(self.parameters)
 
     def law(self, theta: Array, g_mps2: float) -> FlightLaw:
-        """The flight law at parameters ``theta``."""
-        value = dict(zip(self.parameters, theta, strict=True))
-        return FlightLaw(g_mps2, value.get("mu", 0.0), value.get("k_per_m", 0.0))
+        """The flight law at parameters ``theta`` (p,), or at each of (draws, p)."""
+        value = self._named(theta)
+        drag = np.maximum(value["k_per_m"], 1e-8) if "k_per_m" in value else 0.0  # a parabola to its last digit
+        return FlightLaw(g_mps2, value.get("mu", 0.0), drag)
+
+    def _named(self, theta: Array) -> dict[str, Array]:
+        return dict(zip(self.parameters, np.moveaxis(np.asarray(theta), -1, 0), strict=True))
 
     def rebound_mps(self, theta: Array, impact_mps: Array) -> Array:
         """Speed after an impact at ``impact_mps``."""
-        value = dict(zip(self.parameters, theta, strict=True))
+        value = self._named(theta)
         e = value["e0"] - value.get("e1_s_per_m", 0.0) * np.asarray(impact_mps)
         return np.maximum(e, 0.01) * impact_mps
 
@@ -51,24 +55,27 @@ class BounceModel:
         """Duration of the flight after one of ``flight_s``."""
         law = self.law(theta, g_mps2)
         impact = law.return_speed_mps(law.takeoff_speed_mps(flight_s))
-        return law.duration_s(self.rebound_mps(theta, impact))
+        return np.asarray(law.duration_s(self.rebound_mps(theta, impact)))
 
     def first_flight_s(self, theta: Array, height_m: Array, g_mps2: float) -> Array:
         """Duration of the flight after a fall from rest through ``height_m``."""
         law = self.law(theta, g_mps2)
-        return law.duration_s(self.rebound_mps(theta, law.landing_speed_mps(height_m)))
+        return np.asarray(law.duration_s(self.rebound_mps(theta, law.landing_speed_mps(height_m))))
 
-    def drop_height_m(self, theta: Array, flight_s: float, g_mps2: float, scatter: float = 0.0) -> float:
-        """Height of the drop whose first bounce lasted ``flight_s``, the restitution there off by ``scatter``."""
-        law = self.law(theta, g_mps2)
-        after = float(law.takeoff_speed_mps(flight_s))
-        value = dict(zip(self.parameters, theta, strict=True))
+    def drop_height_m(self, theta: Array, flight_s: Array, g_mps2: float, scatter: Array) -> Array:
+        """Height of the drop whose first bounce lasted ``flight_s``; NaN where there is none.
+
+        All arguments may be arrays over draws: parameters (draws, p), duration, and how far the restitution of that
+        one bounce is from the law.
+        """
+        law, value = self.law(theta, g_mps2), self._named(theta)
+        after = law.takeoff_speed_mps(flight_s)
         e0, e1 = value["e0"] + scatter, value.get("e1_s_per_m", 0.0)
         inside = e0 * e0 - 4.0 * e1 * after  # e0 u - e1 u^2 = after: the branch that goes over into after / e0
-        if e0 <= 0.0 or inside < 0.0:
-            return float("nan")
-        height = float(law.fall_m(2.0 * after / (e0 + np.sqrt(inside))))
-        return height if np.isfinite(height) else float("nan")
+        with np.errstate(invalid="ignore"):
+            impact = np.where((e0 > 0.0) & (inside >= 0.0), 2.0 * after / (e0 + np.sqrt(inside)), np.nan)
+            height = law.fall_m(impact)
+        return np.where(np.isfinite(height), height, np.nan)
 
 
 CONSTANT = BounceModel("constant_restitution", ("e0",))

@@ -33,6 +33,8 @@ CAMERA_LADDER: tuple[tuple[BounceModel, str, bool], ...] = (
     (FRICTION_DRAG, "friction+drag", False),
 )
 _DRAWS = 300
+_IMPACT_FRAMES = 0.8
+_LEAST_CLEAR = 4
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     flights = [f for f in flights if len(f.frame) >= 3]
     acceleration = float(np.median([clip.acceleration for clip in clips]))
     noise = noise_of(flights)
+    flights = _clear_of_impacts(flights, fit_shape("friction", flights, acceleration, noise))
     shapes = {name: fit_shape(name, flights, acceleration, noise) for name in SHAPES}
     richest = shapes["friction+drag"]
     worth = _worth(richest, flights)
@@ -133,6 +136,20 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
             scores[name] = scores["drag" if "k" in SHAPES[name] else "parabola"]
     rungs = tuple(_rung(*rung, shapes, impacts, scores) for rung in CAMERA_LADDER)
     return CameraFit(flights, shapes, values, impacts, rungs, falls, noise, worth)
+
+
+def _clear_of_impacts(flights: list[Flight], shape: Shape) -> list[Flight]:
+    """Leave out samples whose exposure an impact may touch, now that it is known when the impacts were."""
+    none = np.empty((0, len(flights)))
+    seen, _ = impacts_of(shape, flights, np.empty((0, len(shape.values))), none, none)
+    out = []
+    for flight in flights:
+        when = seen.frame[seen.clip == flight.clip]
+        clear = np.abs(flight.frame[:, None] - when[None]).min(axis=1, initial=np.inf) > _IMPACT_FRAMES
+        if clear.sum() >= _LEAST_CLEAR:
+            flight = replace(flight, frame=flight.frame[clear], height=flight.height[clear])
+        out.append(flight)
+    return out
 
 
 def _worth(shape: Shape, flights: Sequence[Flight]) -> float:
@@ -190,14 +207,15 @@ def _meet(laws: FlightLaw, frames: Array, heights: Array, i: int, before: Flight
     """Where flight ``i`` coming down meets flight ``i + 1`` going up: Newton from the middle of the gap."""
     when = np.full(len(frames), 0.5 * (before.frame[-1] + after.frame[0]))
     for _ in range(20):
-        gap = heights[:, i] - laws.drop_m(when - frames[:, i]) - heights[:, i + 1] + laws.drop_m(when - frames[:, i + 1])
+        gap = heights[:, i] - heights[:, i + 1]
+        gap = gap - laws.drop_m(when - frames[:, i]) + laws.drop_m(when - frames[:, i + 1])
         closing = _speed(laws, when - frames[:, i]) + _speed(laws, when - frames[:, i + 1])
         when = when + np.clip(gap / np.maximum(closing, 1e-12), -3.0, 3.0)
     return when
 
 
 def _speed(laws: FlightLaw, since: Array) -> Array:
-    return np.abs(laws.velocity_mps(since))
+    return np.asarray(np.abs(laws.velocity_mps(since)))
 
 
 def _rung(
@@ -219,8 +237,7 @@ def _rung(
 
     def miss(e: Array) -> Array:
         left = flight - law.duration_s(np.maximum(e, 0.01) * incoming)
-        return left[np.isfinite(left)]
+        return np.asarray(left[np.isfinite(left)])
 
-    return CameraRung(
-        model, shape_name, fit, miss(fit.predicted), miss(fit.held_out), np.concatenate([scores[shape_name], fit.scores])
-    )
+    both = np.concatenate([scores[shape_name], fit.scores])
+    return CameraRung(model, shape_name, fit, miss(fit.predicted), miss(fit.held_out), both)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Numbers = Any  # a float or an array of them: everything here broadcasts
 _NO_DRAG = 1e-9  # k v^2 / g below this is a parabola to the last digit that matters
 
 
@@ -31,31 +30,31 @@ class FlightLaw:
         ``k`` of ``-k |v| v``, 1/m.
     """
 
-    g_mps2: Any
-    friction: Any = 0.0
-    drag_per_m: Any = 0.0
+    g_mps2: Numbers
+    friction: Numbers = 0.0
+    drag_per_m: Numbers = 0.0
 
     @property
     def _free(self) -> bool:
         return bool(np.max(self.drag_per_m) <= _NO_DRAG)
 
     @property
-    def up_mps2(self) -> Any:
+    def up_mps2(self) -> Numbers:
         """Deceleration on the way up at zero speed."""
         return self.g_mps2 * (1.0 + self.friction)
 
     @property
-    def down_mps2(self) -> Any:
+    def down_mps2(self) -> Numbers:
         """Acceleration on the way down at zero speed."""
         return self.g_mps2 * (1.0 - self.friction)
 
-    def apex_m(self, speed_mps: Any) -> Array:
+    def apex_m(self, speed_mps: Numbers) -> Numbers:
         """Height reached from take-off at ``speed_mps``."""
         v = np.asarray(speed_mps, dtype=np.float64)
         ratio = v * v / self.up_mps2
         return (ratio if self._free else np.log1p(self.drag_per_m * ratio) / self.drag_per_m) / 2.0
 
-    def landing_speed_mps(self, height_m: Any) -> Array:
+    def landing_speed_mps(self, height_m: Numbers) -> Numbers:
         """Speed after a fall from rest through ``height_m``."""
         h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
         k = self.drag_per_m
@@ -63,7 +62,7 @@ class FlightLaw:
             return np.sqrt(2.0 * self.down_mps2 * h)
         return np.sqrt(self.down_mps2 / k * -np.expm1(-2.0 * k * h))
 
-    def fall_m(self, speed_mps: Any) -> Array:
+    def fall_m(self, speed_mps: Numbers) -> Numbers:
         """Height of a fall from rest that ends at ``speed_mps`` (infinite at the terminal speed and beyond)."""
         v = np.asarray(speed_mps, dtype=np.float64)
         ratio = v * v / self.down_mps2
@@ -73,7 +72,7 @@ class FlightLaw:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(inside > 0.0, -np.log(np.maximum(inside, 1e-300)) / (2.0 * self.drag_per_m), np.inf)
 
-    def rise_s(self, speed_mps: Any) -> Array:
+    def rise_s(self, speed_mps: Numbers) -> Numbers:
         """Time from take-off to the apex."""
         v = np.asarray(speed_mps, dtype=np.float64)
         if self._free:
@@ -81,7 +80,7 @@ class FlightLaw:
         rate = np.sqrt(self.drag_per_m * self.up_mps2)
         return np.arctan(v * np.sqrt(self.drag_per_m / self.up_mps2)) / rate
 
-    def fall_s(self, height_m: Any) -> Array:
+    def fall_s(self, height_m: Numbers) -> Numbers:
         """Time of a fall from rest through ``height_m``."""
         h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
         k = self.drag_per_m
@@ -90,15 +89,15 @@ class FlightLaw:
         x = np.expm1(k * h)  # acosh(1 + x) without the cancellation of acosh near 1
         return np.log1p(x + np.sqrt(x * (x + 2.0))) / np.sqrt(k * self.down_mps2)
 
-    def duration_s(self, speed_mps: Any) -> Array:
+    def duration_s(self, speed_mps: Numbers) -> Numbers:
         """Flight time from take-off at ``speed_mps`` to the next landing."""
         return self.rise_s(speed_mps) + self.fall_s(self.apex_m(speed_mps))
 
-    def return_speed_mps(self, speed_mps: Any) -> Array:
+    def return_speed_mps(self, speed_mps: Numbers) -> Numbers:
         """Speed at the next landing, of a flight that took off at ``speed_mps``."""
         return self.landing_speed_mps(self.apex_m(speed_mps))
 
-    def takeoff_speed_mps(self, duration_s: Any) -> Array:
+    def takeoff_speed_mps(self, duration_s: Numbers) -> Numbers:
         """Take-off speed of a flight of ``duration_s``: Newton on `duration_s`, which grows with the speed."""
         t = np.asarray(duration_s, dtype=np.float64)
         v = t / (1.0 / self.up_mps2 + 1.0 / np.sqrt(self.up_mps2 * self.down_mps2))
@@ -111,21 +110,24 @@ class FlightLaw:
             v = np.maximum(v + (t - self.duration_s(v)) / slope, 0.5 * v)
         return v
 
-    def drop_m(self, since_apex_s: Any) -> Array:
+    def drop_m(self, since_apex_s: Numbers) -> Numbers:
         """Distance below the apex ``since_apex_s`` after it (negative: before it)."""
         t = np.asarray(since_apex_s, dtype=np.float64)
         if self._free:
-            return np.where(t < 0.0, self.up_mps2, self.down_mps2) * t * t / 2.0
+            along: Numbers = np.where(t < 0.0, self.up_mps2, self.down_mps2)
+            return along * t * t / 2.0
         k = self.drag_per_m
         rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)  # tan's pole: no flight gets there
         fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)
-        return np.where(t < 0.0, -np.log(np.cos(rise)), np.logaddexp(fall, -fall) - np.log(2.0)) / k
+        below: Numbers = np.where(t < 0.0, -np.log(np.cos(rise)), np.logaddexp(fall, -fall) - np.log(2.0))
+        return below / k
 
-    def velocity_mps(self, since_apex_s: Any) -> Array:
+    def velocity_mps(self, since_apex_s: Numbers) -> Numbers:
         """Upward velocity ``since_apex_s`` after the apex."""
         t = np.asarray(since_apex_s, dtype=np.float64)
         if self._free:
-            return -np.where(t < 0.0, self.up_mps2, self.down_mps2) * t
+            along: Numbers = np.where(t < 0.0, self.up_mps2, self.down_mps2)
+            return -along * t
         k = self.drag_per_m
         rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)
         fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)

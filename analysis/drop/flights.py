@@ -135,7 +135,8 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
         fit = np.polynomial.Polynomial.fit(s, h[begin:], 2)
         residual = h[begin:] - fit(s)
         released = float(fit.deriv()(s[0])) <= 0.5 * acceleration
-        if np.sqrt((residual**2).mean()) > 3.0 * noise or not released or abs(residual[:2]).max() > _RELEASE_SIGMA * noise:
+        bent = np.sqrt((residual**2).mean()) > 3.0 * noise or abs(residual[:2]).max() > _RELEASE_SIGMA * noise
+        if bent or not released:
             if len(t) - begin > 2 * LEAST_SAMPLES:
                 break
             continue

@@ -54,7 +54,7 @@ class Fit:
     def half_width(self, level: float = 0.95) -> Array:
         """Half the interval of each parameter: the wider of the fit's and the bootstrap's."""
         t = float(stats.t.ppf(0.5 + level / 2, max(self.freedom, 1)))
-        return t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0))
+        return np.asarray(t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0)))
 
 
 def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.int64]]:
@@ -63,16 +63,17 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.
     A bounce is left out where not even the richest rung comes near it, judged by the spread of all the others.
     """
     rows = rows_of(drops)
-    kept = rows
+    kept = rows.keep(~rows.from_height)
     for _ in range(2):
         theta = _start(SPEED_DRAG, kept)
         for _ in range(6):
             theta = step(SPEED_DRAG, theta, kept, (2e-4, 0.01), g_mps2).theta
         relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
-        pooled = relative[rows.valid]
+        pooled = relative[rows.valid & ~rows.from_height]
         centre = float(np.median(pooled))
         width = 1.4826 * float(np.median(np.abs(pooled - centre))) + 5e-4
-        kept = rows.keep((np.abs(relative - centre) < _OUTLIER_SIGMA * width) | rows.from_height)
+        kept = rows.keep((np.abs(relative - centre) < _OUTLIER_SIGMA * width) & ~rows.from_height)
+    kept = rows.keep(kept.valid | rows.from_height)
     return kept, rows.valid.sum(axis=1) - kept.valid.sum(axis=1)
 
 
@@ -121,10 +122,11 @@ def step(
         columns.append((predict_s(model, moved, rows, g_mps2) - base) / 1e-5)
     columns.append(rows.after_s - base)
     stack = np.where(rows.valid[..., None], np.stack(columns, axis=-1), 0.0)
-    white = np.linalg.solve(noise_of(model, theta, rows, g_mps2).lower(*widths), stack)[rows.valid]
+    lower = noise_of(model, theta, rows, g_mps2).lower(*widths)
+    white = np.asarray(np.linalg.solve(lower, stack)[rows.valid], dtype=np.float64)
     jacobian, residual = white[:, :-1], white[:, -1]
     normal = jacobian.T @ jacobian
-    covariance = np.linalg.pinv(normal, rcond=1e-10, hermitian=True)
+    covariance = np.asarray(np.linalg.pinv(normal, rcond=1e-10, hermitian=True), dtype=np.float64)
     damped = np.linalg.pinv(normal + damping * np.diag(np.diag(normal)), rcond=1e-10, hermitian=True)
     low, high = np.array([BOUNDS[name] for name in model.parameters]).T
     reached = np.clip(theta + damped @ (jacobian.T @ residual), low, high)
@@ -181,5 +183,6 @@ def _bootstrap(theta: Array, last: Step, rng: np.random.Generator, boots: int) -
     for b in range(boots):
         weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
         normal = (last.jacobian * weight[:, None]).T @ last.jacobian
-        draws[b] = theta + np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ (last.jacobian.T @ (weight * last.white))
+        right = last.jacobian.T @ (weight * last.white)
+        draws[b] = theta + np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
     return draws

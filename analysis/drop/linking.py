@@ -146,9 +146,7 @@ def _candidates(
             sideways = abs(dx - ahead[0])
             if miss <= reach + 0.15 * abs(ahead[1]):
                 found.append((miss, k, i))
-            elif track.fresh and sideways <= reach and abs(dy) <= fall:
-                found.append((miss + reach, k, i))
-            elif sideways <= reach and abs(dy) <= 1.15 * track.speed * span + reach:
+            elif sideways <= reach and abs(dy) <= (fall if track.fresh else 1.15 * track.speed * span + reach):
                 found.append((miss + reach, k, i))
     return found
 

@@ -47,7 +47,7 @@ def read_wav(path: Path) -> tuple[Array, float]:
     values = _pcm(raw, width)
     values = values[: len(values) // channels * channels].reshape(-1, channels)
     if len(values) < 0.05 * rate:
-        raise InputError(f"{path}: {len(values)} samples at {rate} Hz is no recording of a drop; the file may be cut off")
+        raise InputError(f"{path}: {len(values)} samples at {rate} Hz hold no drop; the file may be cut off")
     return values, float(rate)
 
 
@@ -117,7 +117,7 @@ def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
     floor = np.log(np.median(loud) * 4.0 + 1e-12)
     near = np.abs(onsets[:, None] - onsets[None]) < _NEIGHBOUR_S * rate_hz
     top = np.where(near, peaks[None], -np.inf).max(axis=1)
-    return np.clip((peaks - floor) / np.maximum(top - floor, 1e-6), 0.02, 1.0)
+    return np.asarray(np.clip((peaks - floor) / np.maximum(top - floor, 1e-6), 0.02, 1.0))
 
 
 def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
@@ -138,7 +138,7 @@ def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
     past = np.stack([np.roll(level, half + lag, axis=0) for lag in range(before)]).mean(axis=0)
     rise = np.maximum(np.roll(level, -half, axis=0) - past, 0.0)
     rise[: before + half] = rise[-half - 1 :] = 0.0
-    return rise @ (share / share.sum()), hop
+    return np.asarray(rise @ (share / share.sum())), hop
 
 
 def _refine(x: Array, near: int, rate_hz: float) -> float:

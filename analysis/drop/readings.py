@@ -18,15 +18,22 @@ from daq.errors import InputError
 
 Array = NDArray[np.float64]
 
-_TIME = {"t", "time", "times", "zeit", "tempo", "temps", "tijd", "tiempo", "czas", "seconds", "sekunden", "secondi", "clock"}
+_TIME = {
+    "t", "time", "times", "zeit", "tempo", "temps", "tijd", "tiempo", "czas", "seconds", "sekunden", "secondi",
+    "clock",
+}
 _FRAME = {"frame", "frames", "bild", "bildnummer", "fotogramma", "image", "slice", "beeld", "step", "pas"}
-_HEIGHT = {"y", "h", "height", "höhe", "hoehe", "altezza", "hoogte", "hauteur", "altura", "z", "s", "position", "posizione",
-           "positie", "quota", "y1"}
+_HEIGHT = {
+    "y", "h", "height", "höhe", "hoehe", "altezza", "hoogte", "hauteur", "altura", "z", "s", "position",
+    "posizione", "positie", "quota", "y1",
+}
 _ACROSS = {"x", "x1"}
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
-_INTERVAL = {"interval", "intervals", "intervall", "intervalle", "intervallo", "intervalli", "difference", "differenz",
-             "differenza", "verschil", "durata", "dauer", "duur", "dt", "flight"}
+_INTERVAL = {
+    "interval", "intervals", "intervall", "intervalle", "intervallo", "intervalli", "difference", "differenz",
+    "differenza", "verschil", "durata", "dauer", "duur", "dt", "flight",
+}
 
 
 @dataclass(frozen=True)
@@ -182,7 +189,8 @@ def _wide_tracks(grid: Grid) -> Points | None:
     found: list[tuple[float, float, float]] = []
     for row in grid.rows:
         numbers = [cell for cell in row if isinstance(cell, float)]
-        if len(numbers) >= 3 and len(numbers) % 2 == 1 and isinstance(row[0], float) and numbers[0] == round(numbers[0]):
+        framed = bool(numbers) and isinstance(row[0], float) and numbers[0] == round(numbers[0])
+        if framed and len(numbers) >= 3 and len(numbers) % 2 == 1:
             found += [(numbers[0], numbers[i], numbers[i + 1]) for i in range(1, len(numbers), 2)]
     if len(found) < 6:
         return None
@@ -203,7 +211,8 @@ def _positions(columns: _Columns) -> Points | None:
         return None
     named = [j for j in others if words[j] & _HEIGHT]
     if not named:
-        named = sorted((j for j in others if not words[j] & _ACROSS), key=lambda j: -float(np.nanmax(v[:, j]) - np.nanmin(v[:, j])))
+        ranges = np.nanmax(v, axis=0, initial=-np.inf) - np.nanmin(v, axis=0, initial=np.inf)
+        named = sorted((j for j in others if not words[j] & _ACROSS), key=lambda j: -float(ranges[j]))
     height = (named or others)[0]
     across = next((j for j in others if words[j] & _ACROSS), None)
     good = np.isfinite(v[:, chosen]) & np.isfinite(v[:, height])
@@ -226,7 +235,9 @@ def _advances(column: Array) -> bool:
 def _even(column: Array) -> bool:
     column = column[np.isfinite(column)]
     steps = np.diff(column)
-    return len(column) >= 6 and bool(np.all(steps > 0)) and float(np.median(np.abs(steps - np.median(steps)))) < 0.05 * float(np.median(steps))
+    if len(column) < 6 or not np.all(steps > 0):
+        return False
+    return float(np.median(np.abs(steps - np.median(steps)))) < 0.05 * float(np.median(steps))
 
 
 def _whole(column: Array) -> bool:

@@ -83,4 +83,4 @@ def _weighted(basis: Array, ratio: Array, sigma: Array) -> tuple[Array, Array, f
         if abs(moved - scatter**2) < 1e-12:
             break
         scatter = float(np.sqrt(moved))
-    return theta, covariance, scatter
+    return theta, np.asarray(covariance, dtype=np.float64), scatter

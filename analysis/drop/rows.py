@@ -130,7 +130,7 @@ class Noise:
         both = self.valid[:, :, None] & self.valid[:, None, :]
         diagonal = np.where(self.valid, scatter**2 * self.scatter + self.fixed, 1.0)
         total = np.where(both, total, 0.0) + np.eye(total.shape[1]) * diagonal[:, :, None]
-        return np.linalg.cholesky(total)
+        return np.asarray(np.linalg.cholesky(total), dtype=np.float64)
 
 
 def noise_of(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Noise:

@@ -125,7 +125,8 @@ def _best_chain(events: Array, strength: Array) -> tuple[list[int], list[int], l
         for i in range(j - 1, max(-1, j - 1 - _LOOK_AHEAD), -1):
             if not _SHORTEST_FLIGHT_S <= events[j] - events[i] <= _LONGEST_FLIGHT_S:
                 continue
-            first, last = ends[i, j] = _ends(events[j] - events[i])
+            ends[i, j] = _ends(events[j] - events[i])
+            first = ends[i, j][0]
             entry = -_MISS_COST * np.arange(kinds)[:, None] - (skipped[j] - skipped[i + 1])
             best = np.broadcast_to(entry, (kinds, len(_RATIOS))).copy()
             link = np.full((kinds, len(_RATIOS)), -1, dtype=np.int64)

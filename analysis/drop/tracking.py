@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 _NOISE_SIGMAS = 6.0
 _LEAST_CONTRAST = 10.0
 _MOST_BLOBS = 12
+_STAMP_LEVELS = 40.0
 _LEAST_AREA = 9.0  # of search pixels
 _SHADOW_SHARE = 0.4  # of a spot's contrast: what is fainter is its shadow or its reflection
 
@@ -149,7 +150,7 @@ def _row_gain(frame: Image, background: NDArray[np.float32]) -> NDArray[np.float
     window = min(len(ratio) // 2 * 2 - 1, 31)
     padded = np.pad(ratio, window // 2, mode="edge")
     smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, window), axis=1)
-    return np.clip(smooth, 0.3, 3.0).astype(np.float32)
+    return np.asarray(np.clip(smooth, 0.3, 3.0), dtype=np.float32)
 
 
 def _difference(frame: Image, background: NDArray[np.float32], gain: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -195,11 +196,14 @@ def _centre(
 def _composite(film: Film, still: Still, track: Track, size: Array) -> Image:
     """The background with the ball stamped from up to forty frames of its track."""
     picture = still.background.astype(np.uint8).copy()
-    stamps = {int(track.clock[i]): i for i in np.linspace(0, len(track.clock) - 1, min(40, len(track.clock))).astype(int)}
+    chosen = np.linspace(0, len(track.clock) - 1, min(40, len(track.clock))).astype(int)
+    stamps = {int(track.clock[i]): i for i in chosen}
     for number, frame in enumerate(film.frames()):
         if number in stamps:
             _, x, y, wide, tall = size[stamps[number]]
             rows = slice(max(int(y - tall * 0.6), 0), int(y + tall * 0.6) + 1)
             columns = slice(max(int(x - wide * 0.6), 0), int(x + wide * 0.6) + 1)
-            picture[rows, columns] = frame[rows, columns]
+            box = frame[rows, columns]
+            ball = np.abs(box.astype(np.float32) - still.background[rows, columns]).max(axis=2) > _STAMP_LEVELS
+            picture[rows, columns][ball] = box[ball]
     return picture

@@ -89,10 +89,11 @@ def fit_shape(name: str, flights: Sequence[Flight], acceleration: float, noise: 
     values = np.array([start[p] for p in SHAPES[name]])
     apex = np.array([_first_apex(f, acceleration) for f in flights])
     damping, best = 1e-3, np.inf
-    blocks = [_block(name, values, *a, f, noise) for a, f in zip(apex, flights, strict=True)]
+    blocks = [_block(name, values, float(a[0]), float(a[1]), f, noise) for a, f in zip(apex, flights, strict=True)]
     for _ in range(60):
         moved, moved_apex = _step(name, values, apex, blocks, damping)
-        trial = [_block(name, moved, *a, f, noise) for a, f in zip(moved_apex, flights, strict=True)]
+        pairs = zip(moved_apex, flights, strict=True)
+        trial = [_block(name, moved, float(a[0]), float(a[1]), f, noise) for a, f in pairs]
         before, after = sum(b.squares for b in blocks), sum(b.squares for b in trial)
         if after <= before * (1 + 1e-12):
             values, apex, blocks, damping = moved, moved_apex, trial, max(damping * 0.2, 1e-12)
@@ -106,7 +107,7 @@ def fit_shape(name: str, flights: Sequence[Flight], acceleration: float, noise: 
     dof = max(sum(b.count for b in blocks) - len(values) - 2 * len(blocks), 1)
     spread = sum(b.squares for b in blocks) / dof
     schur = sum(_schur(b, len(values))[0] for b in blocks)
-    covariance = np.linalg.pinv(schur, rcond=1e-13, hermitian=True) * max(spread, 1e-12)
+    covariance = np.asarray(np.linalg.pinv(schur, rcond=1e-13, hermitian=True) * max(spread, 1e-12), dtype=np.float64)
     return Shape(name, values, apex[:, 0], apex[:, 1], covariance, blocks, noise * float(np.sqrt(spread)))
 
 
@@ -144,7 +145,7 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
 def _schur(block: Block, p: int, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
     """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
     normal = block.normal + damping * np.diag(np.diag(block.normal))
-    local = np.linalg.inv(normal[p:, p:])
+    local = np.asarray(np.linalg.inv(normal[p:, p:]), dtype=np.float64)
     gain = normal[:p, p:] @ local
     return normal[:p, :p] - gain @ normal[p:, :p], block.rhs[:p] - gain @ block.rhs[p:], local, gain
 

@@ -60,7 +60,7 @@ class Film:
         first: tuple[int, ...] | None = None
         for number, frame in enumerate(self._decoded()):
             if first is not None and frame.shape != first:
-                raise InputError(f"{self.path}: frame {number} is {frame.shape[1]} x {frame.shape[0]}, the first is not")
+                raise InputError(f"{self.path}: frame {number} has another size than the first; use frames of one film")
             first = frame.shape
             yield frame
 
@@ -86,7 +86,7 @@ class Film:
             reader.release()
         if read < 0.8 * self.count:
             raise InputError(
-                f"{self.path}: damaged: {read} of {self.count} frames could be read; copy the file again or re-encode it"
+                f"{self.path}: damaged: {read} of {self.count} frames could be read; copy it again or re-encode it"
             )
 
 
@@ -191,8 +191,8 @@ def _refuse_cut(stack: NDArray[np.float32], film: Film) -> None:
             before, after = np.median(stack[max(k - 4, 0) : k], axis=0), np.median(stack[k : k + 4], axis=0)
             if float((np.abs(after - before) > _CHANGED_LEVELS).mean()) > _CUT_SHARE:
                 raise InputError(
-                    f"{film.path}: a cut in the film between frames {k - 1} and {k}: a large part of the picture changes at "
-                    "once; cut the clip so that it holds one drop seen by a camera at rest"
+                    f"{film.path}: a cut in the film between frames {k - 1} and {k}: a large part of the picture "
+                    "changes at once; cut the clip so that it holds one drop seen by a camera at rest"
                 )
 
 

@@ -1,0 +1,268 @@
+"""The result of a camera's drops, in SI units.
+
+The rule kept here: restitution and friction are ratios and need neither scale nor frame rate. Speeds, drag and gravity
+need both: with a scale, gravity is measured and must come out as gravity; without one, gravity gives the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.attribution import choose
+from analysis.drop.camera import CameraFit, CameraRung
+from analysis.drop.outcome import (
+    LEVEL_SIGMAS,
+    Outcome,
+    declared_as,
+    describe_choice,
+    interval,
+    milliseconds,
+    of_draws,
+    pooled_height,
+)
+from analysis.drop.trajectory import SHAPES
+from daq.errors import InputError
+
+Array = NDArray[np.float64]
+
+_FAR_FROM_G = (0.7, 1.4)
+
+
+@dataclass(frozen=True)
+class Units:
+    """What turns frames and pixels into seconds and metres.
+
+    Attributes
+    ----------
+    frame_s : float or None
+        Seconds a frame; None where nobody said.
+    frame_rate_uncertainty, scale_uncertainty : float
+        Relative, one standard deviation.
+    scale_m : float or None
+        Metres a unit of height; None: taken from gravity.
+    g_mps2 : float
+    """
+
+    frame_s: float | None
+    scale_m: float | None
+    g_mps2: float
+    scale_uncertainty: float = 0.0
+    frame_rate_uncertainty: float = 0.0
+
+
+def of_camera(names: Sequence[str], fit: CameraFit, units: Units, rng: np.random.Generator) -> Outcome:
+    """Result of films or tracked positions.
+
+    Raises
+    ------
+    InputError
+        Scale and frame rate given, and the ball's acceleration is nowhere near gravity.
+    """
+    chosen, ties = choose(fit.rungs)
+    rung = next(r for r in fit.rungs if r.model.name == chosen)
+    measured_g = _gravity(fit, units, names[0])
+    g_fit = float(fit.shapes[rung.shape].values[0])
+    frame_s = units.frame_s if units.frame_s is not None else float(np.sqrt(g_fit / units.g_mps2))
+    scale = units.scale_m if units.scale_m is not None else units.g_mps2 * frame_s**2 / g_fit
+    timed = units.frame_s is not None
+    seen = fit.impacts[rung.shape]
+    models = [_model(r, fit, frame_s, scale, timed) for r in fit.rungs]
+    payload: dict[str, Any] = {
+        "kind": "camera",
+        "files": list(names),
+        "impacts_s": (seen.frame * frame_s).tolist() if timed else [],
+        "impacts_frames": seen.frame.tolist(),
+        "models": models,
+        "chosen": chosen,
+        "tie_set": list(ties),
+        "drop_height_m": _height(fit, rung, scale, units, timed),
+        "restitution": _bounces(fit, rung, frame_s, scale, timed),
+        "friction": _friction(fit),
+        "acceleration_mps2": _accelerations(fit, units, frame_s, scale, rng) if timed else None,
+        "g_mps2": measured_g,
+        "scale_m_per_unit": {"value": scale if timed else None, "from_gravity": units.scale_m is None},
+        "fit": _quality(fit),
+    }
+    words = _in_words(payload, units, len(names))
+    return Outcome(payload, words, _declared(rung, fit, frame_s, scale, timed, names))
+
+
+def _gravity(fit: CameraFit, units: Units, where: str) -> dict[str, float | None] | None:
+    """Measured gravity where scale and frame rate are known; refused where it is not gravity."""
+    if units.frame_s is None or units.scale_m is None:
+        return None
+    factor = units.scale_m / units.frame_s**2
+    shape = fit.shapes["friction"]
+    value = float(shape.values[0]) * factor
+    ratio = value / units.g_mps2
+    if not _FAR_FROM_G[0] < ratio < _FAR_FROM_G[1]:
+        fps = 1.0 / units.frame_s / np.sqrt(ratio)
+        raise InputError(
+            f"{where}: the ball falls at {value:.3g} m/s^2, {ratio:.3g} times gravity: the frame rate "
+            f"{1 / units.frame_s:.4g} or the scale {units.scale_m:.4g} m is wrong; {fps:.4g} frames per second, or a "
+            f"scale of {units.scale_m / ratio:.4g} m, would make it gravity"
+        )
+    common = np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty)
+    sigma = value * float(np.hypot(fit.values["friction"][:, 0].std() / shape.values[0], common))
+    return interval(value, value - LEVEL_SIGMAS * sigma, value + LEVEL_SIGMAS * sigma)
+
+
+def _si(name: str, value: Any, frame_s: float, scale: float) -> Any:
+    """A parameter from file units."""
+    return value * {"e0": 1.0, "e1_s_per_m": frame_s / scale, "k_per_m": 1.0 / scale, "mu": 1.0}[name]
+
+
+def _parameters(rung: CameraRung, fit: CameraFit) -> dict[str, tuple[float, float]]:
+    """Values and half widths of a rung in file units."""
+    out = {"e0": (float(rung.law.theta[0]), float(rung.law.half_width[0]))}
+    if "e1_s_per_m" in rung.model.parameters:
+        out["e1_s_per_m"] = (float(rung.law.theta[1]), float(rung.law.half_width[1]))
+    for name, key in (("mu", "f"), ("k_per_m", "k")):
+        if name in rung.model.parameters:
+            column = SHAPES[rung.shape].index(key)
+            draws = fit.values[rung.shape][:, column]
+            out[name] = (float(fit.shapes[rung.shape].values[column]), LEVEL_SIGMAS * float(draws.std()))
+    return out
+
+
+def _model(rung: CameraRung, fit: CameraFit, frame_s: float, scale: float, timed: bool) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    for name, (value, half) in _parameters(rung, fit).items():
+        if not timed and name in ("e1_s_per_m", "k_per_m"):
+            continue  # would need a speed or a length
+        low = max(value - half, 0.0) if name in ("k_per_m", "e0") else value - half
+        entry = interval(*(_si(name, v, frame_s, scale) for v in (value, low, value + half)))
+        for key in ("mu_up", "mu_down") if name == "mu" else (name,):
+            parameters[key] = entry
+    factor = frame_s if timed else np.nan
+    return {
+        "name": rung.model.name,
+        "parameters": parameters,
+        "rms_ms": milliseconds(_rms(rung.residual_frames) * factor),
+        "held_out_rms_ms": milliseconds(_rms(rung.held_out_frames) * factor),
+        "identifiable": bool(np.isfinite(rung.law.half_width).all()),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
+
+
+def _height(fit: CameraFit, rung: CameraRung, scale: float, units: Units, timed: bool) -> dict[str, float | None]:
+    """Height from which the ball fell freely to its first impact."""
+    values, draws = fit.fall_height[rung.shape]
+    if not timed and units.scale_m is None:
+        return interval(np.nan, np.nan, np.nan)
+    g_draws = fit.values[rung.shape][:, 0] / float(fit.shapes[rung.shape].values[0])
+    out = []
+    for value, own in zip(values, draws.T, strict=True):
+        sigma = float(np.std(own / (g_draws if units.scale_m is None else 1.0))) / max(float(value), 1e-12)
+        shared = 2.0 * units.frame_rate_uncertainty if units.scale_m is None else units.scale_uncertainty
+        reach = LEVEL_SIGMAS * float(np.hypot(sigma, shared))
+        out.append(interval(value * scale, value * scale * (1 - reach), value * scale * (1 + reach)))
+    return pooled_height(out)
+
+
+def _bounces(fit: CameraFit, rung: CameraRung, frame_s: float, scale: float, timed: bool) -> list[dict[str, Any]]:
+    seen = fit.impacts[rung.shape]
+    out = []
+    for i in np.flatnonzero(seen.bounced):
+        ratio = float(seen.speed_out[i] / seen.speed_in[i])
+        entry: dict[str, Any] = {"file": int(seen.clip[i]), "impact_frame": float(seen.frame[i])}
+        if timed:
+            entry |= {
+                "impact_s": float(seen.frame[i]) * frame_s,
+                "speed_in_mps": float(seen.speed_in[i]) * scale / frame_s,
+                "speed_out_mps": float(seen.speed_out[i]) * scale / frame_s,
+            }
+        entry["restitution"] = of_draws(ratio, seen.out_draws[:, i] / seen.in_draws[:, i])
+        out.append(entry)
+    return out
+
+
+def _friction(fit: CameraFit) -> dict[str, float | None]:
+    value = float(fit.shapes["friction"].values[1])
+    half = LEVEL_SIGMAS * float(fit.values["friction"][:, 1].std())
+    return interval(value, value - half, value + half)
+
+
+def _accelerations(
+    fit: CameraFit, units: Units, frame_s: float, scale: float, rng: np.random.Generator
+) -> dict[str, dict[str, float | None]]:
+    """Downward acceleration while going up and while coming down."""
+    shape, draws = fit.shapes["friction"], fit.values["friction"]
+    factor = scale / frame_s**2
+    if units.scale_m is None:  # in units of the gravity assumed
+        factor = units.g_mps2 / float(shape.values[0])
+        common = np.ones(len(draws)) * draws[:, 0].mean() / draws[:, 0]
+    else:
+        relative = np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty)
+        common = 1.0 + relative * rng.standard_normal(len(draws))
+    out = {}
+    for name, sign in (("up", 1.0), ("down", -1.0)):
+        value = float(shape.values[0] * (1.0 + sign * shape.values[1])) * factor
+        out[name] = of_draws(value, draws[:, 0] * (1.0 + sign * draws[:, 1]) * factor * common)
+    return out
+
+
+def _quality(fit: CameraFit) -> dict[str, Any]:
+    """How well each shape fits: rms against the noise of single positions."""
+    span = max(float(np.ptp(flight.height)) for flight in fit.flights)
+    rms = {name: shape.sigma for name, shape in fit.shapes.items()}
+    limit = max(3.0 * fit.noise, 1.5e-3 * span)
+    return {
+        "noise": fit.noise,
+        "rms": rms,
+        "reduced_chi_square": {name: (value / fit.noise) ** 2 for name, value in rms.items()},
+        "parabola_fits": rms["parabola"] <= limit,
+        "some_shape_fits": min(rms.values()) <= limit,
+        "independent_samples_per_sample": fit.worth,
+        "flights": len(fit.flights),
+    }
+
+
+def _in_words(payload: dict[str, Any], units: Units, files: int) -> list[str]:
+    quality, bounces = payload["fit"], payload["restitution"]
+    words = [f"{files} file(s), {len(payload['impacts_frames'])} impacts, {quality['flights']} flights"]
+    if units.frame_s is not None:
+        words += describe_choice(payload["models"], payload["chosen"], payload["tie_set"])
+    for bounce in bounces[:12]:
+        e, speed = bounce["restitution"], bounce.get("speed_in_mps")
+        at = f" at {speed:.3f} m/s" if speed is not None else ""
+        words.append(f"restitution {e['value']:.4f} ({e['low']:.4f} to {e['high']:.4f}){at}")
+    f = payload["friction"]
+    words.append(f"friction {f['value']:.4f} g ({f['low']:.4f} to {f['high']:.4f})")
+    if not quality["parabola_fits"]:
+        rms, noise = quality["rms"], quality["noise"]
+        best = min(rms, key=lambda name: rms[name])
+        words.append(
+            f"A parabola does not fit: it leaves {rms['parabola']:.2f} units rms where positions are good to "
+            f"{noise:.2f}; {best} leaves {rms[best]:.2f}."
+            + ("" if quality["some_shape_fits"] else " No shape fits; trust none to its digits.")
+        )
+    if units.frame_s is None:
+        words.append("No frame rate is known: times, speeds, drag and heights cannot be given; ratios can. Say --fps.")
+    elif units.scale_m is None:
+        words.append(f"No scale is known: gravity is taken as {units.g_mps2:.5f} m/s^2, not measured. Say --scale.")
+    elif payload["g_mps2"] is not None:
+        g = payload["g_mps2"]
+        words.append(f"gravity {g['value']:.3f} m/s^2 ({g['low']:.3f} to {g['high']:.3f})")
+    return words
+
+
+def _declared(
+    rung: CameraRung, fit: CameraFit, frame_s: float, scale: float, timed: bool, names: Sequence[str]
+) -> list[Any]:
+    bounces = len(rung.law.predicted)
+    source = f"drop test by camera, {len(names)} file(s), {bounces} bounces ({names[0]}), {rung.model.name}"
+    out = []
+    for name, (value, half) in _parameters(rung, fit).items():
+        if timed or name in ("e0", "mu"):
+            own = _si(name, half / LEVEL_SIGMAS, frame_s, scale)
+            out += declared_as(name, float(_si(name, value, frame_s, scale)), float(own), source)
+    return out
