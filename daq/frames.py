@@ -9,6 +9,8 @@ not part of the recording. The end state is ``incomplete`` from the start.
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -47,8 +49,10 @@ class FrameWriter:
             raise InputError(f"{path}: the folder {path.parent} does not exist; create it first.")
         try:
             self._file = h5py.File(path, "x", libver=("v110", "v110"))
-        except FileExistsError:
-            raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from None
+        except OSError as error:
+            if path.exists():
+                raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from error
+            raise InputError(f"{path}: cannot be created ({error}).") from error
         self.path = path
         self.n_samples = 0
         self._n_channels = len(channels)
@@ -114,6 +118,33 @@ class FrameWriter:
         if self.is_open:
             self._file.close()
             os.close(self._descriptor)
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether the file is in single-writer-multiple-readers mode: a run is on, or was cut off.
+
+    HDF5 file format, superblock version 3: byte 8 is the version, bit 2 of byte 11 the mode.
+    """
+    with path.open("rb") as raw:
+        head = raw.read(12)
+    return len(head) == 12 and head[8] >= 3 and bool(head[11] & 4)
+
+
+def probe(path: str) -> None:
+    """Touch every index of a frames file. HDF5 waits for ever for an index that a truncated file lacks."""
+    with h5py.File(path, "r", swmr=True) as file:
+        for name in (FRAMES, FRAME_BLOCKS, FRAME_STEPS):
+            file[name].id.chunk_iter(lambda _: None)
+        FrameFile(file)
+
+
+def is_whole(path: Path, timeout_s: float = 30.0) -> bool:
+    """Whether `probe`, in a process of its own that can be ended, comes back in time."""
+    command = [sys.executable, "-c", "import sys; from daq.frames import probe; probe(sys.argv[1])", str(path)]
+    try:
+        return subprocess.run(command, capture_output=True, timeout=timeout_s).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
 
 
 class FrameFile:

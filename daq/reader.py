@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from daq.block import BLOCK_DTYPE, STEP_DTYPE
 from daq.columns import FORMAT, FORMAT_VERSION, read_table, text_crc
 from daq.errors import InputError
-from daq.frames import FRAMES, FrameFile
+from daq.frames import FRAMES, FrameFile, is_being_written
 from daq.setup import Setup
 
 
@@ -163,12 +163,9 @@ def open_file(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     try:
-        return h5py.File(path, "r")
-    except OSError as plain:
-        try:
-            return h5py.File(path, "r", swmr=True)
-        except OSError:
-            raise InputError(f"{path}: cannot be read as HDF5 ({plain}).") from plain
+        return h5py.File(path, "r", swmr=is_being_written(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
 
 
 def open_recording(path: Path | str) -> Recording:
@@ -190,7 +187,7 @@ def open_recording(path: Path | str) -> Recording:
         if int(file.attrs["format_version"]) > FORMAT_VERSION:
             raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")
         return Recording(path, file)
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
         file.close()
         if isinstance(error, InputError):
             raise

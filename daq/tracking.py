@@ -214,7 +214,7 @@ def _features(track: _Track) -> tuple[Floats, Floats, Floats]:
     amplitude, floor, main = track.amplitude, track.floor, track.main
     none = np.zeros_like(amplitude)
     sigma_a = np.maximum.reduce(
-        [_noise(amplitude), floor + none, STEADY * amplitude, 1e-9 * amplitude.max() + none]
+        [_noise(amplitude), floor + none, STEADY * amplitude, 0.1 * QUIET * amplitude.max() + none]
     )
     relative = sigma_a[:, main] / np.maximum(amplitude[:, main], 1e-300)
     both = track.loud & np.concatenate([[False], track.loud[:-1]])
@@ -246,6 +246,8 @@ def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
     n = b - a
     if n < SHORTEST_WINDOWS or track.loud[a:b].mean() <= 0.5:
         return False
+    if n >= SHORTEST_WINDOWS + 2:  # the windows at the ends may hold a piece of what is beyond
+        a, b, n = a + 1, b - 1, n - 2
     amplitude = track.amplitude[a:b]
     x = np.arange(n) - (n - 1) / 2.0
     change = np.abs(x @ amplitude / (x @ x)) * (n - 1)

@@ -15,6 +15,7 @@ import numpy as np
 from daq.block import BlockFlag
 from daq.columns import CHUNK_SAMPLES, check_columns
 from daq.errors import InputError
+from daq.frames import is_being_written, is_whole
 from daq.reader import Recording, attributes_intact, open_recording
 
 State = Literal["complete", "stopped", "incomplete", "damaged"]
@@ -59,6 +60,8 @@ def verify(path: Path | str) -> VerifyReport:
         When there is no such file, or it never was a recording.
     """
     path = Path(path)
+    if path.is_file() and is_being_written(path) and not is_whole(path):
+        return VerifyReport("damaged", [f"{path}: cut off, and shorter than its index says: a copy that broke off?"])
     try:
         recording = open_recording(path)
     except InputError as error:
