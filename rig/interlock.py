@@ -17,6 +17,7 @@ from rig.forcing import Floats
 from rig.motion import Motion
 from rig.profile import Profile
 
+HEARTBEAT_S = 0.5  # a device may be late by
 WINDOW_CYCLES = 4  # over which a dead accelerometer is judged
 DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
@@ -35,6 +36,13 @@ class Interlock:
         Names of a frame's columns.
     scales
         ``(volts_per_code, offset_v)`` of each.
+
+    Attributes
+    ----------
+    limit_in_use : float
+        The largest part of a limit that the last block used; 1 trips.
+    contact_age_cycles : float
+        Cycles since the ball last showed itself, by contact or impact.
     """
 
     def __init__(
@@ -42,6 +50,7 @@ class Interlock:
     ) -> None:
         self._limits = profile.limits
         self._column = {name: i for i, name in enumerate(channels)}
+        self._rate_hz = profile.sampling.rate_hz
         self._cycle = max(1, round(profile.sampling.rate_hz / profile.forcing.frequency_hz))
         accelerometer = profile.channels.accelerometer
         scale = profile.drive.g_per_volt
@@ -56,6 +65,8 @@ class Interlock:
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window_asked = self._window_moved = 0.0
         self._window_n = 0
+        self.limit_in_use = 0.0
+        self.contact_age_cycles = 0.0
 
     def clamp(self, drive_v: Floats) -> Floats:
         """``drive_v`` with nothing beyond the drive limit; the last thing that touches it."""
@@ -86,6 +97,13 @@ class Interlock:
         )
         return next((reason for reason in reasons if reason), None)
 
+    def late(self, waited_s: float, n_samples: int) -> str | None:
+        """Why the run must stop when a device took ``waited_s`` to exchange ``n_samples``, or None."""
+        due_s = n_samples / self._rate_hz
+        if waited_s <= due_s + HEARTBEAT_S:
+            return None
+        return f"lost heartbeat: a block of {due_s:.3g} s took {waited_s:.3g} s; is the device or the machine stalled?"
+
     def _drive(self) -> str | None:
         limit = self._limits.drive_v
         if self._clamped_v <= limit * (1.0 + 1e-9):
@@ -97,14 +115,18 @@ class Interlock:
         a, v, x = motion.acceleration_mps2, motion.velocity_mps, motion.displacement_m
         self._window_moved += motion.square_sum
         limits = self._limits
-        for name, value, limit, unit in (
-            ("plate_mps2", a, limits.plate_mps2, "m/s^2"),
-            ("velocity_mps", v, limits.velocity_mps, "m/s"),
-            ("displacement_m", x, limits.displacement_m, "m"),
-        ):
-            if limit is not None and value > limit:
-                return f"the plate reached {value:.4g} {unit}; limits.{name} allows {limit:g}"
-        return None
+        used = [
+            (value / limit, f"the plate reached {value:.4g} {unit}; limits.{name} allows {limit:g}")
+            for name, value, limit, unit in (
+                ("plate_mps2", a, limits.plate_mps2, "m/s^2"),
+                ("velocity_mps", v, limits.velocity_mps, "m/s"),
+                ("displacement_m", x, limits.displacement_m, "m"),
+            )
+            if limit is not None
+        ]
+        worst, reason = max(used)
+        self.limit_in_use = max(worst, self._clamped_v / limits.drive_v)
+        return reason if worst > 1.0 else None
 
     def _dead(self, drive_v: Floats) -> str | None:
         """The drive moves and the accelerometer does not."""
@@ -143,7 +165,9 @@ class Interlock:
         flying = float(np.max(np.abs(drive_v), initial=0.0)) * self._gamma_peak_per_volt > AIRBORNE_GAMMA_PEAK
         self._since_open = self._since_open + n if flying and not open_at.size else 0
         # A ball that is launched again as it lands makes no contact that a sample could show; its impacts ring.
-        if min(self._since_closed, motion.since_impact) > limit:
+        alive = min(self._since_closed, motion.since_impact)
+        self.contact_age_cycles = alive / self._cycle
+        if alive > limit:
             return (
                 f"the contact circuit has been open for {self._limits.contact_cycles} cycles and the accelerometer "
                 "shows no impact: a broken wire?"

@@ -20,11 +20,13 @@ Mask = NDArray[np.bool_]
 
 LOWPASS_OVER_TONE = 4.0  # corner of the low-pass over the fastest tone
 LEAK_OVER_TONE = 1.0 / 20.0  # corner below which offset and integrals forget, over the first tone
-IMPACT_SIGMAS = 8.0  # a jump from sample to sample, over the usual one, that only an impact makes
-RINGING_S = 6e-3  # spoilt after an impact
-RINGING_CYCLES = 0.2  # but never more than this part of a cycle
+IMPACT_SIGMAS = 6.5  # a jump from sample to sample, over the usual one, that only an impact makes
+RINGING_S = 2e-3  # spoilt after an impact at least
+RISE_SAMPLES = 2  # before the jump that is seen (those of the block before, if any, are gone)
+SMOOTHING_S = 5e-4  # over which the jumps are averaged to hear whether it still rings
+RINGING_SQUARES = 3.0  # mean square jump, over the usual one, while it does
 
-_FIELDS = 8
+_FIELDS = 10
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,8 @@ class MotionWatch:
         highest_hz = first_hz * setup.forcing.ratio
         low = 1.0 - math.exp(-2.0 * math.pi * LOWPASS_OVER_TONE * highest_hz / rate_hz)
         leak = 1.0 - math.exp(-2.0 * math.pi * LEAK_OVER_TONE * first_hz / rate_hz)
-        ringing = max(1.0, min(RINGING_S * rate_hz, RINGING_CYCLES * rate_hz / first_hz))
-        self._constants = np.array([1.0 / rate_hz, low, leak, ringing])
+        fast = 1.0 - math.exp(-1.0 / (SMOOTHING_S * rate_hz))
+        self._constants = np.array([1.0 / rate_hz, low, leak, max(1.0, RINGING_S * rate_hz), fast])
         self._scale = mps2_per_code
         self._eighth = max(2, round(rate_hz / first_hz / 8))
         self._state = np.zeros(_FIELDS)
@@ -90,8 +92,9 @@ class MotionWatch:
         """Rest is where the run starts: an offset, or gravity, is not motion."""
         self._state[0] = np.mean(a_mps2)
         self._state[5] = a_mps2[0]
-        self._state[6] = np.mean(np.square(np.diff(a_mps2)))
+        self._state[6] = max(float(np.mean(np.square(np.diff(a_mps2)))), self._scale**2)
         self._state[7] = self._constants[3]
+        self._state[8] = self._state[6]
 
 
 @numba.njit(cache=True)
@@ -100,10 +103,11 @@ def _follow(
 ) -> tuple[float, float, float, float]:
     """Peaks of acceleration, velocity, displacement, and the sum of squares; marks ``quiet``.
 
-    ``state``: rest, two low-passes, velocity, displacement, last sample, usual square of a jump, samples since impact.
+    ``state``: rest, two low-passes, velocity, displacement, last sample, usual square of a jump, samples since impact,
+    present mean square of the jumps, mean jump.
     """
-    dt, low, leak, ringing = constants
-    rest, first, second, v, x, last, usual, since = state
+    dt, low, leak, ringing, fast = constants
+    rest, first, second, v, x, last, usual, since, present, slope = state
     peak_a = peak_v = peak_x = squares = 0.0
     for i in range(codes.size):
         a = codes[i] * scale
@@ -114,10 +118,15 @@ def _follow(
         x += v * dt - leak * x
         peak_a, peak_v, peak_x = max(peak_a, abs(second)), max(peak_v, abs(v)), max(peak_x, abs(x))
         squares += second * second
-        jump = (a - last) * (a - last)
-        since = 0.0 if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual and usual > 0.0 else since + 1.0
-        quiet[i] = since >= ringing
-        usual += leak * (min(jump, 9.0 * usual) - usual)
+        slope += fast * (a - last - slope)  # the motion's own part of a jump
+        jump = (a - last - slope) * (a - last - slope)
+        since = 0.0 if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual else since + 1.0
+        present += fast * (jump - present)
+        quiet[i] = since >= ringing and present <= RINGING_SQUARES * usual
+        if since == 0.0:
+            quiet[max(0, i - RISE_SAMPLES) : i] = False
+        cap = 9.0 if quiet[i] else 1.5  # ringing is not usual, but what never ends must be
+        usual = max(usual + leak * (min(jump, cap * usual) - usual), scale * scale)  # a code is the least noise
         last = a
-    state[:] = (rest, first, second, v, x, last, usual, since)
+    state[:] = (rest, first, second, v, x, last, usual, since, present, slope)
     return peak_a, peak_v, peak_x, squares

@@ -89,6 +89,16 @@ class Limits(Frozen):
     )
 
 
+class ControlTable(Frozen):
+    """The closed loop on the plate's measured amplitude; a profile without it drives open loop."""
+
+    tolerance: float = Field(default=0.005, gt=0, lt=0.5, description="of each tone's amplitude, relative")
+    tolerance_deg: float = Field(default=0.5, gt=0, lt=45, description="of each tone's phase")
+    window_cycles: int = Field(default=8, ge=2, description="cycles of one measurement; a step needs two that agree")
+    wait_cycles: int = Field(default=6, ge=0, description="cycles let pass after each change of the drive")
+    max_cycles: int = Field(default=1000, ge=8, description="a step that has not settled by then stops the run")
+
+
 class BackendTable(Frozen):
     """What moves the plate."""
 
@@ -101,6 +111,7 @@ class Profile(Setup):
 
     ramp: RampTable
     limits: Limits
+    control: ControlTable | None = None
     backend: BackendTable = BackendTable()
 
     @model_validator(mode="after")
@@ -126,6 +137,7 @@ class _MeasuringProfile(Setup):
 
     ramp: RampTable | None = None
     limits: Limits | None = None
+    control: ControlTable | None = None
     backend: BackendTable | None = None
 
 

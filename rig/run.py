@@ -6,19 +6,25 @@ zero while the device answers, and the recording is closed with the reason in it
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from daq.block import Block
 from daq.recording import RecordingWriter
+from rig.amplitude import AmplitudeLoop, ToneMeter, achieved_gamma
 from rig.backends.base import Backend, BackendError, Running
 from rig.interlock import Interlock
 from rig.motion import MotionWatch
 from rig.profile import Profile
 from rig.ramp import Programme, Step, plan
 from rig.sequencer import Sequencer, State, Stop, largest_block
+
+METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
 
 class StopRequest:
@@ -36,7 +42,7 @@ class StopRequest:
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run is, once a block."""
+    """Where a run is, once a block; ``achieved_gamma`` is that of the last step held (NaN before)."""
 
     state: State
     step: Step
@@ -44,6 +50,9 @@ class Status:
     sample: int
     n_samples: int
     plate_mps2: float
+    limit_in_use: float
+    contact_age_cycles: float
+    achieved_gamma: float
     lost_samples: int
 
 
@@ -119,10 +128,20 @@ class _Run:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
         self._programme: Programme = plan(profile)
-        self._sequencer = Sequencer(self._programme, profile)
+        self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
+        self._sequencer = Sequencer(
+            self._programme,
+            profile,
+            amplitudes=self._loop.amplitudes if self._loop else None,
+            controlled=self._loop is not None,
+        )
+        self._meter = ToneMeter(profile, METER_CYCLES)
+        self._metered = -1
+        self._last_achieved = math.nan
         self._interlock = Interlock(profile, backend.channels, backend.scales)
         self._accelerometer = backend.channels.index("accelerometer")
         scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+        self._mps2_per_code = scale
         self._watch = MotionWatch(profile, scale)
         self._profile, self._backend, self._writer = profile, backend, writer
         self._progress, self._request = progress, stop_request
@@ -178,35 +197,72 @@ class _Run:
         """One block: drive out through the clamp, frames in, on record, watched."""
         drive = self._interlock.clamp(self._sequencer.take(self._block))
         self._device_lost = True  # until it has answered
+        asked = time.monotonic()
         block = self._backend.exchange(drive)
+        waited_s = time.monotonic() - asked
         self._device_lost = False
         self._lost += block.lost_before
         self._record(block)
         self._motion = self._watch.update(block.codes[:, self._accelerometer])
+        self._measure(block)
+        self._note_marks()
         trip = self._interlock.inspect(drive, block, self._motion)
+        if trip is None and not self._backend.simulated:
+            trip = self._interlock.late(waited_s, len(block.codes))
         if trip is not None:
             self.end("stopped", f"interlock: {trip}")
             self._sequencer.stop(Stop.RAMP_DOWN)
 
+    def _measure(self, block: Block) -> None:
+        """The plate's tones: over each hold for the step table, and while settling for the closed loop."""
+        sequencer = self._sequencer
+        if sequencer.state is State.HOLDING and self._metered != sequencer.step.index:
+            step = self._sequencer.step
+            self._metered = step.index
+            self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
+        first = sequencer.position - len(block.codes)
+        acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
+        self._meter.add(first, acceleration, self._motion.quiet)
+        if self._loop is not None:
+            fault = self._loop.observe(first, acceleration, self._motion.quiet, sequencer)
+            if fault is not None:
+                self.end("stopped", f"closed loop: {fault}")
+                sequencer.stop(Stop.RAMP_DOWN)
+
+    def _achieved(self, step: Step) -> tuple[float, float]:
+        """Gamma measured over the hold of ``step``, with its uncertainty; NaN where it did not hold."""
+        measured = self._meter.estimate() if self._metered == step.index else None
+        return achieved_gamma(self._profile, measured) if measured else (math.nan, math.nan)
+
     def _record(self, block: Block) -> None:
-        """Keep the block and the marks that fall in it; a disk that refuses stops the run, softly."""
+        """Keep the block; a disk that refuses stops the run, softly."""
+        if self._recording:
+            try:
+                self._writer.append(block)
+            except OSError as error:
+                self._disk_failed(error)
+
+    def _note_marks(self) -> None:
+        """Write the rows of steps that began or ended in this block."""
         marks, self._sequencer.marks = self._sequencer.marks, []
-        if not self._recording:
-            return
         try:
-            self._writer.append(block)
             for step in marks:
                 self._mark(step)
         except OSError as error:
-            self._recording = False
-            self.end("failed", f"recording: {error}")
-            self._sequencer.stop(Stop.RAMP_DOWN)
+            self._disk_failed(error)
+
+    def _disk_failed(self, error: OSError) -> None:
+        self._recording = False
+        self.end("failed", f"recording: {error}")
+        self._sequencer.stop(Stop.RAMP_DOWN)
 
     def _mark(self, step: Step) -> None:
         """Write a step's row: as planned when it begins, as driven when it ends."""
         if step.n_samples <= 0 or not self._recording:
             return
         self._steps = step.index + 1
+        gamma, uncertainty = self._achieved(step)
+        self._last_achieved = gamma if math.isfinite(gamma) else self._last_achieved
         self._writer.mark_step(
             {
                 "first_sample": step.first_sample,
@@ -214,6 +270,8 @@ class _Run:
                 "settle_samples": min(step.settle_samples, step.n_samples),
                 "fade_samples": step.fade_samples,
                 "gamma": step.gamma,
+                "achieved_gamma": gamma,
+                "achieved_gamma_uncertainty": uncertainty,
                 "frequency_hz": self._profile.forcing.frequency_hz,
                 "ratio": self._profile.forcing.ratio,
                 "cycles": float(step.hold_cycles),
@@ -230,5 +288,8 @@ class _Run:
             sample=self._sequencer.position,
             n_samples=self._programme.n_samples,
             plate_mps2=self._motion.acceleration_mps2,
+            limit_in_use=self._interlock.limit_in_use,
+            contact_age_cycles=self._interlock.contact_age_cycles,
+            achieved_gamma=self._last_achieved,
             lost_samples=self._lost,
         )

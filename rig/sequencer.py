@@ -8,8 +8,10 @@ step table alone.
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,8 @@ from rig.ramp import Programme, Step
 # A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.
 STOP_FADE_CYCLES = Fraction(3, 2)
 BLOCKS_PER_CYCLE = 4
+
+_OPEN_END = 2**62
 
 
 class State(enum.Enum):
@@ -81,6 +85,10 @@ class Sequencer:
         The steps.
     setup
         Forcing and drive scale.
+    amplitudes
+        Complex drive volts of each tone for a gamma; `rig.forcing.drive_amplitudes` where nothing better is known.
+    controlled
+        Whether a step settles until `settled` is called, instead of for its planned cycles.
 
     Attributes
     ----------
@@ -91,19 +99,30 @@ class Sequencer:
         The step under way (the last one when stopping).
     marks : list of Step
         Steps begun (as planned) and ended (with the samples they really had) since the caller last emptied the list.
+    fades : list of Fade
+        Changes of the drive's amplitudes since the caller last emptied the list; together they are the drive.
     """
 
-    def __init__(self, programme: Programme, setup: Setup) -> None:
+    def __init__(
+        self,
+        programme: Programme,
+        setup: Setup,
+        *,
+        amplitudes: Callable[[float], tuple[complex, ...]] | None = None,
+        controlled: bool = False,
+    ) -> None:
         self.programme = programme
         self.state = State.FADING
         self.position = 0
         self.step = programme.steps[0]
         self.marks: list[Step] = []
-        self._setup = setup
+        self._amplitudes = amplitudes or partial(drive_amplitudes, setup)
+        self._controlled = controlled
         self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
         self._zero = tuple(0j for _ in self._multiples)
         self._finish_step = False
-        self._fade = Fade(0, self.step.fade_samples, self._zero, drive_amplitudes(setup, self.step.gamma))
+        self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
+        self.fades = [self._fade]
         self._until = self.step.fade_samples
 
     @property
@@ -134,6 +153,40 @@ class Sequencer:
         else:
             self._handle(Event.STOP if how is Stop.RAMP_DOWN else Event.CUT)
 
+    @property
+    def amplitudes(self) -> tuple[complex, ...]:
+        """Complex volts of each tone that the present fade leads to."""
+        return self._fade.end
+
+    def retarget(self, amplitudes: tuple[complex, ...], n_cycles: int) -> int:
+        """While settling: fade to ``amplitudes`` over ``n_cycles`` from the next cycle on; returns where that ends.
+
+        Raises
+        ------
+        ValueError
+            In any other state.
+        """
+        if self.state is not State.SETTLING:
+            raise ValueError(f"cannot change amplitudes while {self.state.value}")
+        clock = self.programme.clock
+        cycle = clock.cycle_after(self.position)
+        first = clock.cycle_start(cycle)
+        self._set_fade(Fade(first, clock.cycle_start(cycle + n_cycles) - first, self._fade.end, amplitudes))
+        return first + self._fade.n_samples
+
+    def settled(self) -> None:
+        """While settling under control: hold from the next cycle on."""
+        if self.state is State.SETTLING and self._until == _OPEN_END:
+            clock = self.programme.clock
+            first_cycle = clock.cycle_after(self.step.first_sample)
+            settle_cycles = clock.cycle_after(self.position) - first_cycle - self.step.fade_cycles
+            self.step = self.step.placed(clock, first_cycle, settle_cycles)
+            self._until = self.step.first_sample + self.step.settle_samples
+
+    def _set_fade(self, fade: Fade) -> None:
+        self._fade = fade
+        self.fades.append(fade)
+
     def _piece(self, n_samples: int) -> Floats:
         if self.state in _STILL:
             return np.zeros(n_samples)
@@ -157,27 +210,31 @@ class Sequencer:
         if before is self.state and event in (Event.STOP, Event.CUT):
             return
         if before in _MOVING and (before is State.HOLDING or self.state not in _MOVING):
-            self._mark_end()
+            self._mark_end(held=before is State.HOLDING)
         clock = self.programme.clock
         if self.state is State.FADING:
-            self.step = self.programme.steps[self.step.index + 1]
-            target = drive_amplitudes(self._setup, self.step.gamma)
-            self._fade = Fade(self.position, self.step.fade_samples, self._fade.end, target)
+            planned = self.programme.steps[self.step.index + 1]
+            self.step = planned.placed(clock, clock.cycle_after(self.position), planned.settle_cycles)
+            target = self._amplitudes(self.step.gamma)
+            self._set_fade(Fade(self.position, self.step.fade_samples, self._fade.end, target))
             self._until = self.position + self.step.fade_samples
         elif self.state is State.SETTLING:
-            self._until = self.step.first_sample + self.step.settle_samples
+            self._until = _OPEN_END if self._controlled else self.step.first_sample + self.step.settle_samples
         elif self.state is State.HOLDING:
             self._until = self.step.end_sample
         elif self.state is State.STOPPING:
-            self._fade = Fade(self.position, stop_fade_samples(clock), self._fade.at(self.position), self._zero)
+            self._set_fade(Fade(self.position, stop_fade_samples(clock), self._fade.at(self.position), self._zero))
             self._until = self.position + self._fade.n_samples
         elif self.state is State.RESTING:
+            if event is Event.CUT:
+                self._set_fade(Fade(self.position, 0, self._zero, self._zero))
             self._until = self.position + clock.cycle_start(1)
 
-    def _mark_end(self) -> None:
+    def _mark_end(self, *, held: bool) -> None:
         n = self.position - self.step.first_sample
         if n > 0:
-            self.marks.append(replace(self.step, n_samples=n, settle_samples=min(self.step.settle_samples, n)))
+            settle = self.step.settle_samples if held else n
+            self.marks.append(replace(self.step, n_samples=n, settle_samples=settle))
 
 
 def stop_fade_samples(clock: PhaseClock) -> int:

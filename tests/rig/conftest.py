@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -71,6 +72,7 @@ class FakeRig:
         self.dead_from = self.unplugged_from = self.open_from = 10**9
         self.gain = 1.0
         self.ball_flies = False
+        self.stalls_from, self.stall_s = 10**9, 0.0
 
     @property
     def drive_v(self) -> np.ndarray:
@@ -90,6 +92,9 @@ class FakeRig:
         volts[:, 1] = np.where(index < self.dead_from, self.gain * drive_v * 2.0 * 0.1, 0.0)
         volts[:, 2] = drive_v
         self.played.append(np.array(drive_v))
+        if first >= self.stalls_from:
+            time.sleep(self.stall_s)
+            self.stall_s = 0.0
         codes = np.clip(np.rint(volts / volts_per_code(10.0)), -32768, 32767).astype(np.int16)
         return Block(first_sample=first, codes=codes)
 

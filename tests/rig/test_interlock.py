@@ -76,6 +76,17 @@ def test_each_cause_stops_the_run_softly(make_profile, fake_rig, changes, fault,
     assert tape.n_samples == len(drive)
 
 
+def test_a_stalled_device_is_noticed(make_profile, fake_rig, monkeypatch) -> None:
+    """A real device that answers far too late trips the heartbeat; a simulated one may take its time."""
+    monkeypatch.setattr("rig.interlock.HEARTBEAT_S", 0.05)
+    for simulated in (True, False):
+        rig = fake_rig(make_profile())
+        rig.simulated, rig.stalls_from, rig.stall_s = simulated, 500, 0.12
+        tape = run(make_profile(), rig)
+        assert (tape.how == "complete") is simulated
+        assert simulated or "lost heartbeat" in tape.why
+
+
 def test_short_circuit_is_seen_only_where_a_ball_must_fly(make_profile, fake_rig) -> None:
     """A contact that never opens is a fault above take-off, and none below; a flying ball clears it."""
     changes = (LONG, ("gamma = [0.2, 0.5, 0.3]", "gamma = [1.5]"))

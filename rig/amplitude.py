@@ -1,0 +1,245 @@
+"""Closed loop on gamma: each tone's complex amplitude at the plate, measured and driven to its target.
+
+The rule kept here: settling is tested, not timed. A step may hold only when two measurements since the last change of
+the drive put every tone within tolerance, their own uncertainty included. The estimator is the analysis' own
+(`daq.tones`), impacts are masked, and nothing here does I/O.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.setup import Setup
+from daq.tones import LockIn
+from rig.forcing import Complexes, Floats, PhaseClock, drive_amplitudes
+from rig.motion import Mask
+from rig.profile import ControlTable, Profile
+from rig.ramp import fade_cycles
+from rig.sequencer import Sequencer, State
+
+HARMONICS = 3  # fitted beside the tones: a mask that follows the cycle would mix them in
+COVERAGE = 2.0  # standard uncertainties kept between an estimate and its tolerance
+SMALL_ERROR = 0.25  # of the tolerance: below, an error is left alone; above, it is corrected once it is certain
+ENOUGH_WINDOWS = 3  # from so many windows on their scatter says more than what each claims of itself
+SMALL_CORRECTION = 0.05  # a change of the drive over which the plate's response is one number
+LARGEST_CORRECTION = 2.0  # factor by which one correction may change a tone
+LEAST_QUIET = 0.3  # part of a window that impacts must leave, or it is dropped
+DEAF = 0.1  # part of the target below which the accelerometer does not see the plate
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """Plate acceleration of each tone in m/s^2 (complex, phase from sample 0), with standard uncertainties."""
+
+    values: Complexes
+    uncertainty: Floats
+
+
+class ToneMeter:
+    """Amplitudes of the forcing's tones from a chosen sample on, in windows of whole cycles.
+
+    Parameters
+    ----------
+    setup
+        Forcing and rate.
+    window_cycles
+        Cycles of a window; the scatter from window to window is part of the uncertainty.
+
+    Attributes
+    ----------
+    windows : list of Amplitudes
+        The windows completed.
+    """
+
+    def __init__(self, setup: Setup, window_cycles: int) -> None:
+        self._clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
+        self._rate_hz = setup.sampling.rate_hz
+        wanted = [multiple for multiple, _ in setup.forcing.displacement_tones()]
+        fitted = sorted({*range(1, HARMONICS + 1), *wanted})
+        self._frequencies_hz = [m * setup.forcing.frequency_hz for m in fitted]
+        self._wanted = [fitted.index(m) for m in wanted]
+        self._window_cycles = window_cycles
+        self.begin(0, 0)
+
+    def begin(self, first_sample: int, end_sample: int | None = None) -> None:
+        """Forget everything; measure from ``first_sample`` (a cycle's first), to ``end_sample`` if given."""
+        self._start, self._end = first_sample, end_sample
+        self.windows: list[Amplitudes] = []
+        self._total = LockIn(self._rate_hz, self._frequencies_hz)
+        self._open_window()
+
+    def _open_window(self) -> None:
+        """A new window from `_start` on."""
+        cycle = self._clock.cycle_after(self._start)
+        self._opened = self._start
+        self._stop = self._clock.cycle_start(cycle + self._window_cycles)
+        self._window = LockIn(self._rate_hz, self._frequencies_hz)
+
+    def add(self, first_sample: int, acceleration_mps2: Floats, quiet: Mask) -> None:
+        """Take in a block: acceleration (n,), and where no impact rings."""
+        after = first_sample + len(acceleration_mps2)
+        end = after if self._end is None else min(after, self._end)
+        while self._start < end and after > self._start:
+            a, b = max(self._start, first_sample) - first_sample, min(self._stop, end) - first_sample
+            self._window.add(acceleration_mps2[a:b], first_sample + a, quiet[a:b])
+            self._start = first_sample + b
+            if self._start < self._stop:
+                return
+            if self._window.n >= LEAST_QUIET * (self._stop - self._opened):
+                self.windows.append(self._of(self._window))
+                self._total = self._total + self._window
+            self._open_window()
+
+    def _of(self, fitted: LockIn) -> Amplitudes:
+        """The wanted tones of a fit."""
+        fit = fitted.solve()
+        return Amplitudes(fit.amplitudes[self._wanted], fit.amplitude_sigma()[self._wanted])
+
+    def estimate(self) -> Amplitudes | None:
+        """What all samples so far say, a window under way included; None before a whole cycle was measured."""
+        both = self._total + self._window
+        if self._frequencies_hz[0] * both.n < self._rate_hz:
+            return None
+        whole = self._of(both)
+        return replace(whole, uncertainty=_uncertainty(self.windows, whole.uncertainty))
+
+
+def mean_of(windows: list[Amplitudes]) -> Amplitudes:
+    """Mean of equally long measurements, with its uncertainty by `_uncertainty`."""
+    values = np.mean([window.values for window in windows], axis=0)
+    claimed = np.sqrt(np.sum([window.uncertainty**2 for window in windows], axis=0)) / len(windows)
+    return Amplitudes(values, _uncertainty(windows, claimed))
+
+
+def _uncertainty(windows: list[Amplitudes], claimed: Floats) -> Floats:
+    """Standard uncertainty, of one quadrature, of the mean of ``windows``: by their scatter where they are enough.
+
+    A fit claims what it would be in white noise; motion between the tones (ringing, a slow resonance, harmonics that
+    were not fitted) makes that too much where it repeats from window to window, and too little where it does not.
+    """
+    if len(windows) < ENOUGH_WINDOWS:
+        return claimed
+    spread: Floats = np.std([window.values for window in windows], axis=0, ddof=1)
+    return spread / math.sqrt(2.0 * len(windows))
+
+
+def target_acceleration(setup: Setup, gamma: float) -> Complexes:
+    """Plate acceleration of each tone at ``gamma``, complex m/s^2, phase from sample 0."""
+    g = setup.g_mps2.value
+    return np.array([-g * gamma * m * m * d for m, d in setup.forcing.displacement_tones()])
+
+
+def achieved_gamma(setup: Setup, measured: Amplitudes) -> tuple[float, float]:
+    """Gamma and its standard uncertainty from the first tone that is driven (scale and g included)."""
+    unit = np.abs(target_acceleration(setup, 1.0))
+    tone = int(np.argmax(unit > 0.0))
+    gamma = float(np.abs(measured.values[tone]) / unit[tone])
+    sensitivity, g = setup.channels.accelerometer.sensitivity, setup.g_mps2
+    parts = (
+        float(measured.uncertainty[tone] / unit[tone]),
+        gamma * sensitivity.uncertainty / sensitivity.value,
+        gamma * g.uncertainty / g.value,
+    )
+    return gamma, math.hypot(*parts)
+
+
+class AmplitudeLoop:
+    """Brings every step's tones to their target before it may hold.
+
+    Parameters
+    ----------
+    profile
+        With a ``[control]`` table.
+    control
+        That table.
+
+    Attributes
+    ----------
+    worst : float
+        Last judged error over tolerance, the largest of all tones in amplitude and phase; 1 is the edge.
+    """
+
+    def __init__(self, profile: Profile, control: ControlTable) -> None:
+        self._profile, self._control = profile, control
+        self._clock = PhaseClock.of(profile.forcing.frequency_hz, profile.sampling.rate_hz)
+        unit = np.array(drive_amplitudes(profile, 1.0))
+        # m/s^2 a volt of each tone, learnt anew in each step; a tone that is not driven keeps any value.
+        target = target_acceleration(profile, 1.0)
+        self._response = np.where(unit != 0.0, target / np.where(unit != 0.0, unit, 1.0), 1.0)
+        self._meter = ToneMeter(profile, control.window_cycles)
+        self._step = -1
+        self._ratios: list[Amplitudes] = []
+        self._since_change = 0
+        self.worst = math.inf
+
+    def amplitudes(self, gamma: float) -> tuple[complex, ...]:
+        """Drive volts that should give ``gamma`` with the response as last measured."""
+        return tuple((target_acceleration(self._profile, gamma) / self._response).tolist())
+
+    def observe(self, first_sample: int, acceleration_mps2: Floats, quiet: Mask, sequencer: Sequencer) -> str | None:
+        """Take in a block; while settling, retarget or settle ``sequencer``. Returns why it cannot, or None."""
+        if sequencer.state is not State.SETTLING:
+            return None
+        if self._step != sequencer.step.index:
+            self._step = sequencer.step.index
+            self._ratios.clear()
+            self._wait(sequencer.step.first_sample + sequencer.step.fade_samples)
+        self._meter.add(first_sample, acceleration_mps2, quiet)
+        if len(self._meter.windows) > self._since_change:
+            self._since_change += 1
+            fault = self._judge(self._meter.windows[-1], sequencer)
+            if fault is not None:
+                return fault
+        limit = self._control.max_cycles
+        if self._clock.cycle_after(sequencer.position - sequencer.step.first_sample) > limit:
+            return (
+                f"step {sequencer.step.index} (gamma {sequencer.step.gamma:g}) has not settled within {limit} cycles: "
+                f"{self.worst:.2g} times the tolerance; see [control], or the plate"
+            )
+        return None
+
+    def _wait(self, sample: int) -> None:
+        """Measure anew, some cycles after ``sample``."""
+        cycle = self._clock.cycle_after(sample) + self._control.wait_cycles
+        self._meter.begin(self._clock.cycle_start(cycle))
+        self._since_change = 0
+
+    def _judge(self, window: Amplitudes, sequencer: Sequencer) -> str | None:
+        """Settle, correct, or go on measuring."""
+        target = target_acceleration(self._profile, sequencer.step.gamma)
+        driven = np.abs(target) > 0.0
+        if not np.any(driven):  # gamma = 0: nothing to reach
+            sequencer.settled()
+            return None
+        drive = np.array(sequencer.amplitudes)[driven]
+        self._ratios.append(Amplitudes(window.values[driven] / drive, window.uncertainty[driven] / np.abs(drive)))
+        response = mean_of(self._ratios)
+        error = response.values * drive / target[driven]
+        if np.any(np.abs(error) < DEAF):
+            seen = float(np.abs(error).min())
+            return f"step {sequencer.step.index}: the accelerometer sees {seen:.2g} of the motion asked for"
+        tolerances = self._control.tolerance, math.radians(self._control.tolerance_deg)
+        doubt = COVERAGE * float(np.max(response.uncertainty / np.abs(response.values))) / min(tolerances)
+        errors = np.abs(np.abs(error) - 1.0) / tolerances[0], np.abs(np.angle(error)) / tolerances[1]
+        self.worst = float(np.max(errors))
+        if self._since_change >= 2 and self.worst + doubt <= 1.0:
+            sequencer.settled()
+        elif self.worst > max(doubt, SMALL_ERROR):
+            self._correct(sequencer, driven, error)
+        return None
+
+    def _correct(self, sequencer: Sequencer, driven: Mask, error: Complexes) -> None:
+        """Divide each driven tone by its error, within the slew limit, and measure again."""
+        before = np.array(sequencer.amplitudes)
+        size = np.clip(np.abs(error), 1.0 / LARGEST_CORRECTION, LARGEST_CORRECTION)
+        after = before.copy()
+        after[driven] = before[driven] / (size * np.exp(1j * np.angle(error)))
+        gamma = sequencer.step.gamma
+        self._response[driven] = (target_acceleration(self._profile, gamma) / after)[driven]
+        change = float(np.max(np.abs(after - before)[driven] / np.abs(before[driven])))
+        if change > SMALL_CORRECTION:  # far away the plate may answer otherwise; near, what was measured still counts
+            self._ratios.clear()
+        self._wait(sequencer.retarget(tuple(after.tolist()), fade_cycles(self._profile.ramp, gamma * change)))
