@@ -49,8 +49,25 @@ BLOCK_DTYPE = np.dtype(
 )
 """One block. ``lost_before`` counts samples that the device lost between the block before and this one."""
 
+DRIVE_DTYPE = np.dtype(
+    [
+        ("first_sample", "<i8"),
+        ("n_samples", "<i8"),
+        ("multiple", "<i8"),
+        ("start_re_v", "<f8"),
+        ("start_im_v", "<f8"),
+        ("end_re_v", "<f8"),
+        ("end_im_v", "<f8"),
+    ]
+)
+"""One change of one tone's drive amplitude: complex volts fade from start to end over ``n_samples`` and stay there.
+
+``multiple`` is the tone's, of the forcing frequency; ``first_sample`` counts lost samples too (the device's own index).
+"""
+
 STEP_NAMES = STEP_DTYPE.names or ()
 BLOCK_NAMES = BLOCK_DTYPE.names or ()
+DRIVE_NAMES = DRIVE_DTYPE.names or ()
 
 
 class BlockFlag(enum.IntFlag):

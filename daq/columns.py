@@ -18,7 +18,7 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import BLOCK_DTYPE, BLOCK_NAMES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.block import BLOCK_DTYPE, BLOCK_NAMES, DRIVE_DTYPE, DRIVE_NAMES, STEP_DTYPE, STEP_NAMES, crc32
 from daq.errors import InputError
 from daq.setup import Setup
 
@@ -153,13 +153,17 @@ class ColumnWriter:
             self._sets["timestamp"][start : start + len(piece)] = piece
             self._crc["timestamp"] = crc32(np.asarray(piece, "<i8"), self._crc["timestamp"])
 
-    def check(self, steps: NDArray[np.void], blocks: NDArray[np.void], **late: Any) -> None:
+    def check(
+        self, steps: NDArray[np.void], blocks: NDArray[np.void], drive: NDArray[np.void] | None = None, **late: Any
+    ) -> None:
         """Write tables and attributes, close, and read every byte back.
 
         Parameters
         ----------
         steps, blocks
             `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
+        drive
+            `DRIVE_DTYPE` array: how the drive's amplitudes were changed, where this software drove.
         late
             Attributes known only now (``ended``, ``why``, ...).
 
@@ -171,6 +175,8 @@ class ColumnWriter:
         self.flush()
         _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)
         _write_table(self._file, "blocks", "block", blocks.astype(BLOCK_DTYPE), BLOCK_NAMES)
+        if drive is not None and len(drive):
+            _write_table(self._file, "drive_changes", "change", drive.astype(DRIVE_DTYPE), DRIVE_NAMES)
         self._attributes |= late
         self._finish_attributes()
         self._file.close()

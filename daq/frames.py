@@ -19,10 +19,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import BLOCK_DTYPE, STEP_DTYPE, Block, crc32, step_row
+from daq.block import BLOCK_DTYPE, DRIVE_DTYPE, STEP_DTYPE, Block, crc32, step_row
 from daq.errors import InputError
 
-FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
+FRAMES, FRAME_BLOCKS, FRAME_STEPS, FRAME_DRIVE = "frames", "frame_blocks", "frame_steps", "frame_drive"
 _CHUNK_BYTES = 65536
 
 
@@ -64,6 +64,7 @@ class FrameWriter:
         )
         self._blocks = self._file.create_dataset(FRAME_BLOCKS, (0,), BLOCK_DTYPE, maxshape=(None,), chunks=(256,))
         self._steps = self._file.create_dataset(FRAME_STEPS, (0,), STEP_DTYPE, maxshape=(None,), chunks=(16,))
+        self._drive = self._file.create_dataset(FRAME_DRIVE, (0,), DRIVE_DTYPE, maxshape=(None,), chunks=(64,))
         self._file.attrs.update(attributes)
         self._file.flush()
         self._file.swmr_mode = True
@@ -107,6 +108,13 @@ class FrameWriter:
         self._steps[self._n_steps - 1 :] = row
         self._steps.id.flush()
         os.fsync(self._descriptor)
+
+    def mark_drive(self, changes: NDArray[np.void]) -> None:
+        """Add rows (`DRIVE_DTYPE`) to the table of drive changes."""
+        n = self._drive.shape[0]
+        self._drive.resize((n + len(changes),))
+        self._drive[n:] = changes
+        self._drive.id.flush()
 
     @property
     def is_open(self) -> bool:
@@ -166,6 +174,7 @@ class FrameFile:
         self.blocks: NDArray[np.void] = rows[:n_whole]
         self.n_samples = int(ends[n_whole - 1]) if n_whole else 0
         self.steps: NDArray[np.void] = _clip_steps(file[FRAME_STEPS][()], self.n_samples)
+        self.drive: NDArray[np.void] = file[FRAME_DRIVE][()] if FRAME_DRIVE in file else np.zeros(0, DRIVE_DTYPE)
         self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
 
     def rows(self, start: int, stop: int) -> NDArray[np.int16]:

@@ -16,7 +16,7 @@ import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import BLOCK_DTYPE, STEP_DTYPE
+from daq.block import BLOCK_DTYPE, DRIVE_DTYPE, STEP_DTYPE
 from daq.columns import FORMAT, FORMAT_VERSION, read_table, text_crc
 from daq.errors import InputError
 from daq.frames import FRAMES, FrameFile, is_being_written
@@ -50,6 +50,9 @@ class Recording:
         Names of the channels.
     steps, blocks
         `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
+    drive_changes
+        `DRIVE_DTYPE` array: every change of the drive's amplitudes, from which the commanded samples follow bit for
+        bit (`rig.sequencer.commanded`); empty in an imported recording.
     gaps
         int64 ``(n, 2)``: first sample after the gap, samples lost.
     attrs
@@ -69,11 +72,12 @@ class Recording:
         self._scales: dict[str, list[float]]
         if self.frames is not None:
             self.n_samples = self.frames.n_samples
-            self.steps, self.blocks = self.frames.steps, self.frames.blocks
+            self.steps, self.blocks, self.drive_changes = self.frames.steps, self.frames.blocks, self.frames.drive
             self._scales = json.loads(self.stored["scales_json"])
         else:
             self.n_samples = int(file["timestamp"].shape[0])
             self.steps, self.blocks = read_table(file["steps"], STEP_DTYPE), read_table(file["blocks"], BLOCK_DTYPE)
+            self.drive_changes = read_table(file.get("drive_changes", {}), DRIVE_DTYPE)
             self._scales = {
                 n: [float(file[n].attrs["scale_factor"]), float(file[n].attrs["add_offset"])] for n in self.channels
             }

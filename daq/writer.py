@@ -15,6 +15,7 @@ from typing import Any, Literal, Self
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.block import Block, BlockFlag, volts_per_code
 from daq.columns import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
@@ -144,6 +145,10 @@ class RecordingWriter:
         """
         self._frames.mark_step(step)
 
+    def mark_drive(self, changes: NDArray[np.void]) -> None:
+        """Add `DRIVE_DTYPE` rows: changes of the drive's amplitudes that were played."""
+        self._frames.mark_drive(changes)
+
     def close(self, how: Ending = "complete", why: str = "") -> None:
         """End the recording: write the column file beside, check it, rename it into place.
 
@@ -217,7 +222,7 @@ def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]
                 writer.append(stamps, {name: rows[:, i] for i, name in enumerate(names)})
             blocks = frames.blocks.copy()
             blocks["flags"][damaged] |= int(BlockFlag.DAMAGED)
-            writer.check(recording.steps, blocks)
+            writer.check(recording.steps, blocks, recording.drive_changes)
         except BaseException:
             writer.abandon()
             raise
