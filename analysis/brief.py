@@ -18,6 +18,9 @@ Floats = npt.NDArray[np.float64]
 FAR = 1 << 30
 STARTS = 25  # grid points a parameter in the search for a start
 LONGEST = 3.0  # samples
+MOST_MISFIT = 12.0  # times the noise beyond which the samples show no single dent
+ALIKE = 0.02  # of the swing: dents nearer than this may be taken for each other in the search for a ridge
+FAR_APART = 0.05  # samples: a spread beyond this is a ridge
 BRIEF = 2  # samples between closing and opening up to which a contact is fitted as one dent
 SHARPEST = 0.02  # samples: a time constant below this cannot be told from none
 
@@ -28,7 +31,7 @@ def brief_contact(
     tau_samples: tuple[float, float],
     begin: tuple[float, float],
     prior: tuple[float, float] | None = None,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, float, float, float] | None:
     """Closing and opening of one brief contact, in samples from the window's first, each with its uncertainty.
 
     Parameters
@@ -47,6 +50,7 @@ def brief_contact(
     Returns
     -------
     close, close_sigma, open, open_sigma : float
+        None where no single dent looks like this (a contact that bounces).
     """
     tau = (max(tau_samples[0], SHARPEST), max(tau_samples[1], SHARPEST))
 
@@ -66,12 +70,35 @@ def brief_contact(
     chosen = np.clip(grid[np.argsort(costs)[:3]], *bounds)
     tries = [least_squares(misfit, start, bounds=bounds, x_scale=0.1) for start in chosen]
     best = min(tries, key=lambda t: float(t.cost))
+    if 2.0 * best.cost / (fraction.size - 2) > MOST_MISFIT**2:
+        return None
     # where the samples cannot tell (both edges between the same two), the edges lie within their sample all the same
     slopes = np.asarray(best.jac)
     information = slopes.T @ slopes / max(1.0, 2.0 * best.cost / (fraction.size - 2)) + 12.0 * np.eye(2)
     covariance = np.linalg.inv(information)
     open_variance = covariance[0, 0] + 2 * covariance[0, 1] + covariance[1, 1]
-    return float(best.x[0]), float(np.sqrt(covariance[0, 0])), float(best.x.sum()), float(np.sqrt(open_variance))
+    fit = float(best.x[0]), float(np.sqrt(covariance[0, 0])), float(best.x.sum()), float(np.sqrt(open_variance))
+    return fit if prior is not None else _ridge(fraction, tau, begin, fit)
+
+
+def _ridge(
+    fraction: Floats, tau: tuple[float, float], begin: tuple[float, float], fit: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    """The fit, or the spread of all pairs that match the samples to `ALIKE`, where these reach far beyond it."""
+    close, length = np.meshgrid(np.linspace(*begin, 4 * STARTS), np.linspace(0.01, LONGEST, 8 * STARTS))
+    pairs = np.column_stack([close.ravel(), length.ravel()])
+    model = dent(fraction.size, pairs[:, :1], pairs[:, 1:], tau)
+    weight = np.exp(-0.5 * (((fraction - model) / ALIKE) ** 2).sum(axis=1))
+    if weight.sum() < 1e-12:
+        return fit
+    weight /= weight.sum()
+    opening = pairs.sum(axis=1)
+    c, o = float(weight @ pairs[:, 0]), float(weight @ opening)
+    c_sigma = float(np.sqrt(weight @ (pairs[:, 0] - c) ** 2))
+    o_sigma = float(np.sqrt(weight @ (opening - o) ** 2))
+    close_out = (c, c_sigma) if c_sigma > FAR_APART else fit[:2]
+    open_out = (o, o_sigma) if o_sigma > FAR_APART else fit[2:]
+    return close_out[0], close_out[1], open_out[0], open_out[1]
 
 
 def dent(n: int, close: npt.ArrayLike, length: npt.ArrayLike, tau: tuple[float, float]) -> Floats:
@@ -107,31 +134,36 @@ def refine_brief(
     """
     kind, sample = edges.kind, crossings.sample
     pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & (np.diff(sample) <= BRIEF))
-    first = np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)]))
-    if not first.size:
-        return edges
     noise = levels.noise_v / abs(levels.swing_v)
     tau = (shapes[1].tau_s * rate_hz, shapes[0].tau_s * rate_hz)
-    closing, opening = np.empty((first.size, 2)), np.empty((first.size, 2))
-    for row, k in enumerate(first):
+    if max(tau) < 5.0 * SHARPEST:  # sharp edges leave no dent to fit
+        return edges
+    time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
+    added = []
+    for k in np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)])):
         start = int(sample[k]) - BEFORE
-        after = sample[k + 1 :][: 2][kind[k + 1 :][: 2] == CLOSES]  # the next contact is none of this one's
+        after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the next contact is none of this one's
         n = int(min(crossings.window.shape[1], (after[0] - start - 1) if after.size else FAR))
-        prior = _prior(impacts, start, float(sample[k]), rate_hz)
         own = crossings.window[k, : max(n, BEFORE + 2)].astype(np.float64)
+        prior = _prior(impacts, start, float(sample[k]), rate_hz)
         fit = brief_contact(own, noise, tau, (BEFORE - 2.5, float(BEFORE)), prior)
-        closing[row] = (start + fit[0]) / rate_hz, fit[1] / rate_hz
-        opening[row] = (start + fit[2]) / rate_hz, fit[3] / rate_hz
-    gone = np.concatenate([first, pair + 1])
-    left = np.ones(kind.size, dtype=np.bool_)
-    left[gone] = False
-    columns = (
-        np.concatenate([edges.time_s[left], closing[:, 0], opening[:, 0]]),
-        np.concatenate([edges.uncertainty_s[left], closing[:, 1], opening[:, 1]]),
-        np.concatenate([kind[left], np.full(first.size, CLOSES), np.full(first.size, OPENS)]).astype(np.int8),
+        if fit is None:
+            continue
+        closing, opening = (start + fit[0]) / rate_hz, (start + fit[2]) / rate_hz
+        if kind[k] == DIP:
+            added.append((closing, fit[1] / rate_hz, CLOSES))
+            added.append((opening, fit[3] / rate_hz, OPENS))
+        else:
+            time_s[k], sigma[k], time_s[k + 1], sigma[k + 1] = closing, fit[1] / rate_hz, opening, fit[3] / rate_hz
+    left = kind != DIP
+    more = np.array(added).reshape(-1, 3)
+    merged = np.concatenate([time_s[left], more[:, 0]])
+    order = np.argsort(merged, kind="stable")
+    return Edges(
+        merged[order],
+        np.concatenate([sigma[left], more[:, 1]])[order],
+        np.concatenate([kind[left], more[:, 2].astype(np.int8)])[order],
     )
-    order = np.argsort(columns[0], kind="stable")
-    return Edges(columns[0][order], columns[1][order], columns[2][order])
 
 
 def _prior(impacts: Impacts, start: int, sample: float, rate_hz: float) -> tuple[float, float] | None:

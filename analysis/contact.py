@@ -19,6 +19,7 @@ Ints = npt.NDArray[np.int64]
 BEFORE, AFTER = 4, 8  # samples of continuity kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
 VISIBLE = 5.0  # standard deviations of noise from which a sample counts as moved
 FAR = 1 << 30  # samples: no neighbour
+ODD = 4.0  # times the usual misfit that makes an edge odd
 MIN_EDGES = 8  # edges needed to estimate a time constant
 
 CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
@@ -290,31 +291,36 @@ def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
     if n < MIN_EDGES:
         return SHARP
     first = _first_moved(y, noise)
-    samples = np.take_along_axis(y, np.minimum(first[:, None] + np.arange(AFTER - 2), y.shape[1] - 1), axis=1)
-    now, following = samples[:, :-1], samples[:, 1:]
-    loud = now > max(10.0 * noise, 0.02)
-    weight = float(np.sum(now[loud] ** 2 - noise**2))
-    ratio = float(np.sum(now[loud] * following[loud])) / weight if weight > 0 else 0.0
-    ratio_sigma = noise / np.sqrt(weight) if weight > 0 else np.inf
+    samples = np.take_along_axis(y, np.minimum(first[:, None] + np.arange(3), y.shape[1] - 1), axis=1)
+    loud = samples[:, 0] > max(40.0 * noise, 0.05)
+    ratio, ratio_sigma = 0.0, np.inf
+    if loud.sum() >= MIN_EDGES:
+        ratios = samples[loud, 1] / samples[loud, 0]  # the median is not led astray by edges that bounce
+        ratio = float(np.median(ratios))
+        own = noise * np.sqrt(1.0 + ratio**2) / samples[loud, 0]
+        alike = np.abs(ratios - ratio) < 5.0 * own
+        if alike.sum() >= MIN_EDGES:
+            ratio = float(np.average(ratios[alike], weights=own[alike] ** -2))
+        ratio_sigma = 1.0 / float(np.sqrt(np.sum(1.0 / own[alike] ** 2)))
     if 8.0 * ratio_sigma < ratio < 0.98 and ratio > 0.01:
         tau = -1.0 / (rate_hz * np.log(ratio))
         tau_sigma = tau**2 * rate_hz * ratio_sigma / ratio
     else:
-        area = samples[:, :3].sum(axis=1)
+        area = samples.sum(axis=1)
         tau, tau_sigma = float(area.mean()) / rate_hz, float(area.std()) / rate_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)
-    chi = _misfit(samples, noise, tau, rate_hz)
+    misfit = _misfit(samples, noise, tau, rate_hz)
+    # two degrees of freedom: the median of their chi square is 1.386
+    chi = float(np.sqrt(np.median(misfit**2) * 2.0 / 1.386))
     return EdgeShape(tau, tau_sigma, max(1.0, chi), n)
 
 
-def _misfit(samples: Floats, noise: float, tau_s: float, rate_hz: float) -> float:
-    """Rms residual of exponentials through the samples of each edge, in units of the noise."""
+def _misfit(samples: Floats, noise: float, tau_s: float, rate_hz: float) -> Floats:
+    """Rms residual of an exponential through the first samples of each edge, in units of the noise, shape (n,)."""
     w = np.exp(-np.arange(samples.shape[1]) / (tau_s * rate_hz))
     residual = samples - np.outer(samples @ w / (w @ w), w)
-    per_edge = (residual**2).sum(axis=1) / (samples.shape[1] - 1)
-    core = per_edge[per_edge <= np.quantile(per_edge, 0.95)]
-    return float(np.sqrt(core.mean())) / noise
+    return np.asarray(np.sqrt((residual**2).sum(axis=1) / (samples.shape[1] - 1)) / noise)
 
 
 def fit_edges(
@@ -342,7 +348,10 @@ def fit_edges(
     uniform: Floats = np.full(y.shape[0], dt / np.sqrt(12.0))
     if shape.tau_s == 0.0 or y.shape[0] == 0:
         return middle, uniform
-    sigma_y = noise * shape.chi
+    samples = np.take_along_axis(y, np.minimum(first[:, None] + np.arange(3), y.shape[1] - 1), axis=1)
+    own = _misfit(samples, noise, shape.tau_s, rate_hz)
+    own[(own < ODD * shape.chi) | (room < 3)] = 0.0
+    sigma_y = noise * np.maximum(shape.chi, own)  # an edge that does not look like the others is worth less
     last = BEFORE + np.maximum(room - 2, 0)
     use = (columns >= first[:, None]) & (columns <= np.maximum(last, first)[:, None])
     w = np.where(use, np.exp(-(columns - first[:, None]) * dt / shape.tau_s), 0.0)
@@ -355,13 +364,23 @@ def fit_edges(
     # the time constant's own error moves every edge by the same share of its delay
     sigma = np.hypot(sigma, np.abs(since) * shape.tau_uncertainty_s / shape.tau_s)
     vague = ~clear | (sigma > dt / 12.0)
-    since[vague], sigma[vague] = _posterior(u[vague], sigma_u[vague], shape.tau_s, dt)
-    return (first - BEFORE) * dt - since, np.minimum(sigma, uniform)
+    since[vague], sigma[vague] = _vague(u[vague], sigma_u[vague], shape, dt)
+    delay: Floats = (first - BEFORE) * dt - since
+    return delay, np.minimum(sigma, uniform)
+
+
+def _vague(u: Floats, sigma_u: Floats, shape: EdgeShape, dt: float) -> tuple[Floats, Floats]:
+    """Delay of edges that the samples hardly show, with the time constant as uncertain as it is."""
+    taus = shape.tau_s + np.array([-1.0, 0.0, 1.0]) * min(shape.tau_uncertainty_s, 0.9 * shape.tau_s)
+    parts = [_posterior(u, sigma_u, float(tau), dt) for tau in taus]
+    mean: Floats = np.mean([m for m, _ in parts], axis=0)
+    variance: Floats = np.mean([(m - mean) ** 2 + s**2 for m, s in parts], axis=0)
+    return mean, np.sqrt(variance)
 
 
 def _posterior(u: Floats, sigma_u: Floats, tau_s: float, dt: float) -> tuple[Floats, Floats]:
     """Mean and standard deviation of the delay, uniform over one sample before ``u`` was seen."""
-    d = (np.arange(200) + 0.5) / 200 * dt
+    d: Floats = (np.arange(200) + 0.5) / 200 * dt
     misfit = (u[:, None] - np.exp(-d / tau_s)) / sigma_u[:, None]
     weight = np.exp(-0.5 * (misfit**2 - (misfit**2).min(axis=1, keepdims=True)))
     weight /= weight.sum(axis=1, keepdims=True)

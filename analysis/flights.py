@@ -12,7 +12,7 @@ import numpy.typing as npt
 from analysis.brief import refine_brief
 from analysis.contact import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
 from analysis.flight_table import EdgeReport, FlightFlag, Flights, write_csv
-from analysis.impacts import NO_IMPACTS, Impacts, WitnessOffset, calibrate
+from analysis.impacts import NO_IMPACTS, Impacts, calibrate, sharpen
 from analysis.plate_motion import PlateMotion
 from analysis.scan import Progress, Scan, scan
 from daq.recording import Recording
@@ -57,9 +57,13 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found.plate, takeoff, landing)
     plate = found.plate
+    takeoff, takeoff_sigma = _unseen_contacts(
+        plate, setup.g_mps2.value, takeoff, takeoff_sigma, landing, step, unseen_contact_s(report, rate_hz)
+    )
     true = (flags & FlightFlag.FALSE) == 0
     contact = _contacts(takeoff, landing, true)
     flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, contact, step, true)
+    flags |= _unresolved(strength, flags, report)
     flags |= _hidden(plate, setup.g_mps2.value, takeoff, landing, contact, step, flags)
     return Flights(
         takeoff_s=takeoff, landing_s=landing,
@@ -79,10 +83,15 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
         return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), silent
     edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
     end_s = n_samples / rate_hz
-    _, landing, _, landing_sigma, flags = _intervals(edges, found.starts_open, end_s)
+    takeoff, landing, _, landing_sigma, flags = _intervals(edges, found.starts_open, end_s)
     whole = (flags & (FlightFlag.FALSE | FlightFlag.CUT)) == 0
-    impacts, offset = _impacts(found, landing[whole], landing_sigma[whole], rate_hz)
+    impacts, offset = NO_IMPACTS, None
+    if found.survey.waveform is not None:
+        own = takeoff[whole], landing[whole], landing_sigma[whole]
+        impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s)
     edges = refine_brief(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
+    if offset is not None and np.isfinite(offset.uncertainty_s):
+        edges = sharpen(edges, impacts, offset)
     table = _split(*_intervals(edges, found.starts_open, end_s), impacts, 3.0 / rate_hz)
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, 4.0 / rate_hz)
@@ -113,15 +122,6 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
     false = (duration < GLITCH_S) | ((duration < BOUNCE_S) & (since < BOUNCE_AFTER_S))
     flags[false] |= FlightFlag.FALSE
     return takeoff, landing, takeoff_sigma, landing_sigma, flags
-
-
-def _impacts(
-    found: Scan, landing: Floats, landing_sigma: Floats, rate_hz: float
-) -> tuple[Impacts, WitnessOffset | None]:
-    """The accelerometer's landings on the axis of the electrical edges; none where it shows no impacts."""
-    if found.survey.waveform is None:
-        return NO_IMPACTS, None
-    return calibrate(found.impacts, landing, landing_sigma, 5.0 / rate_hz)
 
 
 def _split(
@@ -191,6 +191,34 @@ def _gaps(plate: PlateMotion, takeoff: Floats, landing: Floats) -> Ints:
         at = sample / plate.rate_hz
         flags[(takeoff <= at + 2.0 / plate.rate_hz) & (landing >= at - 2.0 / plate.rate_hz)] |= int(FlightFlag.GAP)
     return flags
+
+
+def unseen_contact_s(report: EdgeReport, rate_hz: float) -> float:
+    """Longest contact between two samples that leaves no visible dent in the continuity voltage."""
+    if report.levels is None:
+        return 0.0
+    dip = max(1.0 - float(report.levels.thresholds()[2]), 1e-3)
+    return max(0.0, 1.0 / rate_hz + report.opening.tau_s * float(np.log(dip)))
+
+
+def _unseen_contacts(
+    plate: PlateMotion, g: float, takeoff: Floats, takeoff_sigma: Floats, landing: Floats, step: Ints, unseen_s: float
+) -> tuple[Floats, Floats]:
+    """Take-offs right at a landing where the plate was still pushing: the ball lay there for a moment nobody saw."""
+    at_landing = np.append(False, np.abs(takeoff[1:] - landing[:-1]) < 1e-12)
+    if unseen_s == 0.0 or not at_landing.any():
+        return takeoff, takeoff_sigma
+    pushing = at_landing & (-plate.acceleration_mps2(takeoff, step) < g)
+    later = np.where(pushing, takeoff + 0.5 * unseen_s, takeoff)
+    return later, np.where(pushing, np.hypot(takeoff_sigma, unseen_s / np.sqrt(12.0)), takeoff_sigma)
+
+
+def _unresolved(strength: Floats, flags: Ints, report: EdgeReport) -> Ints:
+    """Flag `UNSURE` the last piece of a chatter: it ends with the circuit, after bounces too small to be told apart."""
+    if report.witness is None:
+        return np.zeros(flags.size, dtype=np.int64)
+    silent = ((flags & int(FlightFlag.DOUBLE_HIT)) != 0) & np.isnan(strength) & ((flags & int(FlightFlag.CUT)) == 0)
+    return np.where(silent, int(FlightFlag.UNSURE), 0).astype(np.int64)
 
 
 def _contacts(takeoff: Floats, landing: Floats, true: npt.NDArray[np.bool_]) -> Floats:

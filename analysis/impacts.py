@@ -1,8 +1,7 @@
 """The second witness: landings seen in the accelerometer, where the contact was too short for the continuity circuit.
 
-The rule kept here: nothing is assumed about what an impact looks like. Its waveform is learnt from the landings that
-the continuity circuit saw, the filter matched to it finds the others, and the offset between the two witnesses, with
-its scatter, is measured on the landings that both saw. Where the accelerometer shows no impacts, there is none.
+The rule kept here: the learnt waveform finds and times the impacts; the offset between the two witnesses is measured
+on landings that both saw, and where no landings agree on one, none is claimed.
 """
 
 from __future__ import annotations
@@ -13,137 +12,21 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from analysis.contact import CLOSES, Edges
+from analysis.waveform import ECHO, FINE, LEAD, LENGTH, SHORTEST_MASK_S, Waveform
+
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-LEAD, TAIL = 12, 36  # samples of the accelerometer kept before and after an impact's first sample
-LENGTH = LEAD + TAIL
-ECHO = 128  # samples of the waveform learnt: an impact's ringing must not be taken for the next impact
-FINE = 8  # template points per sample
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
-UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
+SHAPE_ERROR = 0.004  # part of the score by which the learnt shape disturbs the timing
+ECHO_ERROR = 0.03  # of it that disturbs the timing of the next
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that its waveform may get wrong
-MIN_LANDINGS = 6  # landings needed to learn a waveform
-TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
-SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
+REACH_S = 1.5e-3  # farthest that an electrical edge may be from its impact
+ONSET_S = 2e-6  # how well the onset of the waveform tells the impact, where no edge confirms it
+BELIEVED_S = 1e-4  # offset that needs no proof
+AGREE_S = 4e-5  # most that landings may differ on the offset
 THRESHOLD = 6.0  # standard deviations of the filter's output that make a candidate
-
-
-@dataclass(frozen=True)
-class Waveform:
-    """What an impact looks like in the accelerometer.
-
-    Attributes
-    ----------
-    fine : array, shape (ECHO * FINE,)
-        Mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``.
-    taps : float32 array, shape (LENGTH,)
-        Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
-    projector : array, shape (LENGTH, LENGTH)
-        What makes the filter blind: removes the motion's curve from a snippet.
-    noise_v : float
-        White noise of the accelerometer.
-    ring_s : float
-        How long after an impact samples are left out of the tone fits.
-    """
-
-    fine: Floats
-    taps: npt.NDArray[np.float32]
-    projector: Floats
-    noise_v: float
-    ring_s: float
-
-
-def white_noise(x: Floats) -> float:
-    """Standard deviation of the white part, from second differences (tones cancel, spikes are outvoted)."""
-    if x.size < 8:
-        return 0.0
-    second = np.diff(x, 2)
-    deviation = np.abs(second - np.median(second))
-    return float(np.median(deviation) * 1.4826 / np.sqrt(6.0))
-
-
-def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
-    """Orthonormal functions that hold the plate's motion over a snippet, shape (length, k): powers and tones.
-
-    The powers follow slow tones whatever their frequency; the tones are those too fast for that.
-    """
-    t = np.arange(length) - 0.5 * (length - 1)
-    angle = 2.0 * np.pi * np.outer(cycles_per_sample, t)
-    rows = np.vstack([np.vander(2.0 * t / length, powers).T, np.cos(angle), np.sin(angle)])
-    u, size, _ = np.linalg.svd((rows / np.linalg.norm(rows, axis=1)[:, None]).T, full_matrices=False)
-    return np.asarray(u[:, size > 1e-4 * size[0]])
-
-
-def learn_waveform(
-    snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float, tones_hz: Floats
-) -> Waveform | None:
-    """Waveform of an impact from snippets around known landings; None where the accelerometer shows nothing.
-
-    Parameters
-    ----------
-    snippets : array, shape (n, ECHO)
-        Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
-    fractions : array, shape (n,)
-        How long before column ``LEAD`` the landing was, in samples, in [0, 1).
-    noise_v : float
-    rate_hz : float
-    tones_hz : array
-        Tones of the motion.
-    """
-    if snippets.shape[0] < MIN_LANDINGS or noise_v <= 0:
-        return None
-    basis = motion_basis(LENGTH, 4, tones_hz / rate_hz)
-    projector = np.eye(LENGTH) - basis @ basis.T
-    flat = snippets[:, :LENGTH] @ projector
-    mean = np.median(flat, axis=0)
-    strength = np.linalg.norm(mean)
-    scatter = 1.2533 * noise_v * np.sqrt(LENGTH / snippets.shape[0])
-    # half of the landings against the other half: a waveform repeats, a leftover of the motion or of noise does not
-    halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
-    agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
-    if strength < 3.0 * scatter or strength < 4.0 * noise_v or agreement < 0.7:
-        return None
-    direction = mean / strength
-    size = flat @ direction
-    fine = _oversample(snippets, fractions, size)
-    fine[: (LEAD - 1) * FINE] = 0.0  # nothing rings before the impact
-    # matched to the whole waveform, but blind to the motion under it
-    taps = fine[: LENGTH * FINE : FINE] @ projector
-    norm = float(np.linalg.norm(taps))
-    return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
-
-
-def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
-    """Mean waveform on ``FINE`` points a sample: hat functions at their sub-sample place, weighted by strength."""
-    position = (np.arange(ECHO)[None, :] + fractions[:, None]) * FINE
-    weight = np.maximum(size, 0.0)[:, None] * np.ones(ECHO)
-    points = ECHO * FINE
-    low = np.floor(position).astype(np.int64)
-    share = position - low
-    top, bottom = np.zeros(points + 2), np.zeros(points + 2)
-    for index, part in ((low, 1.0 - share), (low + 1, share)):
-        inside = np.minimum(index, points + 1)
-        np.add.at(top, inside, part * weight * flat)
-        np.add.at(bottom, inside, part * weight**2)
-    known = bottom > 1e-9 * bottom.max()
-    grid = np.arange(points)
-    mean, known = top / np.where(known, bottom, 1.0), known[:points]
-    return np.asarray(np.interp(grid, grid[known], mean[:points][known]))
-
-
-def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
-    """How long to leave samples out after a strong impact.
-
-    What the subtraction may leave (`UNLEARNT` of the waveform) adds its time integral to a tone's amplitude,
-    `TYPICAL_HZ` times a second; that must stay below the noise of the amplitude in one second.
-    """
-    after = fine[LEAD * FINE :] * np.quantile(size, 0.9)
-    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1])))[::-1] / FINE / rate_hz  # V s still to come
-    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * UNLEARNT)
-    end = np.flatnonzero(left > allowed)
-    last = (end.max() + 1) / FINE / rate_hz if end.size else 0.0
-    return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))
 
 
 @dataclass(frozen=True)
@@ -180,15 +63,16 @@ class ImpactScan:
         bank = waveform.fine[points] @ waveform.projector
         self._norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
         self._bank = bank / self._norms[:, None]
-        self._steep = np.maximum(np.linalg.norm(np.gradient(self._bank, axis=0), axis=1) * FINE, 1e-9)
-        self._found: list[Floats] = [np.zeros((0, 3))]  # columns: place (samples), size (units of fine), score (V)
+        slope = np.gradient(self._bank, axis=0) * FINE
+        self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
+        self._found: list[Floats] = [np.zeros((0, 4))]  # columns: place (samples), size (units of fine), score, echo (V)
 
     def add(self, volts: npt.NDArray[np.float32], first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``; samples found."""
         found = np.empty(count // 4 + 2, dtype=np.int64)
         limit = THRESHOLD * self.waveform.noise_v
         n = _match(volts, pad, count, self.waveform.taps, np.float32(limit), np.empty(count, np.float32), found)
-        out = np.zeros((self.RECENT + n, 3))
+        out = np.zeros((self.RECENT + n, 4))
         recent = self._found[-1][-self.RECENT :]
         out[: len(recent)] = recent
         total = _time(
@@ -210,10 +94,10 @@ class ImpactScan:
 
     def impacts(self) -> Impacts:
         """Everything found so far."""
-        place, _, score = self._found[-1].T
+        place, _, score, echo = self._found[-1].T
         noise = self.waveform.noise_v
-        shift = np.full(place.size, SHIFTS)
-        sigma = noise / np.maximum(score, noise) / self._steep[shift] / self.rate_hz
+        unsure = np.sqrt(noise**2 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
+        sigma = unsure / np.maximum(score, noise) / self._steep[SHIFTS] / self.rate_hz
         return Impacts(place / self.rate_hz, np.minimum(sigma, 1.0 / self.rate_hz), score / noise)
 
 
@@ -277,7 +161,8 @@ def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # typ
             continue
         bend = min(left - 2.0 * middle + right, -1e-300)
         vertex = min(max(0.5 * (left - right) / bend, -1.0), 1.0)
-        out[n, 0], out[n, 1], out[n, 2] = place + vertex / FINE, middle / norms[best], middle
+        out[n, 0], out[n, 1] = place + vertex / FINE, middle / norms[best]
+        out[n, 2], out[n, 3] = middle, loud
         n += 1
     return n
 
@@ -302,7 +187,8 @@ class WitnessOffset:
     Attributes
     ----------
     offset_s, uncertainty_s : float
-        Accelerometer minus electrical edge (a late contact circuit shows here), and its standard error.
+        Accelerometer minus electrical edge (a late contact circuit shows here, negative), and its standard error;
+        0 and infinity where no landings agree on one (a ball that chatters before the circuit stays closed).
     scatter_s : float
         Scatter beyond the stated uncertainties of both.
     pairs : int
@@ -315,27 +201,78 @@ class WitnessOffset:
 
 
 def calibrate(
-    impacts: Impacts, landing_s: Floats, landing_sigma_s: Floats, reach_s: float
+    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, edge_bias_s: float
 ) -> tuple[Impacts, WitnessOffset]:
-    """Put impacts on the axis of the electrical edges; ``reach_s`` is how far apart two of one landing may be."""
+    """Put impacts on the axis of the electrical edges.
+
+    Only flights in which the accelerometer saw a single impact, within `REACH_S` of the edge, can tell; and they must
+    agree with each other: an offset of the instrument is the same for all. ``edge_bias_s`` is what all edges may share.
+    """
+    unknown = WitnessOffset(0.0, np.inf, 0.0, 0)
     if landing_s.size == 0 or impacts.time_s.size == 0:
-        return impacts, WitnessOffset(0.0, np.inf, 0.0, 0)
-    after = np.minimum(np.searchsorted(landing_s, impacts.time_s), landing_s.size - 1)
+        return _with_bias(impacts, 1.0, ONSET_S), unknown
+    begin = np.searchsorted(impacts.time_s, takeoff_s - REACH_S + SHORTEST_MASK_S)
+    end = np.searchsorted(impacts.time_s, landing_s + REACH_S)
+    lone = np.flatnonzero(end - begin == 1)
+    partner = begin[lone]
+    d = impacts.time_s[partner] - landing_s[lone]
+    own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
+    near = np.abs(d) < REACH_S
+    d, own = d[near], own[near]
+    if d.size < 3:
+        return _with_bias(impacts, 1.0, ONSET_S), unknown
+    ordered = np.sort(d)
+    width = ordered[(d.size - 1) // 2 + np.arange(d.size - (d.size - 1) // 2)] - ordered[: d.size - (d.size - 1) // 2]
+    k = int(np.argmin(width))
+    centre = float(np.median(ordered[k : k + (d.size - 1) // 2 + 1]))
+    spread = max(float(width[k]) / 1.35, float(np.median(own)))
+    if spread > AGREE_S or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
+        return _with_bias(impacts, 1.0, ONSET_S), unknown
+    core = np.abs(d - centre) < 5.0 * spread
+    weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
+    centre = float(np.average(d[core], weights=weight))
+    left = (d[core] - centre) / own[core]
+    # beyond what both state: a factor where all are understated, found from the middle of the distribution
+    factor = max(1.0, 1.4826 * float(np.median(np.abs(left))))
+    own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
+    offset = WitnessOffset(centre, own_sigma, spread, int(core.sum()))
+    moved = Impacts(impacts.time_s - centre, impacts.uncertainty_s, impacts.strength)
+    return _with_bias(moved, factor, own_sigma), offset
+
+
+def _with_bias(impacts: Impacts, factor: float, bias_s: float) -> Impacts:
+    """Impacts with their uncertainties multiplied, and what all may share added."""
+    return Impacts(impacts.time_s, np.hypot(factor * impacts.uncertainty_s, bias_s), impacts.strength)
+
+
+def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
+    """Whether a late edge may be the end of a chatter rather than a slow circuit.
+
+    A chatter's length grows with the impact's speed; a circuit's delay does not. Where the impacts are all alike,
+    nobody can tell, and a long delay is not believed.
+    """
+    if abs(offset_s) < BELIEVED_S:
+        return False
+    low, middle, high = np.quantile(strength, [0.1, 0.5, 0.9])
+    variety = (high - low) / middle
+    return bool(variety < 0.3 or spread_s / abs(offset_s) > 0.25 * variety)
+
+
+def sharpen(edges: Edges, impacts: Impacts, offset: WitnessOffset) -> Edges:
+    """Closings with the accelerometer's impact averaged in, each by its uncertainty: it may know sharp edges better."""
+    closing = np.flatnonzero(edges.kind == CLOSES)
+    if not closing.size or not impacts.time_s.size:
+        return edges
+    time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
+    after = np.minimum(np.searchsorted(impacts.time_s, time_s[closing]), impacts.time_s.size - 1)
     before = np.maximum(after - 1, 0)
-    nearer = np.abs(impacts.time_s - landing_s[before]) <= np.abs(impacts.time_s - landing_s[after])
+    nearer = np.abs(impacts.time_s[before] - time_s[closing]) < np.abs(impacts.time_s[after] - time_s[closing])
     partner = np.where(nearer, before, after)
-    difference = impacts.time_s - landing_s[partner]
-    # an elastic ball closes the circuit only at the end of its rebounds, on impacts too weak to date: strong ones count
-    paired = (np.abs(difference) < reach_s) & (impacts.strength >= np.median(impacts.strength))
-    if paired.sum() < 5:
-        return impacts, WitnessOffset(0.0, np.inf, 0.0, int(paired.sum()))
-    d = difference[paired]
-    own = np.hypot(impacts.uncertainty_s, landing_sigma_s[partner])[paired]
-    centre = float(np.median(d))
-    robust = max(1.4826 * float(np.median(np.abs(d - centre))), 1e-9)
-    core = np.abs(d - centre) < 4.0 * robust
-    centre = float(np.mean(d[core]))
-    excess = float(np.sqrt(max(np.var(d[core]) - np.mean(own[core] ** 2), 0.0)))
-    sigma = np.hypot(impacts.uncertainty_s, excess)
-    moved = Impacts(impacts.time_s - centre, sigma, impacts.strength)
-    return moved, WitnessOffset(centre, float(np.std(d[core])) / np.sqrt(core.sum()), excess, int(core.sum()))
+    own = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)
+    difference = impacts.time_s[partner] - time_s[closing]
+    alike = np.abs(difference) < 4.0 * np.hypot(own, sigma[closing])
+    chosen, own = closing[alike], own[alike]
+    share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
+    time_s[chosen] += share * difference[alike]
+    sigma[chosen] = sigma[chosen] * own / np.hypot(sigma[chosen], own)
+    return Edges(time_s, sigma, edges.kind)

@@ -216,4 +216,5 @@ def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
         return Windows(np.zeros(0), np.zeros((0, tones), np.complex128), np.zeros((0, tones)))
     time_s = np.concatenate([w[0] for w in fold.windows])
     amplitudes = np.concatenate([w[1] for w in fold.windows])
-    return Windows(time_s, amplitudes * factor, np.concatenate([w[2] for w in fold.windows]) * abs(factor))
+    scaled: Complexes = amplitudes * factor
+    return Windows(time_s, scaled, np.concatenate([w[2] for w in fold.windows]) * abs(factor))

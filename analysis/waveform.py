@@ -1,0 +1,156 @@
+"""The waveform of an impact in the accelerometer: its shape in time, and the filter matched to it.
+
+The rule kept here: nothing is assumed about the shape but that it repeats. Its zero is its onset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+LEAD, TAIL = 12, 36  # samples of the accelerometer kept before and after an impact's first sample
+LENGTH = LEAD + TAIL
+ECHO = 128  # samples of the waveform learnt: an impact's ringing must not be taken for the next impact
+FINE = 8  # template points per sample
+UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
+MIN_LANDINGS = 6  # landings needed to learn a waveform
+TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
+SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """What an impact looks like in the accelerometer.
+
+    Attributes
+    ----------
+    fine : array, shape (ECHO * FINE,)
+        Mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``.
+    taps : float32 array, shape (LENGTH,)
+        Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
+    projector : array, shape (LENGTH, LENGTH)
+        What makes the filter blind: removes the motion's curve from a snippet.
+    noise_v : float
+        White noise of the accelerometer.
+    ring_s : float
+        How long after an impact samples are left out of the tone fits.
+    """
+
+    fine: Floats
+    taps: npt.NDArray[np.float32]
+    projector: Floats
+    noise_v: float
+    ring_s: float
+
+
+def white_noise(x: Floats) -> float:
+    """Standard deviation of the white part, from second differences (tones cancel, spikes are outvoted)."""
+    if x.size < 8:
+        return 0.0
+    second = np.diff(x, 2)
+    deviation = np.abs(second - np.median(second))
+    return float(np.median(deviation) * 1.4826 / np.sqrt(6.0))
+
+
+def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
+    """Orthonormal functions that hold the plate's motion over a snippet, shape (length, k): powers and tones.
+
+    The powers follow slow tones whatever their frequency; the tones are those too fast for that.
+    """
+    t = np.arange(length) - 0.5 * (length - 1)
+    angle = 2.0 * np.pi * np.outer(cycles_per_sample, t)
+    rows = np.vstack([np.vander(2.0 * t / length, powers).T, np.cos(angle), np.sin(angle)])
+    u, size, _ = np.linalg.svd((rows / np.linalg.norm(rows, axis=1)[:, None]).T, full_matrices=False)
+    return np.asarray(u[:, size > 1e-4 * size[0]])
+
+
+def learn_waveform(
+    snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float, tones_hz: Floats
+) -> Waveform | None:
+    """Waveform of an impact from snippets around known landings; None where the accelerometer shows nothing.
+
+    Parameters
+    ----------
+    snippets : array, shape (n, ECHO)
+        Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
+    fractions : array, shape (n,)
+        How long before column ``LEAD`` the landing was, in samples, in [0, 1).
+    noise_v : float
+    rate_hz : float
+    tones_hz : array
+        Tones of the motion.
+    """
+    if snippets.shape[0] < MIN_LANDINGS or noise_v <= 0:
+        return None
+    basis = motion_basis(LENGTH, 4, tones_hz / rate_hz)
+    projector = np.eye(LENGTH) - basis @ basis.T
+    flat = snippets[:, :LENGTH] @ projector
+    mean = np.median(flat, axis=0)
+    strength = np.linalg.norm(mean)
+    scatter = 1.2533 * noise_v * np.sqrt(LENGTH / snippets.shape[0])
+    # half of the landings against the other half: a waveform repeats, a leftover of the motion or of noise does not
+    halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
+    agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
+    if strength < 3.0 * scatter or strength < 4.0 * noise_v or agreement < 0.7:
+        return None
+    direction = mean / strength
+    size = flat @ direction
+    fine = _oversample(snippets, fractions, size)
+    fine = _from_onset(fine)
+    # matched to the whole waveform, but blind to the motion under it
+    taps = fine[: LENGTH * FINE : FINE] @ projector
+    norm = float(np.linalg.norm(taps))
+    return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
+
+
+def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
+    """Mean waveform on ``FINE`` points a sample: hat functions at their sub-sample place, weighted by strength."""
+    position = (np.arange(ECHO)[None, :] + fractions[:, None]) * FINE
+    weight = np.maximum(size, 0.0)[:, None] * np.ones(ECHO)
+    points = ECHO * FINE
+    low = np.floor(position).astype(np.int64)
+    share = position - low
+    top, bottom = np.zeros(points + 2), np.zeros(points + 2)
+    for index, part in ((low, 1.0 - share), (low + 1, share)):
+        inside = np.minimum(index, points + 1)
+        np.add.at(top, inside, part * weight * flat)
+        np.add.at(bottom, inside, part * weight**2)
+    known = bottom > 1e-9 * bottom.max()
+    grid = np.arange(points)
+    mean, known = top / np.where(known, bottom, 1.0), known[:points]
+    return np.asarray(np.interp(grid, grid[known], mean[:points][known]))
+
+
+def _from_onset(fine: Floats) -> Floats:
+    """The waveform moved so that its rise, drawn back to zero, begins at ``LEAD * FINE``; nothing before it."""
+    size = np.abs(fine)
+    early, late = (_rise(size, part * float(size.max())) for part in (0.1, 0.3))
+    onset = early - 0.5 * max(late - early, 0.0)
+    grid = np.arange(fine.size)
+    moved = np.interp(grid + onset - LEAD * FINE, grid, fine, left=0.0, right=0.0)
+    moved[: LEAD * FINE] = 0.0
+    return np.asarray(moved)
+
+
+def _rise(size: Floats, level: float) -> float:
+    """Where ``size`` first reaches ``level``, between points."""
+    k = max(int(np.argmax(size > level)), 1)
+    return k - (float(size[k]) - level) / max(float(size[k] - size[k - 1]), 1e-300)
+
+
+def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
+    """How long to leave samples out after a strong impact.
+
+    What the subtraction may leave (`UNLEARNT` of the waveform) adds its time integral to a tone's amplitude,
+    `TYPICAL_HZ` times a second; that must stay below the noise of the amplitude in one second.
+    """
+    after = fine[LEAD * FINE :] * np.quantile(size, 0.9)
+    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1])))[::-1] / FINE / rate_hz  # V s still to come
+    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * UNLEARNT)
+    end = np.flatnonzero(left > allowed)
+    last = (end.max() + 1) / FINE / rate_hz if end.size else 0.0
+    return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))
