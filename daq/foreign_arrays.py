@@ -40,7 +40,7 @@ class _ArraySource:
 
     def _offer(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         """Take an array into the table: a vector as it is, a matrix column by column."""
-        if dtype.kind not in "iufb" or not shape or shape[0] < 2:
+        if dtype.kind not in "iufb" or not shape or max(shape) < 2:
             return
         if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             self._lengths[name], self._types[name] = max(shape), dtype

@@ -65,7 +65,8 @@ def verify(path: Path | str) -> VerifyReport:
     try:
         recording = open_recording(path)
     except InputError as error:
-        if not path.is_file() or "not a recording" in str(error):
+        never_was = "not a recording" in str(error) or path.suffix.lower() not in (".h5", ".hdf5")
+        if not path.is_file() or never_was:
             raise
         return VerifyReport("damaged", [str(error)])
     with recording:

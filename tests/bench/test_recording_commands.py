@@ -1,0 +1,95 @@
+"""The commands import, export and verify, as a person calls them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from bench.cli import app
+
+PROFILE = """
+name = "somebody's rig"
+[sampling]
+rate_hz = 2000
+[forcing]
+frequency_hz = 25.37
+[drive]
+g_per_volt = 2.0
+[channels.accelerometer]
+sensitivity = 0.1
+unit = "V/g"
+[ball]
+mass_kg = 0.25
+"""
+
+
+def bench(*arguments: object) -> Result:
+    """Run the command line."""
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def raw(tmp_path: Path) -> Path:
+    """A CSV of two steps, beside a profile."""
+    (tmp_path / "p.toml").write_text(PROFILE)
+    t = np.arange(8000) / 2000.0
+    drive = np.sin(2 * np.pi * 25.37 * t) * np.where(t < 2, 0.3, 0.6)
+    table = np.column_stack([t, np.zeros_like(t), 0.2 * drive, drive])
+    header = "time_s,continuity_v,accelerometer_v,drive_v"
+    np.savetxt(tmp_path / "raw.csv", table, "%.9g", ",", header=header, comments="")
+    return tmp_path / "raw.csv"
+
+
+def test_import_verify_export(raw: Path, tmp_path: Path) -> None:
+    """The three commands work together, print for a person, and write the same as JSON."""
+    profile = ("--profile", tmp_path / "p.toml")
+    result = bench("import", raw, *profile, "--out", tmp_path / "r.h5", "--json", tmp_path / "i.json")
+    assert result.exit_code == 0, result.output
+    assert "2 steps" in result.output
+    summary = json.loads((tmp_path / "i.json").read_text())
+    assert [round(step["gamma"], 3) for step in summary["steps"]] == [0.3, 0.6]
+    result = bench("verify", tmp_path / "r.h5", "--json", "-")
+    assert (result.exit_code, json.loads(result.stdout)["state"]) == (0, "complete")
+    for name in ("x.csv", "x.npz", "x.hdf5", "x.csv.gz"):
+        assert bench("export", tmp_path / "r.h5", "--out", tmp_path / name).exit_code == 0
+    again = bench("import", tmp_path / "x.csv", *profile, "--out", tmp_path / "s.h5", "--json", "-")
+    assert json.loads(again.stdout)["steps"] == summary["steps"]
+
+
+def test_wrong_calls_leave_with_two(raw: Path, tmp_path: Path) -> None:
+    """Bad input, bad options and names already taken: status 2, one line that says what to do, no file."""
+    profile, out = ("--profile", tmp_path / "p.toml"), ("--out", tmp_path / "r.h5")
+    cases = [
+        (("import", tmp_path / "none.csv", *profile, *out), "no such file"),
+        (("import", raw, "--profile", tmp_path / "none.toml", *out), "none.toml"),
+        (("import", raw, *profile, *out, "--map", "speed=a"), "roles are time"),
+        (("import", raw, *profile, *out, "--channel", "0"), "needs a column called channel or sensor"),
+        (("import", raw, *profile, "--out", raw), "never overwritten"),
+        (("verify", raw), "cannot be read as HDF5"),
+        (("verify", tmp_path / "none.h5"), "no such file"),
+        (("export", raw, "--out", tmp_path / "x.csv"), "cannot be read as HDF5"),
+        (("export", raw, "--out", tmp_path / "x.doc"), "wanted --to csv, npz or h5"),
+    ]
+    for call, says in cases:
+        result = bench(*call)
+        assert result.exit_code == 2, call
+        assert says in result.output
+        assert "Traceback" not in result.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["p.toml", "raw.csv"]
+
+
+def test_damage_leaves_with_one(raw: Path, tmp_path: Path) -> None:
+    """A damaged recording is reported with status 1 and the place."""
+    bench("import", raw, "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
+    content = bytearray((tmp_path / "r.h5").read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 40] = bytes(40)
+    (tmp_path / "r.h5").write_bytes(content)
+    result = bench("verify", tmp_path / "r.h5")
+    assert result.exit_code == 1
+    assert result.output.startswith("damaged")
