@@ -9,6 +9,7 @@ the repeats in process time: the machine may be shared.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import math
 import sys
@@ -17,12 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-if Path(sys.path[0]).resolve() == Path(__file__).resolve().parent:
-    sys.path[0] = str(Path(__file__).resolve().parents[1])  # run as a script, this file would hide the package `rig`
-
-from rig.sim.catalogue import EFFECTS
-from rig.sim.plant import Plant
-from rig.sim.scenario import Scenario
+# A script's own folder comes first on the path, where this file hides the package `rig`: the folder steps back, and
+# where this file was imported in the package's place (by another script beside it) the package takes its place.
+sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
+if __name__ == "rig":
+    del sys.modules["rig"]
+    importlib.import_module("rig")
+else:
+    from rig.sim.catalogue import EFFECTS
+    from rig.sim.plant import Plant
+    from rig.sim.scenario import Scenario
 
 RATE_HZ = 20000.0
 BLOCK = 1024

@@ -369,6 +369,9 @@ def main() -> None:
     parser.add_argument("--shuffle", action="store_true", help="steps in random order")
     parser.add_argument("--spikes", action="store_true", help="impacts show in the accelerometer")
     parser.add_argument("--closure-ms", type=float, default=0.0, help="an impact holds the circuit closed this long")
+    parser.add_argument("--frequency", type=float, default=25.37, help="Hz")
+    parser.add_argument("--rate", type=float, default=20000.0, help="samples a second")
+    parser.add_argument("--no-gravity", action="store_true", help="the accelerometer does not read gravity")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     usual = {1: (0.5, 2.6, 22), 2: (0.2, 1.5, 22), 3: (0.1, 0.8, 22)}
@@ -379,7 +382,8 @@ def main() -> None:
     hidden = {key: value for effect in args.effect for key, value in hidden_by(effect, args.strength).items()}
     run = Run(
         c=args.c, gammas=tuple(gammas.tolist()), cycles=args.cycles, spikes=args.spikes,
-        closure_s=1e-3 * args.closure_ms, seed=args.seed, hidden=hidden,
+        closure_s=1e-3 * args.closure_ms, seed=args.seed, hidden=hidden, frequency_hz=args.frequency,
+        rate_hz=args.rate, reads_gravity=not args.no_gravity,
     )  # fmt: skip
     print(write(run, args.folder))
 
