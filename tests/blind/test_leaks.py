@@ -36,6 +36,7 @@ def everything_written(path: Path) -> str:
 def test_recordings_of_sealed_rigs_carry_the_hash_and_nothing_else(tmp_path: Path) -> None:
     """Three sealed rigs recorded: the hash is there; names, values, overrides of the rig and the nonce are not."""
     profile, text = load_profile(PROFILE)
+    text = "\n".join(line.split("#")[0] for line in text.splitlines())  # its comments give effects as examples
     short = profile.model_copy(update={"ramp": profile.ramp.model_copy(update={"gamma": (0.6, 0.8)})})
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -49,8 +50,7 @@ def test_recordings_of_sealed_rigs_carry_the_hash_and_nothing_else(tmp_path: Pat
         assert run_ramp(short, backend, writer).how == "complete"
         written = everything_written(path)
         assert scenario.sha256 in written
-        names = [name for name in EFFECTS if name in written.replace(text, "")]
-        assert names == []
+        assert [name for name in EFFECTS if name in written] == []
         assert [key for key in RIG_DEFAULTS if key in scenario.rig and key in written] == []
         values = [v for table in scenario.effects.values() for v in table.values()]
         values += [*scenario.rig.values(), *scenario.drift_per_minute.values()]
