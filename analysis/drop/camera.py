@@ -17,7 +17,7 @@ from analysis.drop.bouncelaw import CONSTANT, DRAG, FRICTION, SPEED, SPEED_DRAG,
 from analysis.drop.flightlaw import FlightLaw
 from analysis.drop.flights import Clip, Flight, flights_of
 from analysis.drop.restitution import RestitutionFit, fit_restitution
-from analysis.drop.trajectory import SHAPES, Shape, apex_of, draws_of, fit_shape, law_of, noise_of
+from analysis.drop.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
 
 Array = NDArray[np.float64]
 
@@ -170,8 +170,7 @@ def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: f
     for i, flight in enumerate(flights):
         others = flights[:i] + flights[i + 1 :]
         known = fit_shape(shape.name, others, shape.law.g_mps2, noise) if len(others) >= 2 else shape
-        squares = apex_of(known, flight, noise)[2] * noise**2
-        scores[i] = worth * (-0.5 * squares / sigma**2 - len(flight.frame) * np.log(sigma))
+        scores[i] = -surprise(known, flight, noise, sigma, worth)
     return scores
 
 

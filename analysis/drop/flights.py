@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 6
 _RELEASE_SIGMA = 6.0
+_RELEASE_SHARE = 0.04  # of the fall, left out at its top
 _LEAST_FLIGHT_FRAMES = 6.0
 
 
@@ -141,6 +142,9 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
                 break
             continue
         first = begin
+    free = h[first:] < h[first] - _RELEASE_SHARE * (h[first] - h[-1])  # a hand lets go gradually
+    if free.sum() >= LEAST_SAMPLES:
+        first += int(np.argmax(free))
     return _inside(t[first:], h[first:])
 
 

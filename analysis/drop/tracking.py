@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 _NOISE_SIGMAS = 6.0
 _LEAST_CONTRAST = 10.0
 _MOST_BLOBS = 12
+_SAME_SPAN = 0.8
 _STAMP_LEVELS = 40.0
 _LEAST_AREA = 9.0  # of search pixels
 _SHADOW_SHARE = 0.4  # of a spot's contrast: what is fainter is its shadow or its reflection
@@ -129,7 +130,24 @@ def _spots(coarse: NDArray[np.float32], limit: float, cv2: Any) -> list[tuple[ND
             label[box] = inner[part].reshape(shape)
             u, v, w, t, area = boxes[part]
             found.append((label, [u + x, v + y, w, t, area]))
-    return sorted(found, key=lambda spot: -spot[1][4])[:_MOST_BLOBS]
+    return _joined(sorted(found, key=lambda spot: -spot[1][4])[:_MOST_BLOBS])
+
+
+def _joined(spots: list[tuple[NDArray[np.bool_], list[int]]]) -> list[tuple[NDArray[np.bool_], list[int]]]:
+    """Spots side by side with the same top and bottom are one block with a rod in front of it."""
+    out: list[tuple[NDArray[np.bool_], list[int]]] = []
+    for label, (x, y, wide, tall, area) in spots:
+        for k, (other, (u, v, w, t, size)) in enumerate(out):
+            shared = min(y + tall, v + t) - max(y, v)
+            gap = max(x, u) - min(x + wide, u + w)
+            if shared >= _SAME_SPAN * max(tall, t) and 0 <= gap <= 0.5 * min(wide, w):
+                left, top = min(x, u), min(y, v)
+                box = [left, top, max(x + wide, u + w) - left, max(y + tall, v + t) - top, area + size]
+                out[k] = (other | label, box)
+                break
+        else:
+            out.append((label, [x, y, wide, tall, area]))
+    return out
 
 
 def _parts(

@@ -163,8 +163,27 @@ def _step(name: str, values: Array, apex: Array, blocks: list[Block], damping: f
     return moved, apex + np.array(locals_)
 
 
-def apex_of(shape: Shape, flight: Flight, noise: float) -> tuple[float, float, float]:
-    """Apex of one flight under a given shape (frame, height), and the sum of squares over noise^2 left."""
+def surprise(known: Shape, flight: Flight, noise: float, sigma: float, worth: float) -> float:
+    """Minus the log likelihood of a flight under a shape fitted to other flights, less terms common to all shapes.
+
+    The apex is the flight's own. The shape is known only as well as ``known.covariance`` says: it is integrated out
+    (Woodbury), so a shape that the other flights hardly fix is not blamed for where its best value happens to lie.
+    ``sigma`` is the error of a position, ``worth`` the independent samples a sample is worth.
+    """
+    block, p = _at_apex(known, flight, noise), len(known.values)
+    unit = worth * noise**2 / sigma**2
+    normal, right = (part * unit for part in _schur(block, p)[:2])
+    prior = known.covariance * (sigma / max(known.sigma, 1e-12)) ** 2 / worth
+    scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
+    prior, normal, right = prior / np.outer(scale, scale), normal * np.outer(scale, scale), right * scale
+    inner = np.eye(p) + prior @ normal
+    freed = float(right @ np.linalg.solve(inner, prior @ right))
+    spread = float(np.linalg.slogdet(inner)[1])
+    return 0.5 * (block.squares * unit - freed + spread) + worth * block.count * float(np.log(sigma))
+
+
+def _at_apex(shape: Shape, flight: Flight, noise: float) -> Block:
+    """Normal equations of one flight at its best apex under a given shape."""
     at, top = _first_apex(flight, shape.law.g_mps2)
     block = _block(shape.name, shape.values, at, top, flight, noise)
     p = len(shape.values)
@@ -172,7 +191,7 @@ def apex_of(shape: Shape, flight: Flight, noise: float) -> tuple[float, float, f
         change = np.linalg.lstsq(block.normal[p:, p:], block.rhs[p:], rcond=None)[0]
         at, top = at + float(change[0]), top + float(change[1])
         block = _block(shape.name, shape.values, at, top, flight, noise)
-    return at, top, block.squares
+    return block
 
 
 def draws_of(shape: Shape, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:

@@ -1,0 +1,134 @@
+"""A synthetic camera and a synthetic microphone: drops of known truth, filmed through a real codec or played as taps.
+
+The rule kept here: the truth is integrated in small time steps, with none of the closed forms of the analysis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+G_MPS2 = 9.80665
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened: physics of the drop."""
+
+    height_m: float = 0.06
+    e0: float = 0.514
+    e1_s_per_m: float = 0.0
+    friction: float = 0.0
+    drag_per_m: float = 0.0
+    hold_s: float = 0.02
+    g_mps2: float = G_MPS2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """How it was filmed."""
+
+    fps: float = 1000.0
+    scale_m: float = 1.5e-4
+    rows: int = 520
+    columns: int = 160
+    exposure: float = 0.5  # of the frame interval
+    noise: float = 2.0
+    flicker: float = 0.06
+    rod: bool = True
+    perspective: float = 0.0  # relative change of scale from the bottom of the picture to its top
+    block: tuple[int, int] = (46, 30)  # width, height in pixels
+    floor_row: float = 480.0
+
+
+def path(truth: Truth, times: Array, step_s: float = 1e-5, settle_mps: float = 0.02) -> tuple[Array, Array]:
+    """Heights (m) at ``times`` (s, increasing), and the impact times."""
+    heights, impacts = np.empty(len(times)), []
+    y, v, now = truth.height_m, 0.0, 0.0
+    resting, next_one = False, 0
+    while next_one < len(times):
+        if resting or now < truth.hold_s:
+            span = (truth.hold_s if now < truth.hold_s else np.inf) - now
+            while next_one < len(times) and times[next_one] <= now + span:
+                heights[next_one] = y
+                next_one += 1
+            now += span
+            continue
+        direction = 1.0 if v > 0 else -1.0
+        a = -truth.g_mps2 - direction * truth.friction * truth.g_mps2 - truth.drag_per_m * abs(v) * v
+        moved, faster = y + v * step_s + 0.5 * a * step_s**2, v + a * step_s
+        if direction > 0 and faster < 0.0:  # the apex: friction turns round within the step
+            part = v / -a
+            y, v, now_next = y + 0.5 * v * part, 0.0, now + part
+        elif moved <= 0.0 and v <= 0.0:
+            part = 2 * y / (-v + np.sqrt(v * v - 2 * a * y)) if y > 0.0 else 0.0
+            hit = -(v + a * part)
+            impacts.append(now + part)
+            y, v, now_next = 0.0, (truth.e0 - truth.e1_s_per_m * hit) * hit, now + part
+            resting = v < settle_mps
+        else:
+            y, v, now_next = moved, faster, now + step_s
+        while next_one < len(times) and times[next_one] <= now_next:
+            heights[next_one] = y
+            next_one += 1
+        now = now_next
+    return heights, np.array(impacts)
+
+
+def film(target: Path, truth: Truth, camera: Camera, seconds: float, rng: np.random.Generator, codec: str = "MJPG") -> Array:
+    """Film a drop to ``target``; returns the block's true centre row in each frame (mid exposure)."""
+    count, sub = int(seconds * camera.fps), 8
+    offsets = (np.arange(sub) + 0.5) / sub - 0.5
+    frames = np.arange(count) / camera.fps
+    instants = (frames[:, None] + offsets[None] * camera.exposure / camera.fps).ravel()
+    heights, _ = path(truth, np.maximum(instants, 0.0))
+    rows = _row_of(heights, camera).reshape(count, sub)
+    texture = rng.normal(0.0, 6.0, (camera.rows, camera.columns)).astype(np.float64)
+    scene = 190.0 + cv2.GaussianBlur(texture, (0, 0), 3.0) * 4.0
+    scene[int(camera.floor_row) :] -= 60.0
+    middle = camera.columns // 2
+    wide, tall = camera.block
+    if camera.rod:
+        scene[:, middle - 2 : middle + 3] = 90.0
+    shade = 55.0 + 12.0 * np.sin(np.arange(wide) / 5.0)
+    columns = slice(middle - wide // 2, middle - wide // 2 + wide)
+    writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*codec), 30.0, (camera.columns, camera.rows))
+    edges = np.arange(camera.rows)[:, None]
+    for k in range(count):
+        top, bottom = rows[k] - tall / 2, rows[k] + tall / 2
+        cover = np.clip(np.minimum(edges + 1, bottom) - np.maximum(edges, top), 0.0, 1.0).mean(axis=1)
+        picture = scene.copy()
+        picture[:, columns] = picture[:, columns] * (1 - cover[:, None]) + shade[None] * cover[:, None]
+        if camera.rod:  # the rod passes in front of the block
+            picture[:, middle - 2 : middle + 3] = 90.0
+        picture *= 1.0 + camera.flicker * np.sin(2 * np.pi * 100.0 * k / camera.fps)
+        picture += rng.normal(0.0, camera.noise, picture.shape)
+        writer.write(cv2.cvtColor(np.clip(picture, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return rows.mean(axis=1) - 0.5  # pixel centres count from 0
+
+
+def _row_of(heights: Array, camera: Camera) -> Array:
+    up = heights / camera.scale_m
+    up = up * (1.0 + camera.perspective * up / (2.0 * camera.rows))
+    return camera.floor_row - camera.block[1] / 2 - up
+
+
+def taps(truth: Truth, seconds: float, rate_hz: float, rng: np.random.Generator, noise: float = 2e-3) -> tuple[Array, Array]:
+    """Sound of a drop: ringing taps of falling loudness in noise; and the true impact times on the sample grid."""
+    _, impacts = path(truth, np.array([seconds]), settle_mps=0.15)
+    impacts = impacts[impacts < seconds - 0.1]
+    sound = rng.normal(0.0, noise, int(seconds * rate_hz))
+    ring = np.arange(int(0.08 * rate_hz)) / rate_hz
+    for k, when in enumerate(impacts):
+        first = int(np.ceil(when * rate_hz))
+        tone = np.sin(2 * np.pi * 2100.0 * ring) + 0.6 * np.sin(2 * np.pi * 5300.0 * ring + 1.0)
+        loud = 0.5 * 0.9**k
+        stretch = sound[first : first + len(ring)]
+        stretch += (loud * tone * np.exp(-ring / 0.012))[: len(stretch)]
+    return sound, impacts
