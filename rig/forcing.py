@@ -20,10 +20,9 @@ from daq.setup import Setup
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# A fraction with a denominator up to here leaves 2^22 samples of a block inside 64 bits. Decimal frequencies and rates
-# are exact; anything finer is taken within 2^-80 of a turn a sample, far below what a float frequency can say.
+# Decimal frequencies and rates are exact up to this denominator, and twice it still fits 64 bits; anything finer is
+# taken within 2^-80 of a turn a sample, far below what a float frequency can say.
 _MAX_DENOMINATOR = 2**40
-_MAX_BLOCK = 2**22
 
 
 @dataclass(frozen=True)
@@ -93,15 +92,7 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
 
 
 def synthesise(clock: PhaseClock, multiples: tuple[int, ...], fade: Fade, first_sample: int, n_samples: int) -> Floats:
-    """Drive volts of samples ``first_sample`` to ``first_sample + n_samples``, shape ``(n_samples,)``.
-
-    Raises
-    ------
-    ValueError
-        When a block is longer than 2^22 samples.
-    """
-    if n_samples > _MAX_BLOCK:
-        raise ValueError(f"a block of {n_samples} samples is longer than {_MAX_BLOCK}")
+    """Drive volts of samples ``first_sample`` to ``first_sample + n_samples``, shape ``(n_samples,)``."""
     out = np.zeros(n_samples)
     for multiple, start, end in zip(multiples, fade.start, fade.end, strict=True):
         # The m-th tone is a clock of its own: m turns for each turn, still a whole-number count.

@@ -22,7 +22,7 @@ from rig.interlock import Interlock
 from rig.motion import MotionWatch
 from rig.profile import Profile
 from rig.ramp import Programme, Step, plan
-from rig.sequencer import Sequencer, State, Stop, largest_block
+from rig.sequencer import Sequencer, State, Stop, change_rows, largest_block
 
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
@@ -148,7 +148,8 @@ class _Run:
         self._obeyed: Stop | None = None
         self._recording = True
         self._device_lost = False
-        self._lost = 0
+        self._heard = self._lost = self._short = 0
+        self._losses: list[tuple[int, int]] = []
         self._steps = 0
         self._block = largest_block(self._programme.clock, profile.backend.block_samples)
 
@@ -177,7 +178,8 @@ class _Run:
         """Whatever happened: bring the drive softly to zero while the device answers, and note where the step ended."""
         if self._device_lost:
             step = self._sequencer.step
-            self._mark(replace(step, n_samples=min(step.n_samples, self._writer.n_samples - step.first_sample)))
+            played = self._heard + self._lost - step.first_sample
+            self._mark(replace(step, n_samples=min(step.n_samples, played)))
             return
         if not self._sequencer.done:
             self._sequencer.stop(Stop.RAMP_DOWN)
@@ -201,7 +203,7 @@ class _Run:
         block = self._backend.exchange(drive)
         waited_s = time.monotonic() - asked
         self._device_lost = False
-        self._lost += block.lost_before
+        block = self._with_losses(block, len(drive))
         self._record(block)
         self._motion = self._watch.update(block.codes[:, self._accelerometer])
         self._measure(block)
@@ -220,7 +222,7 @@ class _Run:
             step = self._sequencer.step
             self._metered = step.index
             self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
-        first = sequencer.position - len(block.codes)
+        first = self._heard + self._lost - len(block.codes)
         acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
         self._meter.add(first, acceleration, self._motion.quiet)
         if self._loop is not None:
@@ -234,18 +236,45 @@ class _Run:
         measured = self._meter.estimate() if self._metered == step.index else None
         return achieved_gamma(self._profile, measured) if measured else (math.nan, math.nan)
 
+    def _with_losses(self, block: Block, n_played: int) -> Block:
+        """Declare what came short of what was played, and keep where: a loss shifts recorded against played samples."""
+        self._short += n_played - len(block.codes)
+        lost = self._short or block.lost_before
+        if lost and len(block.codes):
+            self._lost += lost
+            self._losses.append((self._heard + self._lost, self._lost))
+            block = replace(block, lost_before=lost)
+            self._short = 0
+        self._heard += len(block.codes)
+        return block
+
+    def _recorded(self, played: int) -> int:
+        """The recorded index of a played sample (of the next one, where it was lost)."""
+        lost = 0
+        for first_played, lost_in_all in self._losses:
+            if played >= first_played:
+                lost = lost_in_all
+            elif played > first_played - (lost_in_all - lost):
+                return first_played - lost_in_all
+        return played - lost
+
     def _record(self, block: Block) -> None:
         """Keep the block; a disk that refuses stops the run, softly."""
-        if self._recording:
+        if self._recording and len(block.codes):
             try:
                 self._writer.append(block)
             except OSError as error:
                 self._disk_failed(error)
 
     def _note_marks(self) -> None:
-        """Write the rows of steps that began or ended in this block."""
+        """Write the rows of steps that began or ended in this block, and of the changes of the drive."""
         marks, self._sequencer.marks = self._sequencer.marks, []
+        fades, self._sequencer.fades = self._sequencer.fades, []
+        if not self._recording:
+            return
         try:
+            if fades:
+                self._writer.mark_drive(change_rows(self._profile, fades))
             for step in marks:
                 self._mark(step)
         except OSError as error:
@@ -258,16 +287,19 @@ class _Run:
 
     def _mark(self, step: Step) -> None:
         """Write a step's row: as planned when it begins, as driven when it ends."""
-        if step.n_samples <= 0 or not self._recording:
+        first = self._recorded(step.first_sample)
+        n = self._recorded(step.end_sample) - first
+        settle = self._recorded(step.first_sample + step.settle_samples) - first
+        if n <= 0 or not self._recording:
             return
         self._steps = step.index + 1
         gamma, uncertainty = self._achieved(step)
         self._last_achieved = gamma if math.isfinite(gamma) else self._last_achieved
         self._writer.mark_step(
             {
-                "first_sample": step.first_sample,
-                "n_samples": step.n_samples,
-                "settle_samples": min(step.settle_samples, step.n_samples),
+                "first_sample": first,
+                "n_samples": n,
+                "settle_samples": min(settle, n),
                 "fade_samples": step.fade_samples,
                 "gamma": step.gamma,
                 "achieved_gamma": gamma,

@@ -1,14 +1,14 @@
 """From a programme to blocks of drive samples and step marks: a state machine without I/O.
 
 The rule kept here: which state follows which is data (`TRANSITIONS`), and a sample depends on the programme, the stops
-asked for and its index, never on how the run was cut into blocks. `commanded` says the same samples again from the
-step table alone.
+asked for and its index, never on how the run was cut into blocks. `commanded` says the same samples again from a
+recording's tables alone.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.block import DRIVE_DTYPE
 from daq.setup import Setup
 from rig.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
 from rig.ramp import Programme, Step
@@ -247,10 +248,33 @@ def largest_block(clock: PhaseClock, wanted: int) -> int:
     return max(1, min(wanted, clock.den // (BLOCKS_PER_CYCLE * clock.num)))
 
 
-def commanded(
-    setup: Setup, steps: NDArray[np.void], first_sample: int, n_samples: int, *, zero_from: int | None = None
-) -> Floats:
-    """The drive samples of a recording again, bit for bit, from its setup and step table.
+def change_rows(setup: Setup, fades: Sequence[Fade]) -> NDArray[np.void]:
+    """`DRIVE_DTYPE` rows of ``fades``: one a tone."""
+    multiples = [m for m, _ in setup.forcing.displacement_tones()]
+    rows = [
+        (fade.first_sample, fade.n_samples, multiple, start.real, start.imag, end.real, end.imag)
+        for fade in fades
+        for multiple, start, end in zip(multiples, fade.start, fade.end, strict=True)
+    ]
+    return np.array(rows, DRIVE_DTYPE)
+
+
+def fades_of_changes(setup: Setup, rows: NDArray[np.void]) -> list[Fade]:
+    """The fades of a recording's table of drive changes (`DRIVE_DTYPE`)."""
+    n_tones = len(setup.forcing.displacement_tones())
+    return [
+        Fade(
+            int(group["first_sample"][0]),
+            int(group["n_samples"][0]),
+            tuple((group["start_re_v"] + 1j * group["start_im_v"]).tolist()),
+            tuple((group["end_re_v"] + 1j * group["end_im_v"]).tolist()),
+        )
+        for group in (rows[i : i + n_tones] for i in range(0, len(rows), n_tones))
+    ]
+
+
+def fades_of_steps(setup: Setup, steps: NDArray[np.void], *, zero_from: int | None = None) -> list[Fade]:
+    """The fades of an open-loop run, from its step table alone.
 
     Parameters
     ----------
@@ -258,33 +282,48 @@ def commanded(
         The recording's measuring part.
     steps
         Its step table (`daq.block.STEP_DTYPE`): of each row the first sample, length, fade and gamma are used.
-    first_sample, n_samples
-        Which samples.
     zero_from
         First sample of a hard zero, where the run was stopped *now* (the recording's ``why`` names it).
+    """
+    clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
+    zero = before = tuple(0j for _ in setup.forcing.displacement_tones())
+    fades: list[Fade] = []
+    for row in steps:
+        target = drive_amplitudes(setup, float(row["gamma"]))
+        fades.append(Fade(int(row["first_sample"]), int(row["fade_samples"]), before, target))
+        before = target
+    if fades:
+        end = int(steps[-1]["first_sample"] + steps[-1]["n_samples"])
+        fades.append(Fade(end, stop_fade_samples(clock), fades[-1].at(end), zero))
+    if zero_from is not None:
+        fades.append(Fade(zero_from, 0, zero, zero))
+    return fades
+
+
+def commanded(setup: Setup, fades: Sequence[Fade], first_sample: int, n_samples: int) -> Floats:
+    """The drive samples of a run again, bit for bit, from its changes of amplitude.
+
+    Parameters
+    ----------
+    setup
+        The recording's measuring part.
+    fades
+        `fades_of_changes` of the recording, or `fades_of_steps` of an open-loop one; each holds until the next begins.
+    first_sample, n_samples
+        Which samples, by the device's own index (lost samples counted).
 
     Returns
     -------
     array, shape (n_samples,)
-        Commanded volts; zero before the first step and after the fade that follows the last.
+        Commanded volts; zero before the first fade.
     """
     clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
     multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
-    zero = tuple(0j for _ in multiples)
-    pieces: list[tuple[Fade, int]] = []
-    before = zero
-    for row in steps:
-        target = drive_amplitudes(setup, float(row["gamma"]))
-        fade = Fade(int(row["first_sample"]), int(row["fade_samples"]), before, target)
-        pieces.append((fade, fade.first_sample + int(row["n_samples"])))
-        before = target
-    if pieces:
-        fade, end = pieces[-1]
-        pieces.append((Fade(end, stop_fade_samples(clock), fade.at(end), zero), end + stop_fade_samples(clock)))
     out = np.zeros(n_samples)
-    last = first_sample + n_samples if zero_from is None else min(first_sample + n_samples, zero_from)
-    for fade, end in pieces:
-        start, stop = max(first_sample, fade.first_sample), min(last, end)
-        if start < stop:
-            out[start - first_sample : stop - first_sample] = synthesise(clock, multiples, fade, start, stop - start)
+    end = first_sample + n_samples
+    for fade in reversed(fades):
+        start = max(first_sample, fade.first_sample)
+        if start < end:
+            out[start - first_sample : end - first_sample] = synthesise(clock, multiples, fade, start, end - start)
+            end = start
     return out

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from bench.cli import app
 from bench.profiles import shipped_folder
 from daq.recording import open_recording
-from rig.sequencer import commanded
+from rig.sequencer import commanded, fades_of_changes
 
 SIMULATED = (shipped_folder() / "simulated.toml").read_text(encoding="utf-8")
 
@@ -49,7 +49,8 @@ def test_a_ramp_is_recorded(short: Path, tmp_path: Path) -> None:
         assert attributes["note"] == "first light" and attributes["extra"] == {"knob": 3.0, "who": "me"}
         assert attributes["profile_text"] == short.read_text(encoding="utf-8")
         assert attributes["simulated"] and len(attributes["scenario_sha256"]) == 64
-        asked = commanded(recording.setup, recording.steps, 0, recording.n_samples)
+        fades = fades_of_changes(recording.setup, recording.drive_changes)
+        asked = commanded(recording.setup, fades, 0, recording.n_samples)
         assert np.abs(recording.read_v("drive") - asked).max() < 5e-3
         assert recording.steps["gamma"].tolist() == [0.4, 0.7, 0.9]
 
@@ -126,5 +127,6 @@ def test_a_signal_leaves_a_valid_recording_at_zero(tmp_path: Path, number: signa
     with open_recording(out) as recording:
         assert recording.attrs["ended"] == "stopped" and number.name in recording.attrs["why"]
         assert np.abs(recording.read_v("drive")[-200:]).max() < 5e-3
-        asked = commanded(recording.setup, recording.steps, 0, recording.n_samples)
+        fades = fades_of_changes(recording.setup, recording.drive_changes)
+        asked = commanded(recording.setup, fades, 0, recording.n_samples)
         assert np.abs(recording.read_v("drive") - asked).max() < 5e-3

@@ -25,6 +25,9 @@ class Tape:
     def mark_step(self, step) -> None:
         self.steps[step["first_sample"]] = step
 
+    def mark_drive(self, changes) -> None:
+        pass
+
     def close(self, how="complete", why="") -> None:
         self.how, self.why = how, why
 

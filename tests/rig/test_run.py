@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from daq.recording import RecordingWriter, open_recording
+from rig.ramp import plan
 from rig.run import StopRequest, run_ramp
-from rig.sequencer import Stop, commanded
+from rig.sequencer import Stop, commanded, fades_of_changes, fades_of_steps
+from rig.sim.faults import FaultyBackend, LostFrames
 
 
 def record(profile, rig, path, **options):
@@ -29,7 +31,10 @@ def test_commanded_samples_come_back_bit_for_bit(make_profile, fake_rig, recordi
     with open_recording(recording_path) as recording:
         assert recording.attrs["ended"] == "complete"
         assert recording.n_samples == summary.n_samples == len(rig.drive_v)
-        assert np.array_equal(commanded(recording.setup, recording.steps, 0, recording.n_samples), rig.drive_v)
+        by_steps = fades_of_steps(recording.setup, recording.steps)
+        by_changes = fades_of_changes(recording.setup, recording.drive_changes)
+        for fades in (by_steps, by_changes):
+            assert np.array_equal(commanded(recording.setup, fades, 0, recording.n_samples), rig.drive_v)
         assert recording.steps["gamma"].tolist() == [0.2, 0.5, 0.3]
 
 
@@ -48,7 +53,8 @@ def test_a_stop_leaves_a_valid_recording(make_profile, fake_rig, recording_path)
     with open_recording(recording_path) as recording:
         assert (recording.attrs["ended"], recording.attrs["why"]) == ("stopped", "the operator asked")
         assert len(recording.steps) == 2
-        assert np.array_equal(commanded(recording.setup, recording.steps, 0, recording.n_samples), rig.drive_v)
+        fades = fades_of_steps(recording.setup, recording.steps)
+        assert np.array_equal(commanded(recording.setup, fades, 0, recording.n_samples), rig.drive_v)
         assert not np.any(rig.drive_v[-40:])
 
 
@@ -100,3 +106,30 @@ def test_a_full_disk_stops_the_drive_softly(make_profile, fake_rig, recording_pa
     assert not np.any(rig.drive_v[-40:]) and np.abs(np.diff(rig.drive_v)).max() < 0.06
     with open_recording(recording_path) as recording:
         assert recording.n_samples > 700
+
+
+@pytest.mark.parametrize("declared", [True, False])
+@pytest.mark.parametrize(("at", "lost"), [(300, 5), (655, 40), (900, 333)])
+def test_lost_frames_are_counted_and_steps_stay_in_place(
+    make_profile, fake_rig, recording_path, declared: bool, at: int, lost: int
+) -> None:
+    """Frames that never came are declared where they are missing; the table still points at the right samples."""
+    profile = make_profile()
+    rig = fake_rig(profile)
+    device = FaultyBackend(rig, [LostFrames(at, lost, declared=declared)])
+    summary = record(profile, device, recording_path)
+    assert (summary.how, summary.lost_samples) == ("complete", lost)
+    with open_recording(recording_path) as recording:
+        assert recording.n_samples + lost == len(rig.drive_v)
+        (gap,) = recording.gaps.tolist()
+        assert gap[1] == lost and at <= gap[0] < at + 20
+        kept = np.delete(rig.drive_v, np.s_[gap[0] : gap[0] + lost])
+        assert np.abs(recording.read_v("drive") - kept).max() < 1e-3
+        fades = fades_of_changes(recording.setup, recording.drive_changes)
+        assert np.array_equal(commanded(recording.setup, fades, 0, len(rig.drive_v)), rig.drive_v)
+        played = np.delete(np.arange(len(rig.drive_v)), np.s_[gap[0] : gap[0] + lost])
+        planned = [step.first_sample for step in plan(profile).steps]
+        for row, first in zip(recording.steps, planned, strict=True):
+            assert played[row["first_sample"]] >= first
+            assert row["first_sample"] == 0 or played[row["first_sample"] - 1] < first
+            assert row["achieved_gamma"] == pytest.approx(row["gamma"], rel=2e-3)

@@ -16,7 +16,10 @@ from rig.sequencer import (
     Sequencer,
     State,
     Stop,
+    change_rows,
     commanded,
+    fades_of_changes,
+    fades_of_steps,
     largest_block,
     stop_fade_samples,
 )
@@ -88,8 +91,12 @@ def test_stop_anywhere_ends_at_zero_and_is_reproduced(stop_at: int, block: int, 
     clock = sequencer.programme.clock
     asked = -(-stop_at // block) * block
     zero_from = asked if how is Stop.NOW else None
-    again = commanded(_PROFILES[0], rows(sequencer.marks), 0, len(run), zero_from=zero_from)
-    assert np.array_equal(run, again)
+    profile = _PROFILES[0]
+    by_steps = fades_of_steps(profile, rows(sequencer.marks), zero_from=zero_from)
+    by_changes = fades_of_changes(profile, change_rows(profile, sequencer.fades))
+    for fades in (by_steps, by_changes):
+        assert np.array_equal(commanded(profile, fades, 0, len(run)), run)
+        assert np.array_equal(commanded(profile, fades, 333, 500), np.pad(run, (0, 900))[333:833])
     if asked < sequencer.programme.n_samples:
         assert not np.any(run[asked + clock.cycle_start(2) :])
     if how is Stop.RAMP_DOWN:
@@ -135,3 +142,37 @@ def test_block_size_leaves_time_to_stop(make_profile) -> None:
         block = largest_block(clock, 1024)
         assert block * BLOCKS_PER_CYCLE * clock.num <= clock.den
         assert 2 * block + stop_fade_samples(clock) <= 2 * clock.den / clock.num
+
+
+@settings(max_examples=20, deadline=None)
+@given(block=st.integers(1, 60), waits=st.lists(st.integers(0, 400), min_size=6, max_size=6))
+def test_controlled_settling(block: int, waits: list[int]) -> None:
+    """Under control a step settles until told, whatever is changed meanwhile; the changes alone give every sample."""
+    profile = _PROFILES[0]
+    sequencer = Sequencer(plan(profile), profile, controlled=True)
+    clock, pieces, fades_end = sequencer.programme.clock, [], 0
+    while not sequencer.done:
+        pieces.append(sequencer.take(block))
+        if sequencer.state is State.SETTLING and sequencer.position >= fades_end and waits:
+            if waits.pop() % 2:
+                fades_end = sequencer.retarget(tuple(1.1 * v for v in sequencer.amplitudes), 3)
+            else:
+                sequencer.settled()
+        elif sequencer.state is State.SETTLING and not waits:
+            sequencer.settled()
+    run = np.concatenate(pieces)
+    fades = fades_of_changes(profile, change_rows(profile, sequencer.fades))
+    assert np.array_equal(commanded(profile, fades, 0, len(run)), run)
+    ended = [step for i, step in enumerate(sequencer.marks) if i % 2]
+    assert len(ended) == 3
+    for step in ended:
+        hold_from = step.first_sample + step.settle_samples
+        assert clock.cycle_start(clock.cycle_after(hold_from)) == hold_from
+        assert step.end_sample == clock.cycle_start(clock.cycle_after(hold_from) + step.hold_cycles)
+
+
+def test_only_settling_may_be_retargeted() -> None:
+    """A hold is never disturbed."""
+    sequencer = fresh()
+    with pytest.raises(ValueError, match="while fading"):
+        sequencer.retarget(sequencer.amplitudes, 2)
