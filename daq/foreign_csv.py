@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.foreign import PIECE_ROWS, Piece, split_name
+from daq.foreign import Piece, split_name
 
 _DELIMITERS = (",", ";", "\t")
 _SNIFFED_LINES = 200
+_BLOCK_CHARACTERS = 1 << 22
 _LISTED = 64
 
 
@@ -68,14 +69,13 @@ class CsvSource:
             Naming the file and line of what is not a number, missing, or too much.
         """
         if not self._select:
-            for numbers, lines in self._blocks():
-                yield Piece(self._parsed(lines, numbers, names), numbers, "line")
+            for numbers, text in self._blocks():
+                yield Piece(self._parsed(text, numbers, names), numbers, "line")
         elif "" in self._select:
-            for numbers, lines in self._blocks():
-                kept = self._matching(lines, numbers, self._select[""])
-                if kept:
-                    where = [numbers[i] for i in kept]
-                    yield Piece(self._parsed([lines[i] for i in kept], where, names), where, "line")
+            for numbers, text in self._blocks():
+                where, chosen = self._matching(text, numbers, self._select[""])
+                if where:
+                    yield Piece(self._parsed(chosen, where, names), where, "line")
             self._refuse_unseen()
         else:
             yield from self._pivoted(names)
@@ -123,40 +123,48 @@ class CsvSource:
             f"{self.path}: --channel needs a column called {' or '.join(wanted)}; it has {', '.join(self.names)}."
         )
 
-    def _blocks(self) -> Iterator[tuple[list[int], list[str]]]:
-        """Line numbers (from 1) and lines of numbers."""
+    def _blocks(self) -> Iterator[tuple[Sequence[int], str]]:
+        """Line numbers (from 1) and the text of whole lines of numbers, without blank lines and comments."""
         with self._open() as file:
-            numbered = enumerate(file, 1)
             for _ in range(self._first_line):
-                next(numbered)
+                file.readline()
+            first = self._first_line + 1
             while True:
                 try:
-                    block = list(itertools.islice(numbered, PIECE_ROWS))
+                    text = file.read(_BLOCK_CHARACTERS) + file.readline()
                 except (OSError, EOFError) as error:
                     raise InputError(f"{self.path}: breaks off: {error}.") from error
-                if not block:
+                if not text:
                     return
-                kept = [(i, line) for i, line in block if not line.isspace() and line[0] != "#"]
-                if kept:
-                    yield [i for i, _ in kept], [line for _, line in kept]
+                text = text if text.endswith("\n") else text + "\n"
+                numbers: Sequence[int] = range(first, first + text.count("\n"))
+                first += len(numbers)
+                if "#" in text or "\n\n" in text or text[0] == "\n":
+                    lines = text.splitlines()
+                    kept = [i for i, line in enumerate(lines) if line.strip() and line[0] != "#"]
+                    numbers, text = [numbers[i] for i in kept], "".join(lines[i] + "\n" for i in kept)
+                if text:
+                    yield numbers, text
 
-    def _parsed(self, lines: list[str], numbers: Sequence[int], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    def _parsed(self, text: str, numbers: Sequence[int], names: Sequence[str]) -> dict[str, NDArray[Any]]:
         positions = [self._base.index(n) for n in names]
         if self._decimal == ",":
-            lines = [line.replace(",", ".") for line in lines]
-        if self._delimiter is not None and sum(line.count(self._delimiter) for line in lines) != len(lines) * (
-            self._width - 1
-        ):
-            self._explain(lines, numbers, positions)
+            text = text.replace(",", ".")
+        if self._delimiter is not None and text.count(self._delimiter) != len(numbers) * (self._width - 1):
+            self._explain(text, numbers, positions)
         try:
-            table = np.loadtxt(lines, delimiter=self._delimiter, usecols=positions, ndmin=2, comments=None)
+            table = np.loadtxt(
+                io.StringIO(text), delimiter=self._delimiter, usecols=positions, ndmin=2, comments=None
+            )
         except ValueError:
-            self._explain(lines, numbers, positions)
+            self._explain(text, numbers, positions)
+        if len(table) != len(numbers):
+            self._explain(text, numbers, positions)
         return {name: table[:, i] for i, name in enumerate(names)}
 
-    def _explain(self, lines: list[str], numbers: Sequence[int], positions: list[int]) -> NoReturn:
+    def _explain(self, text: str, numbers: Sequence[int], positions: list[int]) -> NoReturn:
         """Say which line cannot be used, and why."""
-        for number, line in zip(numbers, lines, strict=True):
+        for number, line in zip(numbers, text.split("\n"), strict=False):
             fields = _fields(line, self._delimiter)
             if len(fields) != self._width:
                 raise InputError(
@@ -171,18 +179,19 @@ class CsvSource:
                     )
         raise InputError(f"{self.path}: lines {numbers[0]} to {numbers[-1]} are not a table of numbers.")
 
-    def _matching(self, lines: list[str], numbers: Sequence[int], value: str) -> list[int]:
-        """Which of the lines have ``value`` in the selecting column."""
-        kept = []
-        for i, line in enumerate(lines):
+    def _matching(self, text: str, numbers: Sequence[int], value: str) -> tuple[list[int], str]:
+        """Numbers and text of the lines that have ``value`` in the selecting column."""
+        where, chosen = [], []
+        for number, line in zip(numbers, text.split("\n"), strict=False):
             fields = _fields(line, self._delimiter)
             if len(fields) <= self._selector:
-                self._explain([line], [numbers[i]], [])
+                self._explain(line, [number], [])
             if len(self._seen) < _LISTED:
                 self._seen.add(fields[self._selector].strip())
             if _same(fields[self._selector], value):
-                kept.append(i)
-        return kept
+                where.append(number)
+                chosen.append(line + "\n")
+        return where, "".join(chosen)
 
     def _refuse_unseen(self) -> None:
         """Refuse a selection that no row fits."""
@@ -198,12 +207,11 @@ class CsvSource:
         shared = [n for n in names if n in self._base]
         value_column = self._value_column(shared)
         waiting: dict[str, list[tuple[int, dict[str, float]]]] = {role: [] for role in self._select}
-        for numbers, lines in self._blocks():
+        for numbers, text in self._blocks():
             for role, value in self._select.items():
-                kept = self._matching(lines, numbers, value)
-                if kept:
-                    where = [numbers[i] for i in kept]
-                    table = self._parsed([lines[i] for i in kept], where, [*shared, value_column])
+                where, chosen = self._matching(text, numbers, value)
+                if where:
+                    table = self._parsed(chosen, where, [*shared, value_column])
                     rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
                     waiting[role] += list(zip(where, rows, strict=True))
             ready = min(len(rows) for rows in waiting.values())
