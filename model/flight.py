@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import branches, ideal_kernel, lockstep, stage
+from model import aperiodic, branches, ideal_kernel, lockstep, stage
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
@@ -133,6 +133,8 @@ def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) 
     """
     if not (math.isfinite(phi0) and math.isfinite(v0) and v0 >= 0.0):
         raise ValueError(f"phi0 must be finite and v0 finite and not negative, not {phi0} and {v0}")
+    if not forcing.periodic:
+        return _first_landing_aperiodic(forcing, gamma, phi0, v0)
     table, n = edges(forcing, gamma)
     phi = branches.fold(phi0, table[0])
     snap = SNAP * max(1.0, abs(phi0))
@@ -145,6 +147,19 @@ def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) 
     if v0 == 0.0 and (n == 0 or branches.branch_of(table, n, phi) % 2 == 1):
         return Landing(0.0, 0.0, FlightFlag.RESTS)
     tau, _, speed, flag = ideal_kernel.land(forcing.tones, gamma, table, n, phi, a0, v0)
+    return Landing(tau, speed, FlightFlag(flag))
+
+
+def _first_landing_aperiodic(forcing: Forcing, gamma: float, phi0: float, v0: float) -> Landing:
+    """`first_landing` on tones without a period: ``phi0`` is not folded."""
+    _check_gamma(gamma)
+    leaves, waits = aperiodic.next_take_off_aperiodic(forcing.tones, gamma, phi0)
+    at_threshold = waits and abs(leaves - phi0) <= SNAP * max(1.0, abs(phi0))
+    if v0 == 0.0 and waits and not at_threshold:
+        return Landing(0.0, 0.0, FlightFlag.RESTS)
+    tau, speed, flag = aperiodic.land_aperiodic(
+        forcing.tones, gamma, leaves if at_threshold else phi0, v0, at_threshold
+    )
     return Landing(tau, speed, FlightFlag(flag))
 
 
@@ -163,7 +178,11 @@ def run_diagram(forcing: Forcing, gammas: ArrayLike, n_transient: int, n_keep: i
     Raises
     ------
     ValueError
-        If a gamma is negative or not finite, a count negative, or the forcing not periodic.
+        If a gamma is negative or not finite, or a count negative.
+
+    Notes
+    -----
+    On tones without a common period (a harmonic that is no integer) the phases are not folded: they are ``w t``.
     """
     grid = np.ascontiguousarray(gammas, dtype=np.float64)
     _check_gamma(grid)
@@ -171,6 +190,9 @@ def run_diagram(forcing: Forcing, gammas: ArrayLike, n_transient: int, n_keep: i
         raise ValueError(f"flight counts must not be negative, not {n_transient} and {n_keep}")
     shape = (grid.size, n_keep)
     out = Orbit(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
+    if not forcing.periodic:
+        aperiodic.aperiodic_diagram(forcing.tones, grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag)
+        return out
     lockstep.lockstep_diagram(
         forcing.tones, turning_points(forcing), grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag
     )

@@ -1,4 +1,4 @@
-"""Ideal flights, compiled: the first landing, proven first, and orbits of such flights.
+"""One ideal flight, compiled: the first landing, proven first, and the next take-off.
 
 The rule kept here: a landing is returned only when every earlier branch of the flight (`model.branches`) is proven
 free of roots (`model.stage`).
@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from model.branches import TWO_PI, branch_of, fill_edges, fold, q_and_slope
-from model.compiled import Flags, Floats, compiled
+from model.branches import TWO_PI, branch_of, fold, q_and_slope
+from model.compiled import Floats, compiled
 from model.stage import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape, surely_above
 
 RESET = 1  # this flight started from rest at a threshold
@@ -115,56 +113,3 @@ def next_take_off(
         return phi, max(gamma * q_and_slope(tones, phi)[0] - 1.0, 0.0), -1, False
     window = ((i + 1) // 2) % n_windows
     return edge[2 * window], 0.0, window, True
-
-
-@compiled
-def orbit(
-    tones: Floats,
-    gamma: float,
-    edge: Floats,
-    n_windows: int,
-    phi_rest: float,
-    n_transient: int,
-    taus: Floats,
-    phases: Floats,
-    flags: Flags,
-) -> float:
-    """Fly ``n_transient`` flights from rest at ``phi_rest``, then keep as many as ``taus`` holds.
-
-    Fills ``taus``, ``phases`` (take-off, folded) and ``flags``; returns the last landing phase, folded, from which the
-    orbit can be continued. No window (``n_windows == 0``): everything is filled with RESTS and zero flights.
-    """
-    if n_windows == 0:
-        taus[:] = 0.0
-        phases[:] = phi_rest
-        flags[:] = RESTS
-        return phi_rest
-    landing = fold(phi_rest, edge[0])
-    for k in range(-n_transient, taus.shape[0]):
-        phi0, a0, _, reset = next_take_off(tones, gamma, edge, n_windows, landing)
-        tau, landing, _, flag = land(tones, gamma, edge, n_windows, phi0, a0, 0.0)
-        if k >= 0:
-            taus[k] = tau
-            phases[k] = phi0
-            flags[k] = flag | (RESET if reset else 0)
-    return landing
-
-
-@compiled
-def diagram(
-    tones: Floats,
-    turning: Floats,
-    gammas: Floats,
-    phi_rest: float,
-    n_transient: int,
-    taus: Floats,
-    phases: Floats,
-    flags: Flags,
-) -> None:
-    """`orbit` for each gamma into the rows of ``taus``, ``phases`` (in [0, 2 pi)) and ``flags``."""
-    edge = np.empty(turning.shape[0] + 2)
-    for row in range(gammas.shape[0]):
-        n_windows = fill_edges(tones, turning, gammas[row], edge)
-        orbit(tones, gammas[row], edge, n_windows, phi_rest, n_transient, taus[row], phases[row], flags[row])
-        for k in range(taus.shape[1]):
-            phases[row, k] = fold(phases[row, k], 0.0)
