@@ -21,7 +21,8 @@ HEARTBEAT_S = 0.5  # a device may be late by
 WINDOW_CYCLES = 4  # over which a dead accelerometer is judged
 DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
-CLIPPED_FRACTION = 0.02  # of a cycle; an impact alone may touch the converter's limit
+CLIPPED_FRACTION = 0.04  # of a cycle; an impact alone may touch the converter's limit
+FLAT_PART = 0.1  # of the converter's range: below, equal codes are the converter's steps
 AIRBORNE_GAMMA_PEAK = 2.0  # a ball that never leaves the plate above this is a wire, not a ball
 
 
@@ -145,14 +146,18 @@ class Interlock:
         )
 
     def _clipping(self, name: str, codes: NDArray[np.int16]) -> str | None:
-        """An input at its converter's limit for longer than an impact lasts."""
-        at_limit = (codes >= self._full[name]) | (codes <= -self._full[name])
+        """An input at a limit, its converter's or a lower one, for longer than an impact lasts."""
+        full = self._full[name]
+        at_limit = (codes >= full) | (codes <= -full)
+        for extreme in (int(codes.max(initial=-32768)), int(codes.min(initial=32767))):
+            if abs(extreme) > FLAT_PART * full:  # a motion's top is one code for a few samples, a clipped one stays
+                at_limit |= codes == extreme
         where = self._n_seen - len(codes) + np.flatnonzero(at_limit)
         recent = np.concatenate([self._clipped[name], where])
         self._clipped[name] = recent[recent > self._n_seen - self._cycle]
         if len(self._clipped[name]) <= CLIPPED_FRACTION * self._cycle:
             return None
-        return f"clipped input: {name} at its converter's limit for {len(self._clipped[name])} samples of one cycle"
+        return f"clipped input: {name} lay at a limit for {len(self._clipped[name])} samples of one cycle"
 
     def _contact(self, drive_v: Floats, codes: NDArray[np.int16], motion: Motion) -> str | None:
         """A contact circuit that never closes, or never opens although the ball must fly."""
