@@ -18,7 +18,7 @@ _SIXTH = 1.0 / 6.0
 MEAN_SQUARE_S = 0.05
 """Time constant of each of the two stages that follow the drive's mean square."""
 
-LEAK_S = 1.0
+LEAK_S = 2.0
 """The suspension's memory of the plate's mean velocity."""
 
 
@@ -77,4 +77,5 @@ def drive_plate(s: Any, p: Any, volts: float) -> None:
     s.a3 = _SIXTH * (node - oldest) + 0.5 * (older - old)
     s.node3, s.node2, s.node1 = older, old, node
     mean = s.a0 + 0.5 * s.a1 + 2.0 * _SIXTH * s.a2 + 0.25 * s.a3
-    s.plate_mps += s.dt_s * (mean - s.plate_mps * (1.0 / LEAK_S))
+    s.plate_mps = s.plate_end_mps
+    s.plate_end_mps += s.dt_s * (mean - s.plate_mps * (1.0 / LEAK_S))

@@ -20,7 +20,7 @@ _FLOATS = (
     "mode_m", "mode_mps",  # slow mode of the table
     "a0", "a1", "a2", "a3",  # driven plate acceleration in the interval: cubic in u
     "node1", "node2", "node3",  # the last reconstruction nodes
-    "plate_mps",  # driven plate velocity, leaky
+    "plate_mps", "plate_end_mps",  # driven plate velocity, leaky, at both ends of the interval
     "mean_square_1", "mean_square_v2", "lagged_v", "last_v", "shaker_x", "shaker_v", "shaker_drive",  # drive chain
     "landed_s", "left_s", "flight_s", "hold_until_s", "contact_since_s", "closed_s",
     "rocking",
