@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import aperiodic, branches, ideal_kernel, lockstep, stage
+from model import aperiodic, branches, ideal_kernel, lockstep, shortcut, stage
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
@@ -172,8 +172,20 @@ def run_orbit(forcing: Forcing, gamma: float, n_transient: int, n_keep: int, phi
     return Orbit(batch.tau[0], batch.takeoff_phase[0], batch.flag[0])
 
 
-def run_diagram(forcing: Forcing, gammas: ArrayLike, n_transient: int, n_keep: int, phi0: float = 0.0) -> Orbit:
+def run_diagram(
+    forcing: Forcing,
+    gammas: ArrayLike,
+    n_transient: int,
+    n_keep: int,
+    phi0: float = 0.0,
+    *,
+    every_flight: bool = False,
+) -> Orbit:
     """`run_orbit` for many gammas: arrays of shape ``(len(gammas), n_keep)``.
+
+    An orbit that repeats a threshold repeats exactly, so the rest of it is copied (`model.shortcut`), unless
+    ``every_flight`` asks for each flight to be flown (`model.lockstep`); the two agree to rounding, which in a chaotic
+    orbit that never rests grows.
 
     Raises
     ------
@@ -193,7 +205,8 @@ def run_diagram(forcing: Forcing, gammas: ArrayLike, n_transient: int, n_keep: i
     if not forcing.periodic:
         aperiodic.aperiodic_diagram(forcing.tones, grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag)
         return out
-    lockstep.lockstep_diagram(
+    fly = lockstep.lockstep_diagram if every_flight else shortcut.shortcut_diagram
+    fly(
         forcing.tones, turning_points(forcing), grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag
     )
     return out

@@ -66,7 +66,7 @@ def test_lockstep_lands_where_the_proven_kernel_lands():
     for ratio, lowest in ((1, 0.51), (2, 0.22), (3, 0.11), (7, 0.0205)):
         forcing = Forcing.superposition(ratio)
         gammas = lowest * np.geomspace(1, 100 if ratio == 7 else 20, 300)
-        orbit = run_diagram(forcing, gammas, 20, 40)
+        orbit = run_diagram(forcing, gammas, 20, 40, every_flight=True)
         for row, gamma in enumerate(gammas):
             table, n = edges(forcing, gamma)
             for tau, phi, flag in zip(orbit.tau[row], orbit.takeoff_phase[row], orbit.flag[row], strict=True):
@@ -75,6 +75,18 @@ def test_lockstep_lands_where_the_proven_kernel_lands():
                 a0 = 0.0 if reset else gamma * _q(forcing, at) - 1
                 alone, _, speed, _ = ideal_kernel.land(forcing.tones, gamma, table, n, at, max(a0, 0.0), 0.0)
                 assert abs(alone - tau) <= allowed(gamma, forcing, tau, speed)
+
+
+def test_the_shortcut_is_exact():
+    """Copied flights are the flights flown: wherever rounding is not blown up, both ways give the same diagram."""
+    for ratio in (1, 2, 3):
+        forcing, gammas = Forcing.superposition(ratio), np.linspace(0.05, 6, 150)
+        short, every = run_diagram(forcing, gammas, 30, 60), run_diagram(forcing, gammas, 30, 60, every_flight=True)
+        same = np.abs(short.tau - every.tau).max(axis=1) < 1e-7
+        assert same.mean() > 0.9
+        settled = (short.flag & FlightFlag.RESET).any(axis=1)
+        assert same[settled].mean() > 0.95
+        assert np.array_equal(short.flag[same] & FlightFlag.RESET, every.flag[same] & FlightFlag.RESET)
 
 
 def _q(forcing, phi):
@@ -123,6 +135,8 @@ def test_no_motion_is_no_flight(forcing):
     assert first_landing(forcing, 5.0, 1.0).flag is FlightFlag.RESTS
     assert first_landing(forcing, 5.0, 1.0, v0=0.5).tau == pytest.approx(1.0, abs=1e-15)
     orbit = run_diagram(forcing, [0.0, 1.0, 50.0], 3, 4)
+    every = run_diagram(forcing, [0.0, 1.0, 50.0], 3, 4, every_flight=True)
+    assert np.array_equal(every.flag, orbit.flag)
     assert np.all(orbit.flag == FlightFlag.RESTS)
     assert np.all(orbit.tau == 0.0)
 
