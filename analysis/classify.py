@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.stats import poisson
 
 from analysis.flight_table import FlightFlag, Flights
+from analysis.plate_motion import StepPlate
 
 Floats = npt.NDArray[np.float64]
 
@@ -79,21 +80,23 @@ def classify(flights: Flights) -> tuple[StepClass, ...]:
 
 def _classify_step(flights: Flights, step: int) -> StepClass:
     """The verdict on one step."""
-    chosen = (flights.step == step) & ~flights.has(FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP)
+    poor = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
+    chosen = (flights.step == step) & ~flights.has(poor)
     tau, sigma = flights.duration_s[chosen], flights.uncertainty_s[chosen]
     doubles = int((chosen & flights.has(FlightFlag.DOUBLE_HIT)).sum())
     fitted = flights.plate.steps[step]
     period = 1.0 / fitted.frequency_hz if fitted is not None else float("nan")
     nan = float("nan")
+    kind: Literal["rest", "cycle", "irregular", "undecided"] = "undecided"
     if tau.size == 0:
-        return StepClass(step, "rest" if fitted is not None else "undecided", 0, False, 0, 0, nan, nan, nan, 0, nan)
+        kind = "rest" if fitted is not None and not _in_air(flights, fitted) else "undecided"
+        return StepClass(step, kind, 0, False, 0, 0, nan, nan, nan, 0, nan)
     own = float(np.median(sigma))
     spread = float(np.median(np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)])) if tau.size > 1 else nan
     mean, modes = float(tau.mean()), count_modes(tau, max(MODE_WIDTH * period, 3.0 * own))
     repeats = np.array([_repeat(tau, n) for n in range(1, LONGEST + 1)])
     allowed = max(TIGHT * own, SLACK * period)
     n = next((k + 1 for k, r in enumerate(repeats) if r < allowed), 0)
-    kind: Literal["cycle", "irregular", "undecided"] = "undecided"
     best = float(np.nanmin(repeats)) if np.isfinite(repeats).any() else nan
     if n:
         kind, best = "cycle", float(repeats[n - 1])
@@ -104,11 +107,19 @@ def _classify_step(flights: Flights, step: int) -> StepClass:
     return StepClass(step, kind, n, locked, tau.size, doubles, best, 0.954 * own, spread, modes, mean)
 
 
+def _in_air(flights: Flights, plate: StepPlate) -> bool:
+    """Whether the circuit says that the ball was in the air through part of the hold (a landing nobody saw, then)."""
+    rate_hz = flights.plate.rate_hz
+    begin, end = plate.first_sample / rate_hz, plate.last_sample / rate_hz
+    true = ~flights.has(FlightFlag.FALSE)
+    return bool(np.any(true & (flights.takeoff_s < end) & (flights.landing_s > begin)))
+
+
 def _repeat(tau: Floats, n: int) -> float:
-    """Median change of a flight time over ``n`` flights (per flight); NaN where fewer than `REPEATS` cycles were seen."""
+    """Median change of a flight time over ``n`` flights (per flight); NaN below `REPEATS` cycles."""
     if tau.size < REPEATS * n:
         return float("nan")
-    return float(np.median(np.abs(tau[n:] - tau[:-n]))) / np.sqrt(2.0)
+    return float(np.median(np.abs(tau[n:] - tau[:-n])) / np.sqrt(2.0))
 
 
 def count_modes(tau: Floats, width: float) -> int:

@@ -344,7 +344,7 @@ def fit_edges(
     dt = 1.0 / rate_hz
     first = _first_moved(y, noise, gap)
     columns = np.arange(y.shape[1])
-    middle: Floats = (first - 0.5 - BEFORE) * dt
+    middle = np.asarray((first - 0.5 - BEFORE) * dt, dtype=np.float64)
     uniform: Floats = np.full(y.shape[0], dt / np.sqrt(12.0))
     if shape.tau_s == 0.0 or y.shape[0] == 0:
         return middle, uniform

@@ -216,5 +216,5 @@ def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
         return Windows(np.zeros(0), np.zeros((0, tones), np.complex128), np.zeros((0, tones)))
     time_s = np.concatenate([w[0] for w in fold.windows])
     amplitudes = np.concatenate([w[1] for w in fold.windows])
-    scaled: Complexes = amplitudes * factor
+    scaled = np.asarray(amplitudes * factor, dtype=np.complex128)
     return Windows(time_s, scaled, np.concatenate([w[2] for w in fold.windows]) * abs(factor))
