@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from bench.console import write_json
 from daq.errors import InputError
 from model import ensemble
-from model.diagram import KINDS, Rows, adaptive
+from model.diagram import KINDS, Rows, adaptive, empty_rows
 from model.diagram import diagram as rows_at
 from model.orbit import Ball
 from model.tones import Forcing
@@ -44,7 +45,7 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
         if request.sweep or request.grid or request.workers > 1 or request.cluster:
             raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")
         low, high = request.gamma_range or (0.0, 0.0)
-        rows = adaptive(lambda g: rows_at(ball, g), low, high, request.steps)
+        rows = adaptive(partial(rows_at, ball), low, high, request.steps)
         if request.out is not None:
             ensemble.save(job, rows, request.out)
     else:
@@ -90,7 +91,7 @@ def _flown(job: ensemble.Job, request: Request) -> Rows:
         path = request.out or Path(folder) / "diagram.h5"
         ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=_Progress())
         if request.figure is None and request.json_to is None:
-            return Rows(*(np.empty(0) for _ in range(7)))
+            return empty_rows(np.empty(0), 0)
         return ensemble.load(path)[0]
 
 

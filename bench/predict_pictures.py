@@ -6,6 +6,7 @@ The rule kept here: an axis says which gamma it shows, and whether a time is in 
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,14 +29,14 @@ INK = "#16324f"
 ZONE = "#e8a33d"
 LINE = "#9b2226"
 PAPER_HZ = 20.0  # the paper's "omega = 20"
-ZONE_GAMMAS = 160
+ZONE_GAMMAS = 400
 PAPER_FIGURES: dict[int, tuple[tuple[int, float, float], ...]] = {  # figure: (c, from, to) of each panel, in gamma
     4: ((1, 0.4, 6.0),),
     10: ((2, 0.15, 3.0),),
     11: ((3, 0.08, 2.0),),
     12: ((1, 0.4, 6.0), (2, 0.15, 3.0), (3, 0.08, 2.0)),
 }
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "serif", "mathtext.fontset": "cm", "font.size": 10, "axes.linewidth": 0.8, "xtick.direction": "in",
     "ytick.direction": "in", "xtick.top": True, "figure.constrained_layout.use": True, "savefig.dpi": 200,
 }
@@ -69,7 +70,7 @@ def paper_figure(number: int, path: Path | None, steps: int) -> None:
     for ax, (ratio, low, high) in zip(axes, panels, strict=True):
         forcing = Forcing.superposition(ratio)
         ball = IdealBall(forcing)
-        rows = adaptive(lambda g, b=ball: diagram(b, g), low, high, steps)
+        rows = adaptive(partial(diagram, ball), low, high, steps)
         _panel(ax, rows, forcing, ratio, PAPER_HZ, ideal=True)
     _save(figure, path)
 
@@ -91,7 +92,8 @@ def _save(figure: Any, path: Path) -> None:
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot write the picture {path}: {error}; give a name ending in .png, .pdf or .svg") from error
+        text = f"cannot write the picture {path}: {error}; give a name ending in .png, .pdf or .svg"
+        raise InputError(text) from error
     finally:
         pyplot.close(figure)
 
@@ -147,7 +149,7 @@ def _zones(ax: Any, forcing: Forcing, low: float, high: float, scale: float, uni
             g * scale, a * unit, b * unit, color=ZONE, alpha=0.35, lw=0, label="forbidden" if i == 0 else None
         )
     if done or growing:
-        ax.legend(loc="upper left", frameon=False, fontsize=9)
+        ax.legend(loc="lower right", frameon=False, fontsize=9)
 
 
 def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> None:
@@ -160,7 +162,7 @@ def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> 
             ax.axvline(event.gamma * scale, color=LINE, lw=0.6, ls=(0, (4, 3)), zorder=0)
             if event.gamma - last > (high - low) / 40.0:
                 ax.text(
-                    event.gamma * scale, 0.985, f" {kinds[event.type]}", rotation=90, va="top", ha="right", fontsize=7,
+                    event.gamma * scale, 0.985, f" {kinds[event.type]}", rotation=90, va="top", ha="left", fontsize=7,
                     color=LINE, transform=ax.get_xaxis_transform(),
                 )
             last = event.gamma

@@ -1,6 +1,7 @@
 """What `bench predict` does with its options: one orbit, a list of bifurcations, a diagram or a figure of the paper.
 
-The rule kept here: with ``--json -`` standard output carries the JSON and nothing else; progress goes to standard error.
+The rule kept here: with ``--json -`` standard output carries the JSON and nothing else; progress goes to standard
+error.
 """
 
 from __future__ import annotations

@@ -126,7 +126,10 @@ class IdealBall:
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
         """See `model.cycle_kernel.locked_family`."""
         turning = flight.turning_points(self.forcing)
-        return cycle_kernel.locked_family(self.forcing.tones, turning, gamma, window, after, n)
+        ok, miss, multiplier, half, code = cycle_kernel.locked_family(
+            self.forcing.tones, turning, gamma, window, after, n
+        )
+        return ok, miss, multiplier, half, int(code)
 
     @property
     def take_off_levels(self) -> tuple[Floats, Floats]:

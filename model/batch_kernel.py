@@ -22,7 +22,14 @@ OUTCOME_SIZE = 4
 
 @compiled
 def _keep_cycle(
-    tau: Floats, phase: Floats, threshold: Integers, first: int, stop: int, periods: int, outcome: Integers, kept: Floats
+    tau: Floats,
+    phase: Floats,
+    threshold: Integers,
+    first: int,
+    stop: int,
+    periods: int,
+    outcome: Integers,
+    kept: Floats,
 ) -> None:
     """Write a cycle's outcome, and its flight times from the reset with the smallest phase on."""
     start = first
@@ -41,7 +48,9 @@ def _keep_cycle(
 
 
 @compiled
-def ideal_batch(tones: Floats, turning: Floats, gammas: Floats, max_flights: int, outcome: Integers, kept: Floats) -> None:
+def ideal_batch(
+    tones: Floats, turning: Floats, gammas: Floats, max_flights: int, outcome: Integers, kept: Floats
+) -> None:
     """Fill ``outcome`` (m, OUTCOME_SIZE; FLIGHTS -1 where the orbit from rest did not close) and ``kept`` (m, keep)."""
     edge = np.empty(turning.shape[0] + 2)
     tau = np.empty(max_flights)

@@ -11,66 +11,30 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from model import locked, staircase
+from model import staircase
 from model.ball import Itinerary
 from model.branches import TWO_PI
 from model.cycle_kernel import FLIGHTS, PERIOD
-from model.continuation import follow_both_ways
-from model.orbit import Ball, State, attractor
+from model.locked_windows import Map, locked_beside, locked_within
+from model.orbit import State
 from model.staircase import Window
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 LONGEST = 32  # flights of the longest cycle looked for
-MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 SAME = 1e-9  # two edges nearer than this are one event
-CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles has not jumped (a cube root may move 1e-5)
+CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles has not jumped (cube roots move 1e-5)
 BESIDE = 8  # doubles beyond an edge at which the other side is looked at
+BESIDE_CYCLE = 0.1  # how near to a cycle a landing must pass on either side of an accumulation
 FALLS = 1e-6  # how near to a cycle a landing must come at an accumulation: rounding, stretched on the way
 ACCUMULATES = 4  # flights of the longest unstable cycle on which an accumulation is looked for
 
 Floats = NDArray[np.float64]
-
-
-class Map(Ball, Protocol):
-    """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
-
-    def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
-        """See `model.ball.IdealBall.signatures`."""
-        ...
-
-    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
-        """See `model.ball.IdealBall.itinerary`."""
-        ...
-
-    def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
-        """See `model.cycle_kernel.locked_family`."""
-        ...
-
-    @property
-    def bounces(self) -> bool:
-        """Whether an impact can throw it back; then the state after a landing is a phase and a speed."""
-        ...
-
-    @property
-    def most_flights(self) -> int:
-        """Before an orbit from rest is given up in the search: the way into the cycle and the cycle."""
-        ...
-
-    @property
-    def coarse(self) -> float:
-        """Spacing in gamma of the search that goes everywhere."""
-        ...
-
-    @property
-    def take_off_levels(self) -> tuple[Floats, Floats]:
-        """See `model.ball.IdealBall.take_off_levels`."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -86,10 +50,10 @@ class Side:
 class Bifurcation:
     """One change of the attractor: where in gamma, its type, and the cycles just below and above.
 
-    ``type`` is one of: ``take-off``, ``new take-off window``, ``take-off windows merge``, ``lock`` (a cycle with a reset
-    stops sticking, or a locked 1-cycle is born at a fold), ``stick lost``, ``stick gained``, ``flight lost``, ``flight gained`` (one of zero length, at the end
-    of a take-off window), ``grazing`` (a landing jumps), ``period doubling``, ``fold``, ``accumulation``, ``basin`` (the
-    orbit from rest goes to another cycle; neither changes).
+    ``type`` is one of: ``take-off``, ``new take-off window``, ``take-off windows merge``, ``lock`` (a cycle with a
+    reset stops sticking, or a locked 1-cycle is born at a fold), ``stick lost``, ``stick gained``, ``flight lost``,
+    ``flight gained`` (one of zero length, at the end of a take-off window), ``grazing`` (a landing jumps), ``period
+    doubling``, ``fold``, ``accumulation``, ``basin`` (the orbit from rest goes to another cycle; neither changes).
     """
 
     gamma: float
@@ -115,8 +79,7 @@ def bifurcations(
     ValueError
         If the range is empty, negative or not finite.
     """
-    found = cycle_windows(ball, low, high, narrowest=narrowest)
-    kept = [w for w in found if w.flights <= longest]
+    found = cycle_windows(ball, low, high, narrowest=narrowest, longest=longest)
     births, merges = ball.take_off_levels
     levels = {float(g): "new take-off window" for g in births} | {float(g): "take-off windows merge" for g in merges}
     if births.size:
@@ -127,13 +90,15 @@ def bifurcations(
         if low <= g <= high
     ]
     cuts = [low, high, *levels]
-    events += _edges(ball, kept, cuts)
+    events += _edges(ball, found, cuts)
     events += _accumulations(ball, found, cuts)
     return sorted(events, key=lambda e: e.gamma)
 
 
-def cycle_windows(ball: Map, low: float, high: float, *, narrowest: float = NARROWEST) -> list[Window]:
-    """The windows of gamma, wider than ``narrowest``, with one cycle each, in order.
+def cycle_windows(
+    ball: Map, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
+) -> list[Window]:
+    """The windows of gamma, wider than ``narrowest``, with one cycle of at most ``longest`` flights each, in order.
 
     Raises
     ------
@@ -150,52 +115,10 @@ def cycle_windows(ball: Map, low: float, high: float, *, narrowest: float = NARR
             continue
         room = 4 * np.spacing(max(b, 1.0))  # at the level itself the tables are in two minds
         out += staircase.windows(
-            lambda g: ball.signatures(g, ball.most_flights), lambda w: _locked_beside(ball, w),
-            lambda stretches, spacing: _locked_within(ball, stretches, spacing), a + room, b - room, narrowest,
-            ball.coarse,
+            lambda g: ball.signatures(g, ball.most_flights), lambda w: locked_beside(ball, w),
+            lambda stretches, spacing: locked_within(ball, stretches, spacing), a + room, b - room, narrowest,
+            longest, ball.coarse,
         )
-    return out
-
-
-def _locked_beside(ball: Map, window: Window) -> list[Window]:
-    """Windows of the locked cycles that begin where the last stick of ``window`` is lost."""
-    if window.resets != 1 or ball.bounces:
-        return []
-    out = []
-    for edge in (window.low, window.high):
-        for take_off_window in range(len(ball.take_off_levels[0])):
-
-            def point(gamma: float, after: float, n: int, j: int = take_off_window) -> tuple[bool, float, float, float, int]:
-                return ball.locked_family(gamma, j, after, n)
-
-            family = locked.follow(point, window.flights, edge)
-            if family is not None:
-                up = family.end > family.start
-                out.append(
-                    Window(
-                        min(family.start, family.end), max(family.start, family.end), window.flights, 0, window.period,
-                        0, True, ("", family.how) if up else (family.how, ""),
-                    )
-                )
-    return out
-
-
-def _locked_within(ball: Map, stretches: list[tuple[float, float]], spacing: float) -> list[Window]:
-    """Windows of locked cycles met by sampling the orbits from rest: all there is to do where a landing has a speed."""
-    if not ball.bounces:
-        return []
-    out: list[Window] = []
-    for low, high in stretches:
-        count = min(max(int((high - low) / spacing), 1), MOST_SAMPLES)
-        for gamma in low + (np.arange(count) + 0.5) * (high - low) / count:
-            if any(w.low <= gamma <= w.high for w in out):
-                continue
-            found = attractor(ball, float(gamma), max_flights=4 * ball.most_flights)
-            cycle = ball.close(float(gamma), found.last, found.flights) if found.locked else None
-            if cycle is not None:
-                branch = follow_both_ways(ball.close, float(gamma), cycle, low, high)
-                how = tuple("" if end == "limit" else end for end in branch.ends)
-                out.append(Window(branch.low, branch.high, found.flights, 0, cycle.periods, 0, True, (how[0], how[1])))
     return out
 
 
@@ -228,7 +151,8 @@ def _event(ball: Map, gamma: float, left: Window | None, right: Window | None) -
     before = _side(left) if left is not None else _side_at(ball, gamma, -1, [])
     after = _side(right) if right is not None else _side_at(ball, gamma, +1, [])
     if known in ("period doubling", "merged"):
-        return Bifurcation(gamma, "period doubling", *_doubled(before, after, 2.0 if known == "period doubling" else 0.5))
+        factor = 2.0 if known == "period doubling" else 0.5
+        return Bifurcation(gamma, "period doubling", *_doubled(before, after, factor))
     if known == "fold" and right is not None and right.flights == 1 and right.locked:
         return Bifurcation(gamma, "lock", before, after)
     if known in ("fold", "grazing"):
@@ -276,7 +200,7 @@ def change(below: Itinerary, above: Itinerary) -> str:
         return "stick lost" if below.rests[k] else "stick gained"
     if abs(math.remainder(below.landing[k] - above.landing[k], TWO_PI)) > CONTINUOUS:
         return "grazing"
-    if 0 <= below.first and k < below.first and 0 <= above.first and k < above.first:
+    if k < min(below.first, above.first):
         return "basin"
     crossed = max(int(below.index[k]), int(above.index[k]))
     lands_later_above = above.index[k] > below.index[k]
@@ -304,7 +228,7 @@ def _side_at(ball: Map, gamma: float, direction: int, windows: list[Window]) -> 
 def _accumulations(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
     """Points in the gaps between windows at which a landing of the orbit from rest falls on an unstable cycle."""
     out: list[Bifurcation] = []
-    for left, right in zip(windows, windows[1:], strict=False):
+    for left, right in pairwise(windows):
         if right.low - left.high < SAME or left.locked or right.locked or _near(left.high, cuts):
             continue
         for n in range(1, ACCUMULATES + 1):
@@ -329,12 +253,19 @@ def _falls_on_cycle(ball: Map, low: float, high: float, n: int) -> float | None:
             landing = ball.itinerary(gamma, k + 1).landing[k]
             cycle = ball.close(gamma, State(landing), n)
             if cycle is None or abs(cycle.multiplier) <= 1.0:
-                return math.nan
+                raise _NoCycleError
             off = [math.remainder(landing - p, TWO_PI) for p in cycle.phase]
             return min(off, key=abs)
 
-        a, b = miss(low), miss(high)
-        if a * b < 0.0 and max(abs(a), abs(b)) < 0.1:
-            gamma = float(brentq(miss, low, high, xtol=1e-15, rtol=1e-15))
-            return gamma if abs(miss(gamma)) < FALLS else None
+        try:
+            a, b = miss(low), miss(high)
+            if a * b < 0.0 and max(abs(a), abs(b)) < BESIDE_CYCLE:
+                gamma = float(brentq(miss, low, high, xtol=1e-15, rtol=1e-15))
+                return gamma if abs(miss(gamma)) < FALLS else None
+        except _NoCycleError:
+            continue
     return None
+
+
+class _NoCycleError(ArithmeticError):
+    """There is no unstable cycle where a landing was to fall on one."""

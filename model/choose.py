@@ -42,7 +42,9 @@ def ball_of(
     for name, table in values.items():
         entry = effect(name)
         if not entry.hooks.keys() & set(COMPILED_HOOKS):
-            raise ValueError(f"{name} acts on the drive or an instrument, not on the ball: a prediction at a given gamma has none")
+            raise ValueError(
+                f"{name} acts on the drive or an instrument, not on the ball: a prediction at a given gamma has none"
+            )
         if table != entry.effect.absent:
             active[name] = table
     if not active:
@@ -77,6 +79,6 @@ def rough_of(
     if e1_s_per_m != 0.0 and frequency_hz is None:
         raise ValueError("restitution.e1_s_per_m needs --frequency-hz, because it has a scale of its own")
     if not friction.get("mu_down", 0.0) < 1.0:
-        raise ValueError("coulomb_friction.mu_down must be less than 1: else the ball stays on the rod of a still plate")
+        raise ValueError("coulomb_friction.mu_down must be less than 1: else the ball stays on the rod for ever")
     speed_mps = g_mps2 / (2.0 * math.pi * frequency_hz) if frequency_hz is not None else 0.0
     return friction.get("mu_up", 0.0), friction.get("mu_down", 0.0), bounce.get("e0", 0.0), e1_s_per_m * speed_mps

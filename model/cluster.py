@@ -6,6 +6,7 @@ The rule kept here: Dask is imported nowhere else, and only when a cluster is as
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 
 from model.diagram import Rows
 from model.ensemble import Job, compute
@@ -25,14 +26,13 @@ def on_cluster(
         from distributed import Client, LocalCluster, as_completed
     except ImportError as error:
         raise ValueError("--cluster needs Dask: pip install 'shakerbench[distributed]'") from error
-    local = address == "local"
-    cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) if local else address
-    try:
-        with Client(cluster) as client:
-            waiting = {client.submit(compute, job, start, stop, pure=False): (start, stop) for start, stop in todo}
-            for future in as_completed(list(waiting)):
-                start, stop = waiting.pop(future)
-                yield start, stop, future.result()
-    finally:
-        if local:
-            cluster.close()
+    with ExitStack() as stack:
+        if address == "local":
+            local = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+            client = stack.enter_context(Client(stack.enter_context(local)))
+        else:
+            client = stack.enter_context(Client(address))
+        waiting = {client.submit(compute, job, start, stop, pure=False): (start, stop) for start, stop in todo}
+        for future in as_completed(list(waiting)):
+            start, stop = waiting.pop(future)
+            yield start, stop, future.result()

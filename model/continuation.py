@@ -1,8 +1,8 @@
 """A locked cycle followed in gamma, or in any one parameter, to where it ends; and an end followed in a second one.
 
-The rule kept here: a cycle is followed by Newton from the cycle before, never by running the orbit; a period doubling is
-the root of ``multiplier + 1``, a fold that of ``(1 - multiplier)^2``, which is straight where the multiplier itself has
-a vertical slope.
+The rule kept here: a cycle is followed by Newton from the cycle before, never by running the orbit; a period doubling
+is the root of ``multiplier + 1``, a fold that of ``(1 - multiplier)^2``, which is straight where the multiplier itself
+has a vertical slope.
 """
 
 from __future__ import annotations

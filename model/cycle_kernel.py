@@ -1,9 +1,10 @@
 """Orbits of the ideal ball from rest until they close, compiled.
 
 The rule kept here: sticking forgets everything but the threshold, so an orbit is closed exactly when a threshold
-repeats (the reset shortcut); no tolerance decides it. Where an orbit went is kept as whole numbers: the *landing index* of a
-flight is the number of the branch (see `model.branches`) in which it lands, counted from its take-off's period, ``2 w``
-branches a period. Two orbits with equal landing indices differ smoothly; where an index changes something happened.
+repeats (the reset shortcut); no tolerance decides it. Where an orbit went is kept as whole numbers: the *landing
+index* of a flight is the number of the branch (see `model.branches`) in which it lands, counted from its take-off's
+period, ``2 w`` branches a period. Two orbits with equal landing indices differ smoothly; where an index changes
+something happened.
 """
 
 from __future__ import annotations

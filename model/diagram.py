@@ -95,7 +95,7 @@ def exact_rows(
     ball_at: Callable[[int], Ball],
     keep: int,
 ) -> Rows:
-    """Rows by the compiled kernels; those that do not close are found by `model.orbit.attractor` of ``ball_at(row)``."""
+    """Rows by the compiled kernels; those that do not close by `model.orbit.attractor` of ``ball_at(row)``."""
     rows = empty_rows(gammas, keep)
     outcome = np.empty((gammas.size, batch_kernel.OUTCOME_SIZE), dtype=np.int64)
     if rough is None:
@@ -147,7 +147,8 @@ def adaptive(
     """
     rows = rows_at(np.linspace(low, high, steps))
     for _ in range(halvings):
-        marks = np.stack([rows.kind, rows.period, rows.flights * (rows.kind == 0), rows.resets * (rows.kind < 2)], axis=1)
+        flights, resets = rows.flights * (rows.kind == 0), rows.resets * (rows.kind < 2)
+        marks = np.stack([rows.kind, rows.period, flights, resets], axis=1)
         change = np.flatnonzero(np.any(marks[1:] != marks[:-1], axis=1))
         if change.size == 0 or rows.gamma.size + change.size > 50 * steps:
             break

@@ -169,7 +169,7 @@ def run(
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
         done: NDArray[np.bool_] = file["chunk_done"][:]
-        todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done)]
+        todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
         finished = job.size - sum(stop - start for start, stop in todo)
         for start, stop, rows in _computed(job, todo, workers, cluster):
             for name in FIELDS[1:]:

@@ -1,9 +1,9 @@
 """Families of cycles that never sticks, followed from where they begin: the edge at which a landing meets a threshold.
 
-The rule kept here: a family is followed in the phase ``after`` the threshold at which its first flight leaves, and gamma
-is solved for. So a fold is an ordinary point of the walk, and every end is the root of a smooth function of one number:
-multiplier = -1 (period doubling), multiplier = +1 (fold), or the two halves of the cycle meeting (the period doubling of
-the cycle of half the length, seen from the other side).
+The rule kept here: a family is followed in the phase ``after`` the threshold at which its first flight leaves, and
+gamma is solved for. So a fold is an ordinary point of the walk, and every end is the root of a smooth function of one
+number: multiplier = -1 (period doubling), multiplier = +1 (fold), or the two halves of the cycle meeting (the period
+doubling of the cycle of half the length, seen from the other side).
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ from typing import Literal
 
 from scipy.optimize import brentq
 
-Point = Callable[[float, float, int], tuple[bool, float, float, float, int]]
-"""Maps ``(gamma, after, n)`` to what `model.cycle_kernel.locked_family` returns for ``n`` flights."""
+Point = tuple[bool, float, float, float, int]
+"""What `model.cycle_kernel.locked_family` returns: ok, miss, multiplier, half, code."""
+
+Family = Callable[[float, float, int], Point]
+"""Maps ``(gamma, after, n)`` to the point of the family of ``n`` flights."""
 
 End = Literal["period doubling", "fold", "merged", "itinerary"]
 
@@ -27,7 +30,7 @@ ROOT = 1e-15
 
 
 @dataclass(frozen=True)
-class Family:
+class Followed:
     """Locked cycles between ``start`` (where the family begins) and ``end`` in gamma, and what ends it."""
 
     start: float
@@ -43,7 +46,7 @@ class _Cycle:
     code: int
 
 
-def follow(point: Point, n: int, start: float) -> Family | None:
+def follow(point: Family, n: int, start: float) -> Followed | None:
     """Follow the family of ``n`` flights that begins at gamma ``start``; None when none does."""
     ok, miss, _, _, _ = point(start, 0.0, n)
     if not ok or abs(miss) > AT_START:
@@ -64,20 +67,20 @@ def follow(point: Point, n: int, start: float) -> Family | None:
         if new is None or new.code != first.code:
             step *= 0.5
             if step < 1e-13:
-                return Family(start, here[1].gamma, "itinerary")
+                return Followed(start, here[1].gamma, "itinerary")
             continue
         end = _end(point, n, here, (after, new))
         if end is not None:
-            return Family(start, *end)
+            return Followed(start, *end)
         before, here = here, (after, new)
-    return Family(start, here[1].gamma, "itinerary")
+    return Followed(start, here[1].gamma, "itinerary")
 
 
 @dataclass(frozen=True)
 class _Between:
     """A test of the cycles between two of the walk, as a function of ``after``."""
 
-    point: Point
+    point: Family
     n: int
     left: tuple[float, _Cycle]
     right: tuple[float, _Cycle]
@@ -96,7 +99,7 @@ class _Between:
         return self.test(self.cycle(after))
 
 
-def _end(point: Point, n: int, left: tuple[float, _Cycle], right: tuple[float, _Cycle]) -> tuple[float, End] | None:
+def _end(point: Family, n: int, left: tuple[float, _Cycle], right: tuple[float, _Cycle]) -> tuple[float, End] | None:
     """What happens between two cycles of the walk, and at which gamma."""
     tests: list[tuple[End, Callable[[_Cycle], float]]] = [
         ("period doubling", lambda c: c.multiplier + 1.0),
@@ -116,7 +119,7 @@ def _end(point: Point, n: int, left: tuple[float, _Cycle], right: tuple[float, _
 
 
 def _doubling_between(
-    point: Point, n: int, left: tuple[float, _Cycle], right: tuple[float, _Cycle]
+    point: Family, n: int, left: tuple[float, _Cycle], right: tuple[float, _Cycle]
 ) -> float | None:
     """Where the cycle of ``n`` flights that lies between two points of its doubled cycle's walk has multiplier -1."""
     width = right[0] - left[0]
@@ -132,7 +135,7 @@ def _doubling_between(
     return between.cycle(brentq(between, ends[0][0], ends[1][0], xtol=ROOT, rtol=4 * ROOT)).gamma
 
 
-def _solve(point: Point, n: int, after: float, guess: float, step: float) -> _Cycle | None:
+def _solve(point: Family, n: int, after: float, guess: float, step: float) -> _Cycle | None:
     """The gamma at which the cycle leaves ``after`` the threshold: secant from ``guess``."""
     step = step if step != 0.0 else 1e-12
     old, gamma = guess - step, guess

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def observed(
     grid = np.linspace(*ends, steps + 1)
     here = walk.look(float(grid[0]), AT_REST)
     out: list[Bifurcation] = []
-    for a, b in zip(grid, grid[1:], strict=False):
+    for a, b in pairwise(grid):
         start, at = float(a), here
         for _ in range(CHANGES_A_STEP):
             end = walk.look(float(b), at.last)

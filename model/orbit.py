@@ -70,7 +70,7 @@ class Path:
 
 @dataclass(frozen=True)
 class LockedCycle:
-    """A cycle that never sticks: the root of ``T^n(x) = x``; ``start`` are the speeds at take-off, ``speed`` at impact."""
+    """A cycle that never sticks: a root of ``T^n(x) = x``; ``start`` is the speed at take-off, ``speed`` at impact."""
 
     phase: Floats
     start: Floats
@@ -216,7 +216,7 @@ def _exponent(slope: Floats) -> float | None:
 
 
 def sweep(ball: Ball, gammas: Iterable[float], start: State = AT_REST) -> list[Attractor]:
-    """Step through ``gammas`` in the order given, each from the state in which the one before was left, as on a bench."""
+    """Step through ``gammas`` in the order given, each from the state in which the one before was left."""
     found = []
     for gamma in gammas:
         found.append(attractor(ball, gamma, start))

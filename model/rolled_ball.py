@@ -16,7 +16,7 @@ from model import roll
 from model.ball import resting
 from model.branches import TWO_PI
 from model.orbit import LockedCycle, Path, State
-from model.tones import Plate, Forcing
+from model.tones import Forcing, Plate
 
 REPEATS = 1e-6  # phase
 MOST_FLIGHTS = 600  # flown, whatever is asked for: each costs an integration
@@ -126,7 +126,8 @@ class RolledBall:
         tau = (found.landing_s - found.takeoff_s)[:n] * w
         start, speed = found.launch_mps[:n] * w / self.g_mps2, found.impact_mps[:n] * w / self.g_mps2
         periods = round((found.takeoff_s[n] - found.takeoff_s[0]) * self.frequency_hz)
-        return LockedCycle(*(np.roll(a, turn) for a in (phase, start, tau, speed)), periods, size)
+        phase, start, tau, speed = (np.roll(a, turn) for a in (phase, start, tau, speed))
+        return LockedCycle(phase, start, tau, speed, periods, size)
 
 
 def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -27,6 +27,21 @@ Tables = tuple[Floats, int, Floats, int]
 
 
 @dataclass(frozen=True)
+class _Flown:
+    """What the kernel filled, and what it returned."""
+
+    tau: Floats
+    phase: Floats
+    speed: Floats
+    index: NDArray[np.int64]
+    threshold: NDArray[np.int64]
+    mark: NDArray[np.int64]
+    first: int
+    periods: int
+    last: State
+
+
+@dataclass(frozen=True)
 class RoughBall:
     """A ball with friction ``mu_up``, ``mu_down`` and restitution ``e0 - e1 v`` (v in g/w) on ``forcing``."""
 
@@ -49,7 +64,9 @@ class RoughBall:
     @property
     def most_flights(self) -> int:
         """Enough for a cycle of 32 flights, and for the bounces of a chatter."""
-        return 64 if not self.bounces else 512
+        if not self.bounces:
+            return 64
+        return 128 if self.e0 < 0.7 and self.e1 >= 0.0 else 512
 
     @property
     def coarse(self) -> float:
@@ -62,7 +79,7 @@ class RoughBall:
         n_up, n_down = fill_rough_edges(self.forcing.tones, turning, gamma, self.rough, up, down)
         return up, n_up, down, n_down
 
-    def _fly(self, gamma: float, start: State, max_flights: int) -> tuple[tuple[Floats, ...], int, int, int, State]:
+    def _fly(self, gamma: float, start: State, max_flights: int) -> _Flown:
         up, n_up, down, n_down = self._tables(gamma)
         tau, phase, speed = np.empty((3, max_flights))
         index, threshold, mark = np.empty((3, max_flights), dtype=np.int64)
@@ -70,19 +87,19 @@ class RoughBall:
             self.forcing.tones, gamma, up, n_up, down, n_down, self.rough, start.phase, start.speed,
             tau, phase, speed, index, threshold, mark,
         )
-        kept = tuple(x[:stop] for x in (tau, phase, speed, index, threshold, mark))
-        return kept, first, stop, periods, State(phi, v)
+        n = slice(0, stop)
+        return _Flown(tau[n], phase[n], speed[n], index[n], threshold[n], mark[n], first, periods, State(phi, v))
 
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbit.Ball.fly`."""
         if self._tables(gamma)[1] == 0:
             return resting(start)
-        (tau, phase, speed, _, threshold, mark), first, stop, periods, last = self._fly(gamma, start, max_flights)
-        if stop == 0:
-            return resting(last)
-        chatter = (np.asarray(mark) & kernel.CHATTERS) > 0
+        flown = self._fly(gamma, start, max_flights)
+        if flown.tau.size == 0:
+            return resting(flown.last)
         return Path(
-            tau, phase, speed, np.full(stop, math.nan), np.asarray(threshold) >= 0, chatter, first, periods, last
+            flown.tau, flown.phase, flown.speed, np.full(flown.tau.size, math.nan), flown.threshold >= 0,
+            (flown.mark & kernel.CHATTERS) > 0, flown.first, flown.periods, flown.last,
         )
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
@@ -96,24 +113,24 @@ class RoughBall:
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
         """Where the orbit from rest at ``gamma`` goes until it closes."""
-        (tau, phase, _, index, _, mark), first, _, _, _ = self._fly(gamma, State(), max_flights)
+        flown = self._fly(gamma, State(), max_flights)
         start = self._tables(gamma)[0][0]
-        landing = np.mod(phase + tau - start, TWO_PI) + start
+        landing = np.mod(flown.phase + flown.tau - start, TWO_PI) + start
         kept: list[int] = []
         pending: list[int] = []
         rests: list[bool] = []
         entry = -1
-        for k, bits in enumerate(np.asarray(mark, dtype=np.int64)):
-            if k == first:
+        for k, bits in enumerate(flown.mark):
+            if k == flown.first:
                 entry = len(kept)
             pending.append(k)
             if bits & kernel.CHATTERS:
                 pending = pending[:1]
-            if bits & kernel.CHATTERS or k + 1 == len(tau) or not int(mark[k + 1]) & kernel.SMALL:
+            if bits & kernel.CHATTERS or k + 1 == flown.tau.size or not flown.mark[k + 1] & kernel.SMALL:
                 kept += pending
                 rests += [False] * (len(pending) - 1) + [bool(bits & kernel.CHATTERS)]
                 pending = []
-        return Itinerary(landing[kept], np.asarray(index, dtype=np.int64)[kept], np.array(rests, dtype=bool), entry)
+        return Itinerary(landing[kept], flown.index[kept], np.array(rests, dtype=bool), entry)
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
         """See `model.cycle_kernel.locked_family`; for a ball that does not rebound."""

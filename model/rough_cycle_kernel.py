@@ -1,8 +1,8 @@
 """Orbits of the rough, bouncing ball until they close, and how a flight stretches a small shift; compiled.
 
-The rule kept here: as in `model.cycle_kernel`, rest forgets everything but the threshold, so an orbit closes exactly when
-a threshold repeats. A completed chatter is an infinity of bounces; the bounces of its run that stay in one branch are
-one symbol of the itinerary, so that it does not depend on where the sum of the tail sets in.
+The rule kept here: as in `model.cycle_kernel`, rest forgets everything but the threshold, so an orbit closes exactly
+when a threshold repeats. A completed chatter is an infinity of bounces; the bounces of its run that stay in one branch
+are one symbol of the itinerary, so that it does not depend on where the sum of the tail sets in.
 """
 
 from __future__ import annotations

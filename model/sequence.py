@@ -11,7 +11,7 @@ from model.observed import observed
 from model.orbit import Ball
 from model.rough_ball import RoughBall
 
-BOUNCING = 1e-4  # default width of the narrowest window where most gammas are chaotic, and a search as fine as 1e-6 slow
+BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
 
 
 def sequence(

@@ -20,7 +20,6 @@ Integers = NDArray[np.int64]
 Signatures = Callable[[Floats], Integers]
 """Maps gammas (m,) to (m, SIGNATURE_SIZE) whole numbers, see `model.cycle_kernel`."""
 
-COARSE = 1e-5  # spacing of the first search; a change that ends within it in the window where it began is not seen
 DOUBLES_APART = 2  # an edge is known when its bracket is this many units in the last place wide
 
 
@@ -51,9 +50,10 @@ def windows(
     low: float,
     high: float,
     narrowest: float,
-    coarse: float = COARSE,
+    longest: int,
+    coarse: float,
 ) -> list[Window]:
-    """Every window wider than ``narrowest``, in order.
+    """Every window wider than ``narrowest`` of a cycle of at most ``longest`` flights, in order.
 
     The orbits' tables must keep their shape between ``low`` and ``high`` (no take-off window is born or merged).
 
@@ -66,14 +66,15 @@ def windows(
     locked_within
         The windows of locked cycles that are met in stretches not yet covered, sampled at a spacing.
     narrowest, coarse
-        Width in gamma, and spacing of the search that goes everywhere.
+        Width in gamma, and spacing of the search that goes everywhere: what begins and ends between two of its gammas,
+        with the same cycle on both sides, is not seen.
     """
     sticking: dict[tuple[int, float], Window] = {}
     locked: list[Window] = []
     found: list[Window] = []
     stretches = [(low, high)] if low < high else []
     for spacing in [s for s in (100.0 * coarse, coarse, coarse / 10.0) if s > narrowest] + [0.9 * narrowest]:
-        for window in _windows_of(signatures, _grid(stretches, spacing), narrowest):
+        for window in _windows_of(signatures, _grid(stretches, spacing), narrowest, longest):
             key = window.code, round(window.low, 12)
             if window.width > narrowest and key not in sticking:
                 sticking[key] = window
@@ -132,7 +133,7 @@ def _between(found: list[Window], low: float, high: float, narrowest: float) -> 
     return [(a, b) for a, b in zip(ends, starts, strict=True) if b - a > narrowest]
 
 
-def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float) -> list[Window]:
+def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, longest: int) -> list[Window]:
     """Windows met by the samples of each grid, their edges bisected between neighbouring samples that differ."""
     left: list[float] = []
     right: list[float] = []
@@ -143,7 +144,7 @@ def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float) -
         first = np.concatenate([[0], change + 1])
         last = np.concatenate([change, [grid.size - 1]])
         for i, j in zip(first, last, strict=True):
-            if rows[i, FLIGHTS] >= 1:
+            if 1 <= rows[i, FLIGHTS] <= longest:
                 ends.append((grid[i], rows[i], grid[max(i - 1, 0)], grid[min(j + 1, grid.size - 1)]))
                 left.append(grid[i])
                 right.append(grid[j])

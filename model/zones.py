@@ -1,21 +1,25 @@
 """Forbidden zones: flight times that no flight can have, whatever the phase of its take-off.
 
-The rule kept here: flight time as a function of take-off phase jumps only at a graze; between jumps it is continuous, so
-what is reached is a union of intervals, one a piece, and a zone is what lies between them.
+The rule kept here: flight time as a function of take-off phase jumps only at a graze; between jumps it is continuous,
+so what is reached is a union of intervals, one a piece, and a zone is what lies between them.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from model import flight, ideal_kernel
-from model.branches import branch_of, fold, q_and_slope
+from model.branches import TWO_PI, branch_of, fold, q_and_slope
 from model.compiled import Floats, compiled
 from model.tones import Forcing
 
-PHASES = 2000  # take-off phases tried in a window
+Fly = Callable[[Floats], tuple[Floats, NDArray[np.int64]]]
+
+PHASES = 1000  # take-off phases tried in a window
 JUMP = 1e-13  # phase to which a jump is bisected
 SMALLEST_ZONE = 1e-3  # gaps narrower than this are not shown
 
@@ -28,8 +32,7 @@ def _flights_from(
         phi = fold(phases[k], edge[0])
         a0 = max(gamma * q_and_slope(tones, phi)[0] - 1.0, 0.0)
         tau[k], landing, _, _ = ideal_kernel.land(tones, gamma, edge, n_windows, phi, a0, 0.0)
-        turns = round((phi + tau[k] - landing) / 6.283185307179586)
-        # a landing that passes from one branch into the next is no jump; one that leaves out a whole branch is
+        turns = round((phi + tau[k] - landing) / TWO_PI)
         index[k] = 2 * n_windows * turns + branch_of(edge, n_windows, landing)
 
 
@@ -68,44 +71,48 @@ def _pieces(
     # closer together near the ends, where flights are short and grazes crowd
     phases = start + (stop - start) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, PHASES + 1)))[:-1]
     tau, index = fly(phases)
-    steep = np.abs(np.diff(tau)) > 20.0 * np.median(np.abs(np.diff(tau))) + 1e-6
-    cuts = [0]
-    low_high: list[tuple[float, float]] = []
-    extra: list[float] = []
-    for k in np.flatnonzero((index[1:] != index[:-1]) & steep):
-        a, b = float(phases[k]), float(phases[k + 1])
-        while b - a > JUMP:
-            middle = 0.5 * (a + b)
-            if fly(np.array([middle]))[1][0] == index[k]:
-                a = middle
-            else:
-                b = middle
-        sides = fly(np.array([a, b]))[0]
-        if abs(sides[1] - sides[0]) > SMALLEST_ZONE:
-            low_high.append((float(sides[0]), float(sides[1])))
-            cuts.append(int(k) + 1)
-    cuts.append(phases.size)
-    out = []
-    for i, (a_index, b_index) in enumerate(zip(cuts, cuts[1:], strict=False)):
-        values = list(tau[a_index:b_index])
-        extra = ([low_high[i - 1][1]] if i > 0 else []) + ([low_high[i][0]] if i < len(low_high) else [])
-        inner = slice(a_index, b_index)
-        values += extra + _extremes(lambda p: float(fly(np.array([p]))[0][0]), phases[inner], tau[inner])
-        if b_index == phases.size:
-            values.append(0.0)  # take-offs at the very end of a window do not leave
-        out.append((float(min(values)), float(max(values))))
-    return out
+    pieces = [[(float(phases[0]), float(tau[0]))]]
+    for k in range(1, phases.size):
+        if index[k] != index[k - 1]:
+            for left, right in _jumps(fly, float(phases[k - 1]), float(phases[k])):
+                pieces[-1].append(left)
+                pieces.append([right])
+        pieces[-1].append((float(phases[k]), float(tau[k])))
+    pieces[-1].append((stop, 0.0))  # a take-off at the very end of a window does not leave
+    return [_range_of(fly, np.array(piece)) for piece in pieces]
 
 
-def _extremes(tau_at: object, phases: Floats, tau: Floats) -> list[float]:
-    """Inner minimum and maximum of a piece, refined from the samples around them."""
+def _jumps(fly: Fly, a: float, b: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+    """The jumps of the flight time between two take-off phases: ``(phase, flight time)`` on either side of each."""
     found = []
+    last = fly(np.array([b]))[1][0]
+    while (here := fly(np.array([a]))[1][0]) != last:
+        low, high = a, b
+        while high - low > JUMP:
+            middle = 0.5 * (low + high)
+            if fly(np.array([middle]))[1][0] == here:
+                low = middle
+            else:
+                high = middle
+        before, after = (float(t) for t in fly(np.array([low, high]))[0])
+        if abs(after - before) > SMALLEST_ZONE:
+            found.append(((low, before), (high, after)))
+        a = high
+    return found
+
+
+def _range_of(fly: Fly, piece: Floats) -> tuple[float, float]:
+    """Least and greatest flight time of a piece (m, 2) of phases and flight times, refined between the samples."""
+    phases, tau = piece.T
+    ends = []
     for sign in (1.0, -1.0):
         k = int(np.argmin(sign * tau))
+        best = float(tau[k])
         if 0 < k < tau.size - 1:
-            best = minimize_scalar(
-                lambda p, s=sign: s * tau_at(p), bounds=(phases[k - 1], phases[k + 1]), method="bounded",  # type: ignore[operator]
-                options={"xatol": 1e-12},
+            inside = minimize_scalar(
+                lambda p, s=sign: s * fly(np.array([p]))[0][0], bounds=(phases[k - 1], phases[k + 1]),
+                method="bounded", options={"xatol": 1e-12},
             )
-            found.append(sign * float(best.fun))
-    return found
+            best = sign * min(sign * best, float(inside.fun))
+        ends.append(best)
+    return ends[0], ends[1]

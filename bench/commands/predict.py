@@ -19,8 +19,8 @@ def command(
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
     steps: int = typer.Option(1000, min=2, help="Gammas of a diagram over --gamma-range."),
     adaptive: bool = typer.Option(False, "--adaptive", help="More gammas where something happens."),
-    narrowest: float | None = typer.Option(None, help="Narrowest window of gamma listed; 1e-6, bouncing 1e-4."),
-    grid: list[str] = typer.Option([], help="name.parameter=from:to:count, one more axis of the diagram; repeatable."),
+    narrowest: float | None = typer.Option(None, help="Narrowest window of gamma listed; 1e-6, bouncing 1e-3."),
+    grid: list[str] = typer.Option([], help="name.parameter=from:to:count: one more axis of a diagram."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
@@ -46,7 +46,7 @@ def command(
         Request(
             ratio=c, gamma=gamma, gamma_peak=gamma_peak, gamma_range=gamma_range, bifurcations=bifurcations,
             effects=tuple(effect), frequency_hz=frequency_hz, sweep=sweep, phase_deg=phase_deg, steps=steps,
-            adaptive=adaptive, grid=tuple(grid), narrowest=narrowest, workers=workers, cluster=cluster, paper_figure=paper_figure,
-            json_to=json_to, out=out, figure=figure,
+            adaptive=adaptive, grid=tuple(grid), narrowest=narrowest, workers=workers, cluster=cluster,
+            paper_figure=paper_figure, json_to=json_to, out=out, figure=figure,
         )
     )
