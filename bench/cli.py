@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
     "verify": ("bench.commands.verify", "Say whether a recording is complete, stopped, incomplete or damaged."),
+    "recover": ("bench.commands.recover", "Rebuild a verified recording from one that was cut off."),
     "demo": ("bench.commands.demo", "The main job on a simulated rig, end to end."),
 }
 

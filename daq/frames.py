@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,9 @@ class FrameWriter:
         self._file.attrs.update(attributes)
         self._file.flush()
         self._file.swmr_mode = True
-        self._descriptor = os.open(path, os.O_RDWR)
+        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        self._identity = os.fstat(self._descriptor).st_ino
+        self._broken = False
 
     def append(self, block: Block) -> None:
         """Write one block; when this returns the block survives the end of the process.
@@ -78,14 +81,23 @@ class FrameWriter:
         ValueError
             When the block does not follow the one before, or has another number of channels.
         OSError
-            When the disk refuses.
+            When the disk refuses, or the file was removed; what was acknowledged before is kept.
         """
-        n = len(block.codes)
         if block.codes.ndim != 2 or block.codes.shape[1] != self._n_channels:
             raise ValueError(f"wanted frames of {self._n_channels} channels, got an array of {block.codes.shape}")
         if block.first_sample != self.n_samples:
             raise ValueError(f"wanted a block that starts at sample {self.n_samples}, got {block.first_sample}")
-        codes = np.ascontiguousarray(block.codes, "<i2")
+        if self.has_vanished():
+            raise OSError(f"{self.path}: was removed while it was being written; closing keeps a copy elsewhere")
+        try:
+            self._write(block, np.ascontiguousarray(block.codes, "<i2"))
+        except (OSError, RuntimeError) as error:
+            self._broken = True
+            raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
+
+    def _write(self, block: Block, codes: NDArray[np.int16]) -> None:
+        """Frames first, then the row that acknowledges them."""
+        n = len(codes)
         self._frames.resize((self.n_samples + n, self._n_channels))
         self._frames[self.n_samples :] = codes
         self._frames.id.flush()
@@ -121,11 +133,44 @@ class FrameWriter:
         """Whether `close` was not called yet."""
         return bool(self._file.id.valid)
 
-    def close(self) -> None:
-        """Flush and close; harmless when repeated."""
-        if self.is_open:
+    def has_vanished(self) -> bool:
+        """Whether the file is no longer under its name (a name whose folder cannot be looked into is believed)."""
+        try:
+            return os.stat(self.path).st_ino != self._identity  # noqa: PTH116 (2 us; a Path costs more, every block)
+        except FileNotFoundError:
+            return True
+        except OSError:
+            return False
+
+    def close(self) -> Path:
+        """Close and say where the frames are: under the file's name, or in a copy where that name is gone.
+
+        Raises
+        ------
+        OSError
+            When the disk had refused: the file is left as a killed process leaves it, for `bench recover`.
+        """
+        vanished = self.has_vanished()
+        try:
             self._file.close()
+        except (OSError, RuntimeError) as error:
+            raise OSError(f"{self.path}: could not be closed ({error})") from error
+        finally:
+            where = self._rescued() if vanished else self.path
             os.close(self._descriptor)
+        if self._broken and not vanished:
+            raise OSError(f"{self.path}: the disk had refused")
+        return where
+
+    def _rescued(self) -> Path:
+        """A copy of a file whose name is gone but whose content this process still holds."""
+        folder = self.path.parent if self.path.parent.is_dir() else Path(tempfile.gettempdir())
+        where = folder / f"{self.path.stem}.rescued-{os.getpid()}{self.path.suffix}"
+        with where.open("xb") as copy:
+            os.lseek(self._descriptor, 0, os.SEEK_SET)
+            while piece := os.read(self._descriptor, 1 << 20):
+                copy.write(piece)
+        return where
 
 
 def is_being_written(path: Path) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +26,7 @@ from daq.provenance import software_commit, software_version
 from daq.reader import open_recording, timestamps_ns
 from daq.setup import Setup
 
+RESERVE_BYTES = 8_000_000
 Ending = Literal["complete", "stopped", "failed"]
 
 
@@ -81,11 +83,13 @@ class RecordingWriter:
         Hash of a hidden scenario.
     scales
         Channel name to ``(volts_per_code, offset_v)``; the default is the channel's range over 16 bits.
+    expected_samples
+        How long the run will be; refused where the disk has no room for it.
 
     Raises
     ------
     InputError
-        When ``path`` exists or its folder does not.
+        When ``path`` exists, its folder does not, or the disk is too full.
     """
 
     def __init__(
@@ -101,7 +105,10 @@ class RecordingWriter:
         extra: Mapping[str, Any] | None = None,
         scenario_sha256: str | None = None,
         scales: Mapping[str, tuple[float, float]] | None = None,
+        expected_samples: int = 0,
     ) -> None:
+        self.path = Path(path)
+        require_space(self.path, expected_samples, len(channels))
         attributes = root_attributes(
             setup, profile_text=profile_text, backend=backend, simulated=simulated, note=note, extra=extra,
             scenario_sha256=scenario_sha256,
@@ -117,7 +124,6 @@ class RecordingWriter:
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
         }
-        self.path = Path(path)
         self._frames = FrameWriter(self.path, channels, attributes)
 
     @property
@@ -162,17 +168,19 @@ class RecordingWriter:
         OSError
             When the column file cannot be written; the frames are kept, and `bench recover` can finish the job.
         """
-        self._frames.close()
-        ending = {"ended": how, "why": why, "ended_at": now_utc()}
+        where = self.path
         try:
-            with h5py.File(self.path, "r+") as file:
-                file.attrs.update(ending)
-            columns_from_frames(self.path, self.path)
-        except OSError as error:
+            where = self._frames.close()
+            with h5py.File(where, "r+") as file:
+                file.attrs.update({"ended": how, "why": why, "ended_at": now_utc()})
+            columns_from_frames(where, where)
+        except (OSError, RuntimeError) as error:
             raise OSError(
-                f"{self.path}: the recorded frames are safe in this file, but its column form could not be written "
-                f"({error}); make room and run: bench recover {self.path}"
+                f"{where}: the recorded frames are safe in this file, but the run could not be finished as columns "
+                f"({error}); make room and run: bench recover {where}"
             ) from error
+        if where != self.path:
+            raise OSError(f"{self.path}: was removed while it was being written; all of the run is kept in {where}")
 
     def __enter__(self) -> Self:
         return self
@@ -186,6 +194,23 @@ class RecordingWriter:
                 self.close("complete")
             else:
                 self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
+
+
+def require_space(path: Path, n_samples: int, n_channels: int) -> None:
+    """Refuse to begin what the disk cannot hold: frames, the column file beside them, and a reserve.
+
+    Raises
+    ------
+    InputError
+        Naming what is needed and what is free.
+    """
+    needed = n_samples * (4 * n_channels + 8) + RESERVE_BYTES
+    if path.parent.is_dir() and shutil.disk_usage(path.parent).free < needed:
+        free = shutil.disk_usage(path.parent).free
+        raise InputError(
+            f"{path}: the run needs up to {needed / 1e6:.0f} MB while it is recorded and closed, and {path.parent} has "
+            f"{free / 1e6:.0f} MB free; make room or record elsewhere."
+        )
 
 
 def _default_scale(setup: Setup, name: str) -> tuple[float, float]:

@@ -1,0 +1,39 @@
+"""`bench recover`: a whole recording from one that was cut off."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import typer
+
+from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+
+
+def command(
+    recording: Path = typer.Argument(..., metavar="FILE", help="Recording that was cut off; it is only read."),
+    out: Path = typer.Option(None, "--out", "-o", metavar="REC.h5", help="File to create [NAME.recovered.h5]."),
+    json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON; - is the screen."),
+) -> None:
+    """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk.
+
+    Every block whose writing had been acknowledged is there; the new file says that it was recovered.
+
+    Example: bench recover run.h5 --out run.recovered.h5
+    """
+    from daq.errors import InputError
+    from daq.recover import recover
+
+    try:
+        found = recover(recording, out)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{recording}: could not be recovered ({error}).")
+    if json_out != "-":
+        typer.echo(f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered")
+        for block in found.damaged_blocks:
+            typer.echo(f"  block {block} differs from what was recorded; it is kept and flagged")
+    write_json(dataclasses.asdict(found), json_out)
+    if found.damaged_blocks:
+        raise typer.Exit(EXIT_FAILED)
