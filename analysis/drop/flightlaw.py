@@ -107,7 +107,11 @@ class FlightLaw:
             u = np.maximum(self.return_speed_mps(v), 1e-12)
             growth = 1.0 + self.drag_per_m * v * v / self.up_mps2
             slope = (1.0 + v / u) / (self.up_mps2 * growth)
-            v = np.maximum(v + (t - self.duration_s(v)) / slope, 0.5 * v)
+            moved = np.maximum(v + (t - self.duration_s(v)) / slope, 0.5 * v)
+            settled = np.all(np.abs(moved - v) <= 1e-12 * v)
+            v = moved
+            if settled:
+                break
         return v
 
     def drop_m(self, since_apex_s: Numbers) -> Numbers:

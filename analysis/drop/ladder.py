@@ -1,7 +1,7 @@
 """Fit the ladder of models to the impact times of one drop or many, together.
 
-The rule kept here: generalised least squares with the covariance of `rows`, whose two widths come from maximum
-likelihood and never from a guess; intervals are the wider of that fit's and a bootstrap's.
+The rule kept here: generalised least squares with the covariance of `rows`, whose two widths come from the
+data (with a prior that keeps neither from vanishing); intervals are the wider of that fit's and a bootstrap's.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _OUTLIER_SIGMA = 4.5
 _SMALLEST_JITTER_S, _SMALLEST_SCATTER = 1e-7, 1e-6
 _FEW_DROPS = 6
+_USUAL_WIDTHS = (2e-4, 5e-3)  # s and 1: of a phone or a camera, and of balls on floors
+_USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,22 @@ def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator,
     last = step(model, theta, rows, widths, g_mps2)
     residuals = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), np.nan)
     draws = _bootstrap(theta, last, rng, boots)
-    return Fit(model, theta, last.covariance, *widths, residuals, draws, rows.count - len(theta))
+    covariance = _wider(last.covariance, _as_scatter(model, theta, rows, residuals, g_mps2))
+    return Fit(model, theta, covariance, *widths, residuals, draws, rows.count - len(theta))
+
+
+def _as_scatter(model: BounceModel, theta: Array, rows: Rows, residuals: Array, g_mps2: float) -> Array:
+    """Covariance if all that is left were scatter of the restitution: no help from errors that cancel."""
+    relative = (residuals / rows.after_s)[rows.valid & ~rows.from_height]
+    spread = float(theta[0]) * float(np.sqrt((relative**2).sum() / max(len(relative) - len(theta), 1)))
+    return step(model, theta, rows, (_SMALLEST_JITTER_S, max(spread, _SMALLEST_SCATTER)), g_mps2).covariance
+
+
+def _wider(covariance: Array, other: Array) -> Array:
+    """The first covariance, each standard deviation stretched to the other's where that is larger."""
+    own, rival = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(other))
+    stretch = np.maximum(rival / np.maximum(own, 1e-300), 1.0)
+    return covariance * np.outer(stretch, stretch)
 
 
 @dataclass(frozen=True)
@@ -140,7 +157,7 @@ def converge(model: BounceModel, theta: Array, rows: Rows, widths: tuple[float, 
     for _ in range(12):
         there = step(model, here.theta, rows, widths, g_mps2, damping)
         if there.chi_square <= here.chi_square * (1.0 + 1e-9):
-            done = here.chi_square - there.chi_square < 1e-6 * (1.0 + here.chi_square)
+            done = here.chi_square - there.chi_square < 1e-5 * (1.0 + here.chi_square)
             theta, here, damping = here.theta, there, damping * 0.1
             if done:
                 break
@@ -153,7 +170,11 @@ def converge(model: BounceModel, theta: Array, rows: Rows, widths: tuple[float, 
 def _widths(
     model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: tuple[float, float]
 ) -> tuple[float, float]:
-    """Jitter and scatter of greatest likelihood at ``theta``, with one degree of freedom given up per parameter."""
+    """Most likely jitter and scatter at ``theta``, with one degree of freedom given up per parameter.
+
+    A weak prior keeps either from vanishing: in a short drop the likelihood alone likes to put all on one of them,
+    and a restitution without any scatter would then seem known far too well.
+    """
     noise = noise_of(model, theta, rows, g_mps2)
     residual = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), 0.0)[..., None]
     inflate = rows.count / max(rows.count - len(theta), 1)
@@ -162,7 +183,8 @@ def _widths(
         lower = noise.lower(*np.exp(logs))
         white = np.linalg.solve(lower, residual)
         diagonal = np.diagonal(lower, axis1=1, axis2=2)
-        return float(np.log(diagonal).sum() + 0.5 * inflate * (white**2).sum())
+        usual = ((logs - np.log(_USUAL_WIDTHS)) / _USUAL_SPREAD) ** 2
+        return float(np.log(diagonal).sum() + 0.5 * inflate * (white**2).sum() + 0.5 * usual.sum())
 
     found = optimize.minimize(
         minus_log,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.attribution import Judged, Verdict
+from analysis.drop.attribution import Judged, Verdict, gain_of
 from analysis.drop.bouncelaw import BOUNDS
 from analysis.drop.declare import Measured
 from analysis.drop.rows import Drop
@@ -135,11 +135,12 @@ def _height(drop: Drop, verdict: Verdict, g_mps2: float, rng: np.random.Generato
         return interval(np.nan, np.nan, np.nan)
     first = float(drop.bounces.intervals_s[0])
     lows, highs, value = [], [], np.nan
-    for name in verdict.tie_set:
-        rung = verdict.rung(name)
-        if not rung.identifiable:
+    chosen = verdict.rung(verdict.chosen)
+    for rung in verdict.rungs:
+        name, fit = rung.model.name, rung.fit
+        simple = len(rung.model.parameters) <= 2 or rung is chosen
+        if not rung.identifiable or not simple or gain_of(chosen, rung)[1]:
             continue
-        fit = rung.fit
         sigma = fit.half_width() / LEVEL_SIGMAS
         scale = sigma / np.maximum(np.sqrt(np.diag(fit.covariance)), 1e-300)
         theta = fit.theta + scale * rng.multivariate_normal(np.zeros(len(sigma)), fit.covariance, _DRAWS, method="svd")
