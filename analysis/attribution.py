@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
+THREADS = 2
 
 
 @dataclass(frozen=True)
@@ -194,25 +196,30 @@ class Attributor:
         return Explanation(chosen, fitted, whitener, fitted.held_out(whitener))
 
     def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
-        out = []
-        for i, candidate in enumerate(options):
-            self.progress(" + ".join(candidate.names), (depth + i / len(options)) / self.limits.most_effects)
+        """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
+        done = 0
+
+        def one(candidate: Candidate) -> Explanation | None:
+            nonlocal done
             found = self.add(best, candidate)
-            if found is not None:
-                out.append(found)
-        return out
+            done += 1
+            self.progress(" + ".join(candidate.names), (depth + done / len(options)) / self.limits.most_effects)
+            return found
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            return [x for x in pool.map(one, options) if x is not None]
 
     def add(self, best: Explanation, candidate: Candidate) -> Explanation | None:
-        """Fit the best explanation with one candidate more; None where the candidate changes nothing here."""
+        """Fit the best explanation with one candidate more; None where the candidate could change nothing here."""
         taken = set(best.free)
         free = tuple(k for k in candidate.free if k not in taken)
         if not free:
             return None
-        start = self._start(best, candidate, free)
+        start, ahead = self._start(best, candidate, free)
+        if ahead < HOPELESS_NATS and self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS:
+            return None
         added = Candidate(candidate.names, free)
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), start, best.fitted.slopes)
-        if not np.any(fitted.bare[:, len(best.free) : len(best.free) + len(free)]):
-            return None
         if best.fitted.loss - fitted.loss < HOPELESS_NATS:
             return Explanation((*best.candidates, added), fitted, best.whitener, fitted.held_out(best.whitener))
         return self._judged((*best.candidates, added), self._settled(fitted))
@@ -227,18 +234,17 @@ class Attributor:
             fitted = self.fitter.fit(after, fitted.free, fitted.values)
         return fitted
 
-    def _start(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> dict[Key, float]:
-        """The best of the candidate's starting points."""
+    def _start(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> tuple[dict[Key, float], float]:
+        """The best of the candidate's starting points, and how far ahead of the best explanation it is, in nats."""
         values = best.fitted.values
-        if len(candidate.starts) <= 1:
-            return {**values, **(candidate.starts[0] if candidate.starts else {})}
-        best_point, lowest = values, np.inf
+        lowest = level = self._quick(best.whitener, values)
+        start = {**values, **(candidate.starts[0] if candidate.starts else {})}
         for point in candidate.starts:
             trial = {**values, **{k: v for k, v in point.items() if k in free}}
             loss = self._quick(best.whitener, trial)
             if loss < lowest:
-                best_point, lowest = trial, loss
-        return best_point
+                start, lowest = trial, loss
+        return start, level - lowest
 
     def _quick(self, whitener: Whitener, values: Mapping[Key, float]) -> float:
         events, plate = whitener.white(self.world.residuals(values))

@@ -22,10 +22,13 @@ from model.roll import Measured, PlateSteps
 Array = NDArray[np.float64]
 
 NOT_EVENTS = FlightFlag.FALSE
-NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.UNSURE
-MISLEADING = FlightFlag.GAP | FlightFlag.CUT | FlightFlag.UNSURE
+NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
+MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
 MAX_TONES = 8
+FARTHEST_JITTER_S = 5e-4
+REPEATS = 8  # flights after a rest that a step needs to tell how well edges repeat
+WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,8 @@ class Evidence:
     plate : PlateData
     setup : Setup
         Of the first recording; the others must agree in what scales a measurement.
+    weak_mps : array, shape (n,)
+        Impacts slower than this may have gone unnoticed when the ball left at once; infinite without a second witness.
     unseen_s : float
         Flights shorter than this cannot have been seen.
     sources : tuple of str
@@ -87,6 +92,7 @@ class Evidence:
     landing_sigma_s: Array
     judged: NDArray[np.bool_]
     time_s: Array
+    weak_mps: Array
     steps: Steps
     plate: PlateData
     setup: Setup
@@ -155,12 +161,40 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])), sigma, forcing,
     )
     measured, judged, keep = _events(flights, rows)
-    sigmas_open, sigmas_land = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    sigmas_open = _with_jitter(measured.opening_s, flights.takeoff_uncertainty_s[keep], measured, judged, steps)
+    sigmas_land = _with_jitter(measured.landing_s, flights.landing_uncertainty_s[keep], measured, judged, steps)
+    weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
     data, notes = plate_data(fitted, setup)
     return Evidence(
-        measured, sigmas_open, sigmas_land, judged, measured.landing_s.copy(), steps, data, setup,
+        measured, sigmas_open, sigmas_land, judged, measured.landing_s.copy(), weak, steps, data, setup,
         unseen_s=GLITCH_S, sources=(str(recording.path),), notes=notes,
     )
+
+
+def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDArray[np.bool_], steps: Steps) -> Array:
+    """Uncertainty of edges, raised to how well they repeat from cycle to cycle where the ball rests in between.
+
+    A flight after a rest begins anew: in a step where every cycle is the same, its edges scatter by their own noise
+    alone. The quiet quarter of the steps says how much; no model is asked.
+    """
+    scatter, claimed = [], []
+    for i in range(len(steps)):
+        rows = np.flatnonzero(judged & (measured.step == i) & ~measured.at_once)
+        if len(rows) < REPEATS:
+            continue
+        period = steps.plate.period_s[i]
+        apart = np.diff(time_s[rows])
+        off = apart - np.round(apart / period) * period
+        near = off[np.abs(off - np.median(off)) < FARTHEST_JITTER_S]
+        if len(near) < 0.8 * len(off):
+            continue
+        scatter.append(float(np.std(near)) / np.sqrt(2.0))
+        claimed.append(float(np.median(sigma_s[rows])))
+    if len(scatter) < 3:
+        return sigma_s
+    excess = np.array(scatter) ** 2 - np.array(claimed) ** 2
+    jitter = float(np.quantile(excess, 0.4))
+    return np.sqrt(sigma_s**2 + max(jitter, 0.0))
 
 
 def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -207,7 +241,7 @@ def join(parts: Sequence[Evidence]) -> Evidence:
     )
     return Evidence(
         measured,
-        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("opening_sigma_s", "landing_sigma_s", "judged", "time_s")),
+        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("opening_sigma_s", "landing_sigma_s", "judged", "time_s", "weak_mps")),
         steps=table, plate=PlateData.join([p.plate for p in parts], shift), setup=parts[0].setup,
         unseen_s=max(p.unseen_s for p in parts), sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),

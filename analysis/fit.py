@@ -170,6 +170,19 @@ class Fitter:
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
 
+    def linear_gain(self, best: Fitted, free: Sequence[Key]) -> float:
+        """Loss that freeing ``free`` would save on the steps of the fit if residuals were linear in them, in nats."""
+        keys = [*free, *(k for k in best.keys if k not in free)]
+        x = np.array([self._to_x(k, best.values.get(k, parameter_of(k).absent)) for k in keys])
+        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
+        bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
+        state.fill(bare, x, best.raw, range(len(free)))
+        white = best.state.whitener.white_all
+        normal, gradient = state.normal(white(bare), white(best.raw), x, state.mask)
+        step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
+        return float(step @ gradient - 0.5 * step @ normal @ step)
+
+
 class _State:
     """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""
 

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from analysis.evidence import Evidence
 from analysis.platedata import expected
@@ -29,7 +29,6 @@ FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
 LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
 EDGE_STEP_S = 2e-6
-GRAZING = 10.0  # times the median uncertainty: a landing so uncertain is left out of rms figures
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,7 @@ class World:
         if landing_shift_s is not None:
             moved = moved + landing_shift_s
         measured = replace(ev.measured, opening_s=ev.measured.opening_s - shift, landing_s=moved)
-        p = one_ahead(measured, plate, self.rows(values) if rows is None else rows, gap_m=gap, unseen_s=ev.unseen_s)
+        p = one_ahead(measured, plate, self.rows(values) if rows is None else rows, gap_m=gap, unseen_s=ev.unseen_s, weak_mps=ev.weak_mps)
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -229,7 +228,10 @@ class Whitener:
     landing: NDArray[np.int64]
     step: NDArray[np.int64]
     order: NDArray[np.int64]
-    blocks: tuple[tuple[int, int, Array], ...]
+    bounds: NDArray[np.int64]  # of the steps' blocks
+    sd: Array
+    shared: Array  # directions in which a step's residuals err together, orthonormal in each block
+    shrink: Array
     cap: Array
     log_sigma: Array  # of each whitened residual
     plate_sigma: Array
@@ -254,15 +256,21 @@ class Whitener:
         ])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
         order = np.argsort(step, kind="stable")
-        blocks, logs, at = [], np.zeros(len(step)), 0
-        for count in np.unique(step, return_counts=True)[1]:
-            rows = order[at : at + count]
-            factor = np.linalg.cholesky(np.diag(variance[rows]) + tones[rows] @ tones[rows].T)
-            blocks.append((at, at + count, factor))
-            logs[at : at + count] = np.log(np.diag(factor))
-            at += count
+        bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
+        sd = np.sqrt(variance[order])
+        shared = np.ascontiguousarray(tones[order] / sd[:, None])
+        logs, shrink = np.log(sd), np.zeros((len(bounds) - 1, shared.shape[1]))
+        for i in range(len(bounds) - 1):
+            rows = slice(bounds[i], bounds[i + 1])
+            vectors, sizes, _ = np.linalg.svd(shared[rows], full_matrices=False)
+            shared[rows] = 0.0
+            shared[rows, : len(sizes)] = vectors
+            shrink[i, : len(sizes)] = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+            logs[rows] += 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
         sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
-        return cls(opening, landing, step[order], order, tuple(blocks), np.concatenate([cap_o, cap_l]), logs, sigma, log, excess)
+        return cls(
+            opening, landing, step[order], order, bounds, sd, shared, shrink, np.concatenate([cap_o, cap_l]), logs, sigma, log, excess
+        )
 
     def stacked(self, r: Residuals) -> Array:
         """Bare residuals in one column: events in the order of ``step``, then plate data."""
@@ -272,9 +280,10 @@ class Whitener:
     def white_all(self, bare: Array) -> Array:
         """Whitened residuals, or columns of derivatives, from bare ones."""
         out = np.empty_like(bare)
-        for lo, hi, factor in self.blocks:
-            out[lo:hi] = solve_triangular(factor, bare[lo:hi], lower=True, check_finite=False)
         n = len(self.step)
+        events = np.ascontiguousarray((bare[:n].T / self.sd).T.reshape(n, -1))
+        _unshare(events, self.bounds, self.shared, self.shrink)
+        out[:n] = events.reshape(bare[:n].shape)
         out[n:] = (bare[n:].T / self.plate_sigma).T
         return out
 
@@ -282,6 +291,22 @@ class Whitener:
         """Whitened event residuals (in the order of ``step``) and plate residuals."""
         both = self.white_all(self.stacked(r))
         return both[: len(self.step)], both[len(self.step) :]
+
+
+@njit(cache=True)  # type: ignore[misc]
+def _unshare(y: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
+    """Take from each block what its residuals have in common: ``y += U shrink U^T y``, in place, (n, columns)."""
+    for i in range(len(bounds) - 1):
+        for q in range(shared.shape[1]):
+            if shrink[i, q] == 0.0:
+                continue
+            for c in range(y.shape[1]):
+                total = 0.0
+                for j in range(bounds[i], bounds[i + 1]):
+                    total += shared[j, q] * y[j, c]
+                total *= shrink[i, q]
+                for j in range(bounds[i], bounds[i + 1]):
+                    y[j, c] += total * shared[j, q]
 
 
 def _excess(residual: Array, sigma: Array) -> float:

@@ -155,7 +155,7 @@ class Predicted:
 
 def one_ahead(
     measured: Measured, plate: PlateSteps, rows: Array, *, gap_m: Array | float = 0.0, unseen_s: float = 1e-4,
-    passable_s: float = 2e-3,
+    passable_s: float = 2e-3, weak_mps: Array | float = 0.0,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -172,6 +172,9 @@ def one_ahead(
     passable_s
         Flights shorter than this may have escaped the instrument: they are passed over when they end before the
         measured flight begins.
+    weak_mps
+        An impact slower than this, from which the ball leaves at once, may have left no mark: the measured flight went
+        on through it. Infinite where nothing but the contact circuit watches; one number or (n,).
     """
     n = len(measured.landing_s)
     rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
@@ -182,7 +185,7 @@ def one_ahead(
         plate.period_s, plate.omega_radps, np.ascontiguousarray(plate.acceleration_mps2.real),
         np.ascontiguousarray(plate.acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"),
         elastic, np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)), unseen_s,
-        passable_s, out,
+        passable_s, np.ascontiguousarray(np.broadcast_to(np.asarray(weak_mps, dtype=np.float64), n)), out,
     )
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan

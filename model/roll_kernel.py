@@ -310,8 +310,8 @@ def flight(t0, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap):
 def leave(t, v_in, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """After an impact at time t with speed v_in: when, how fast and how the ball leaves the plate.
 
-    Returns (time, launch velocity, kind): kind 1 thrown or bounced at once, 0 after rest, -1 never. The tail of a
-    chatter is summed as a geometric series under the net acceleration at its start.
+    Returns (time, launch velocity, kind, end of rebounds): kind 1 thrown or bounced at once, 0 after rest, -1 never. The
+    tail of a chatter is summed as a geometric series under the net acceleration at its start.
     """
     e = min(max(rebound(v_in, p), 0.0), 0.999)
     v0 = e * v_in
@@ -321,28 +321,28 @@ def leave(t, v_in, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     if v0 > 0.0:
         rise = net - dry(0.0, v0, 1.0, p)
         if rise >= 0.0:
-            return t, v0, 1
+            return t, v0, 1, t
         fall = net + dry(0.0, v0, -1.0, p)
         if fall < 0.0:
             lasts = v0 * (1.0 / -rise + 1.0 / math.sqrt(rise * fall))
             back = math.sqrt(fall / rise)
             if lasts > TAIL_PART * period:
-                return t, v0, 1
+                return t, v0, 1, t
             tail = lasts / (1.0 - e * back) if e * back < 1.0 else lasts
         elif v0 / -rise > TAIL_PART * period:
-            return t, v0, 1
+            return t, v0, 1, t
         else:
             tail = v0 / -rise
         stay, direction = wait(t + tail, 0.0, tail, dwell0, q, qd, om, ze, w, ar, ai, dt, p)
         if direction == 0.0:
-            return t, 0.0, -1
-        return t + tail + stay, 0.0, 0
+            return t, 0.0, -1, t + tail
+        return t + tail + stay, 0.0, 0, t + tail
     if up > 0.0:
-        return t, 0.0, 1
+        return t, 0.0, 1, t
     stay, direction = wait(t, 0.0, 0.0, dwell0, q, qd, om, ze, w, ar, ai, dt, p)
     if direction == 0.0:
-        return t, 0.0, -1
-    return t + stay, 0.0, 0
+        return t, 0.0, -1, t
+    return t + stay, 0.0, 0, t
 
 
 @njit(cache=True, error_model="numpy")
@@ -355,8 +355,8 @@ def strike(q, qd, s, v_in, om, ze, ratio, p):
 
 
 @njit(cache=True, error_model="numpy")
-def next_seen(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, after, passable_s):
-    """From an impact at time t with speed v_in to the next landing of a flight that an instrument sees.
+def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, after, passable_s):
+    """From an impact at time t with speed v_in to the next flight that an instrument sees.
 
     Flights shorter than ``unseen_s`` are passed over, and those shorter than ``passable_s`` that end before ``after``.
     (q, qd) is the mode's state just after the impact at t. Returns (take-off, launch velocity, landing, impact speed,
@@ -364,7 +364,7 @@ def next_seen(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, ga
     """
     dwell = 0.0
     for hidden in range(MOST_BOUNCES):
-        off, v0, kind = leave(t, v_in, dwell, q, qd, om, ze, w, ar, ai, dt, p)
+        off, v0, kind, _ = leave(t, v_in, dwell, q, qd, om, ze, w, ar, ai, dt, p)
         if kind < 0:
             break
         qt, qdt, _ = ring(off - t, q, qd, om, ze)
@@ -381,10 +381,39 @@ def next_seen(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, ga
 
 
 @njit(cache=True, error_model="numpy")
-def launch_of(t0, t1, q, qd, om, ze, w, ar, ai, dt, p, forced, rough):
+def weak_rebounds(
+    land, hit, target, rests, weak_mps, unseen_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough
+):
+    """Which landing ends a flight as the instrument shows it, given a first landing.
+
+    An impact slower than ``weak_mps`` from which the ball leaves at once has left no mark: the flight seems to go on
+    through it. Where the ball then ``rests``, it ends when the rebounds become shorter than ``unseen_s``; else at the
+    landing nearest to ``target``. (q, qd) is the mode's state just after the landing. Returns (landing, impact speed,
+    impacts passed).
+    """
+    passed = 0
+    while hit < weak_mps and passed < MOST_BOUNCES and (rests or land < target):
+        off, v0, kind, _ = leave(land, hit, 0.0, q, qd, om, ze, w, ar, ai, dt, p)
+        if kind != 1:
+            break
+        lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
+        if lasts < unseen_s:
+            break
+        following = off + lasts
+        if abs(following - target) > abs(land - target) and (not rests or following > target + 16.0 * dt):
+            break
+        q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
+        land, hit = following, v_next
+        passed += 1
+    return land, hit, passed
+
+
+@njit(cache=True, error_model="numpy")
+def launch_of(t0, t1, v_near, t_near, q, qd, om, ze, w, ar, ai, dt, p, forced, rough):
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
-    Secant on the landing time from the drag-free answer; that answer itself where no flight lands at t1.
+    Secant on the landing time from the drag-free answer, or from a launch velocity ``v_near`` known to land at
+    ``t_near`` (-1: none); the drag-free answer itself where no flight lands at t1.
     """
     g = p[-1]
     x0, vp0, _ = plate(t0, w, ar, ai)
@@ -396,9 +425,10 @@ def launch_of(t0, t1, q, qd, om, ze, w, ar, ai, dt, p, forced, rough):
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
     if not (forced or rough):
         return v0, hit
-    va, fa, va_hit = 0.0, 0.0, hit
-    vb = max(v0, 0.0)
-    for i in range(7):
+    va, fa, va_hit = v_near, t_near - t1, hit
+    first = 0 if v_near < 0.0 else 1
+    vb = max(v0, 0.0) if first == 0 else max(v_near - 0.5 * g * fa, 0.0)
+    for i in range(first, 7):
         s, v_hit, _ = flight(t0, vb, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
         if s < 0.0:
             return max(v0, 0.0), max(hit, 0.0)
@@ -406,7 +436,7 @@ def launch_of(t0, t1, q, qd, om, ze, w, ar, ai, dt, p, forced, rough):
         va_hit = v_hit
         if abs(fb) < 1e-9:
             break
-        if i == 0:
+        if i == 0 or vb == va:
             va, fa = vb, fb
             vb = max(vb - 0.5 * g * fb, 0.0)
             if vb == va:
@@ -446,10 +476,10 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     return t_open
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def one_ahead(
     opening, landing, at_once, linked, wanted, step, period, w, ar, ai, p, forced, rough, bounce, gap, unseen_s,
-    passable_s, out,
+    passable_s, weak_mps, out,
 ):
     """Predict each event from the measured one before it.
 
@@ -475,11 +505,18 @@ def one_ahead(
             known = False
             q, qd = 0.0, 0.0
             t_previous = opening[i]
-        if wanted[i] and linked[i] and (known or not bounce[i]):
-            off, v0, land, hit, opened, hidden, kind, _, _ = next_seen(
+        passed = 0
+        if (wanted[i] or bounce[i]) and linked[i] and (known or not bounce[i]):
+            off, v0, land, hit, opened, hidden, kind, qt, qdt = next_flight(
                 t_previous, previous_hit, q, qd, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough, gap[i],
                 min(unseen_s, 0.5 * (landing[i] - opening[i])), opening[i], passable_s,
             )
+            if kind >= 0 and hit < weak_mps[i]:
+                qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
+                rests = i + 1 < landing.shape[0] and linked[i + 1] and not at_once[i + 1]
+                land, hit, passed = weak_rebounds(
+                    land, hit, landing[i], rests, weak_mps[i], unseen_s, qt, qdt, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough
+                )
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = off, v0, land, hit
             out[i, 4], out[i, 5], out[i, 6] = opened, hidden, kind
         # the measured flight itself: how fast did it leave and land?
@@ -501,7 +538,12 @@ def one_ahead(
         if not at_once[i]:
             lasts, hit, _ = flight(start, 0.0, qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough, 0.0)
         if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
-            v0, hit = launch_of(start, landing[i], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
+            near = out[i, 1] if passed == 0 and out[i, 6] == 1.0 and at_once[i] else -1.0
+            v0, hit = launch_of(
+                start, landing[i], near, out[i, 2], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough
+            )
+        if passed > 0 and abs(out[i, 2] - landing[i]) < passable_s:
+            hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact
         previous_hit = max(hit, 0.0)
         out[i, 7], out[i, 8] = v0, previous_hit
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
@@ -516,7 +558,7 @@ def march(t, v_in, q, qd, period, w, ar, ai, p, forced, rough, gap, unseen_s, ou
     dt = period / STEPS_PER_PERIOD
     om, ze, ratio = mode(p)
     for i in range(out.shape[0]):
-        off, v0, land, hit, _, hidden, kind, qt, qdt = next_seen(
+        off, v0, land, hit, _, hidden, kind, qt, qdt = next_flight(
             t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, -1e300, 0.0
         )
         if kind < 0:
