@@ -150,8 +150,9 @@ class Interlock:
         full = self._full[name]
         at_limit = (codes >= full) | (codes <= -full)
         for extreme in (int(codes.max(initial=-32768)), int(codes.min(initial=32767))):
-            if abs(extreme) > FLAT_PART * full:  # a motion's top is one code for a few samples, a clipped one stays
-                at_limit |= codes == extreme
+            top = codes == extreme
+            if abs(extreme) > FLAT_PART * full and np.count_nonzero(top) > max(3.0, CLIPPED_FRACTION * self._cycle / 2):
+                at_limit |= top  # a motion's top is one code for a few samples, a clipped one stays
         where = self._n_seen - len(codes) + np.flatnonzero(at_limit)
         recent = np.concatenate([self._clipped[name], where])
         self._clipped[name] = recent[recent > self._n_seen - self._cycle]

@@ -21,12 +21,11 @@ Mask = NDArray[np.bool_]
 LOWPASS_OVER_TONE = 4.0  # corner of the low-pass over the fastest tone
 LEAK_OVER_TONE = 1.0 / 20.0  # corner below which offset and integrals forget, over the first tone
 IMPACT_SIGMAS = 6.5  # a jump from sample to sample, over the usual one, that only an impact makes
-RINGING_S = 2e-3  # spoilt after an impact at least
-RISE_SAMPLES = 2  # before the jump that is seen (those of the block before, if any, are gone)
+RINGING_S = 1e-3  # spoilt after an impact at least
 SMOOTHING_S = 5e-4  # over which the jumps are averaged to hear whether it still rings
-RINGING_SQUARES = 3.0  # mean square jump, over the usual one, while it does
+RINGING_SQUARES = 4.0  # mean square jump, over the usual one, while it does
 
-_FIELDS = 10
+_FIELDS = 11
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class MotionWatch:
         self._state[0] = np.mean(a_mps2)
         self._state[5] = a_mps2[0]
         self._state[6] = max(float(np.mean(np.square(np.diff(a_mps2)))), self._scale**2)
-        self._state[7] = self._constants[3]
+        self._state[7] = self._state[10] = self._constants[3]
         self._state[8] = self._state[6]
 
 
@@ -104,10 +103,11 @@ def _follow(
     """Peaks of acceleration, velocity, displacement, and the sum of squares; marks ``quiet``.
 
     ``state``: rest, two low-passes, velocity, displacement, last sample, usual square of a jump, samples since impact,
-    present mean square of the jumps, mean jump.
+    present mean square of the jumps, mean jump, samples since it was last loud.
     """
     dt, low, leak, ringing, fast = constants
-    rest, first, second, v, x, last, usual, since, present, slope = state
+    rise = int(1.0 / fast)  # samples of this block; those of the block before, if any, are gone
+    rest, first, second, v, x, last, usual, since, present, slope, calm = state
     peak_a = peak_v = peak_x = squares = 0.0
     for i in range(codes.size):
         a = codes[i] * scale
@@ -122,11 +122,13 @@ def _follow(
         jump = (a - last - slope) * (a - last - slope)
         since = 0.0 if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual else since + 1.0
         present += fast * (jump - present)
-        quiet[i] = since >= ringing and present <= RINGING_SQUARES * usual
-        if since == 0.0:
-            quiet[max(0, i - RISE_SAMPLES) : i] = False
+        loud = since == 0.0 or present > RINGING_SQUARES * usual
+        calm = 0.0 if loud else calm + 1.0
+        quiet[i] = since >= ringing and calm >= rise
+        if calm == 0.0:  # what rang until it was heard
+            quiet[max(0, i - rise) : i] = False
         cap = 9.0 if quiet[i] else 1.5  # ringing is not usual, but what never ends must be
         usual = max(usual + leak * (min(jump, cap * usual) - usual), scale * scale)  # a code is the least noise
         last = a
-    state[:] = (rest, first, second, v, x, last, usual, since, present, slope)
+    state[:] = (rest, first, second, v, x, last, usual, since, present, slope, calm)
     return peak_a, peak_v, peak_x, squares

@@ -135,7 +135,7 @@ class _Run:
             amplitudes=self._loop.amplitudes if self._loop else None,
             controlled=self._loop is not None,
         )
-        self._meter = ToneMeter(profile, METER_CYCLES)
+        self._meter = ToneMeter(profile, min(METER_CYCLES, profile.ramp.hold_cycles))
         self._metered = -1
         self._last_achieved = math.nan
         self._interlock = Interlock(profile, backend.channels, backend.scales)
