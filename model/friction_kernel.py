@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from model.bounce import short_bounce
 from model.branches import TWO_PI, branch_of, fill_edges, fold
 from model.chatter import tail_of_chatter
 from model.compiled import Flags, Floats, compiled
@@ -161,6 +162,10 @@ def rough_land(
     tau (hanging included), landing phase (any turn), impact speed, flag
         tau is inf, flag RESTS, when the ball stays on the rod.
     """
+    if v0 > 0.0:
+        short, tau, speed = short_bounce(tones, gamma, rough, phi0, v0)
+        if short:
+            return tau, phi0 + tau, speed, 0
     at = fold(phi0, up[0]) if n_up > 0 else phi0
     stage = stage_from(tones, gamma, at, v0, 0.0, 1.0 + rough[0], at_threshold)
     rising = True
