@@ -40,7 +40,7 @@ class StepClass:
     locked : bool
         A 1-cycle whose flight lasts a whole number of forcing periods.
     flights, double_hits : int
-        True flights in the hold, and how many of them are double hits.
+        True flights in the hold, double hits apart: the cycle is that of the flights between them.
     repeat_s : float
         The statistic: median change of a flight time after one cycle of the best n, per flight; NaN without flights.
     expected_s : float
@@ -82,17 +82,20 @@ def _classify_step(flights: Flights, step: int) -> StepClass:
     """The verdict on one step."""
     poor = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
     chosen = (flights.step == step) & ~flights.has(poor)
+    rebound = flights.has(FlightFlag.DOUBLE_HIT)
+    doubles = int((chosen & rebound).sum())
+    chosen &= ~rebound  # a cycle with double hits is still that cycle
     tau, sigma = flights.duration_s[chosen], flights.uncertainty_s[chosen]
-    doubles = int((chosen & flights.has(FlightFlag.DOUBLE_HIT)).sum())
     fitted = flights.plate.steps[step]
     period = 1.0 / fitted.frequency_hz if fitted is not None else float("nan")
     nan = float("nan")
     kind: Literal["rest", "cycle", "irregular", "undecided"] = "undecided"
     if tau.size == 0:
         kind = "rest" if fitted is not None and not _in_air(flights, fitted) else "undecided"
-        return StepClass(step, kind, 0, False, 0, 0, nan, nan, nan, 0, nan)
+        return StepClass(step, kind, 0, False, 0, doubles, nan, nan, nan, 0, nan)
     own = float(np.median(sigma))
-    spread = float(np.median(np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)])) if tau.size > 1 else nan
+    pairs = np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)]
+    spread = float(np.median(pairs)) if pairs.size else nan
     mean, modes = float(tau.mean()), count_modes(tau, max(MODE_WIDTH * period, 3.0 * own))
     repeats = np.array([_repeat(tau, n) for n in range(1, LONGEST + 1)])
     allowed = max(TIGHT * own, SLACK * period)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.classify import BandTest, Change, StepClass, band_test, changes, classify
-from analysis.flight_table import Flights
+from analysis.flight_table import FlightFlag, Flights
 from analysis.plate_motion import StepPlate
 from daq.setup import Setup
 from model.choose import ball_of
@@ -27,6 +27,7 @@ Floats = npt.NDArray[np.float64]
 FLIGHTS = 2048  # flown before a step is called chaotic
 CYCLES_SHOWN = 4  # cycles put through the instrument
 NEAR_SAMPLES = 1.0
+SHORT = 0.02  # of the longest predicted flight: what is shorter is a bounce
 BIFURCATION_STEPS = 200
 
 
@@ -47,11 +48,11 @@ class StepComparison:
     periodic : bool
         Whether the model predicts a cycle.
     mean_ratio : float
-        Mean measured flight time over mean predicted; NaN without either.
+        Mean measured flight time, double hits apart, over mean predicted, bounces apart; NaN without either.
     rms_s : float
-        Rms distance of measured flights to the nearest predicted flight time, in periodic windows; else NaN.
+        Rms distance of measured flights to the nearest predicted time, in periodic windows; NaN elsewhere.
     within_sample : float
-        Fraction of the measured flights within one sample of a predicted flight time, in periodic windows; NaN elsewhere.
+        Fraction of measured flights within one sample of a predicted time, in periodic windows; NaN elsewhere.
     doubt : str
         Why a periodic step cannot judge the model, empty when it can: ``sensitive`` (the uncertainty of gamma alone
         moves the prediction by a third of a sample or more: grazing, or a bifurcation next to it) or ``unsettled``
@@ -100,7 +101,11 @@ class FirstBifurcation:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A whole recording against the model."""
+    """A whole recording against the model.
+
+    ``short_by`` is one minus the median ratio of flight times, over the steps in which both are cycles (all, where there
+    are none); ``within_sample`` is over the flights of periodic steps without doubt.
+    """
 
     steps: tuple[StepComparison, ...]
     changes: tuple[Change, ...]
@@ -111,6 +116,7 @@ class Comparison:
     periodic_flights: int
     double_hits: int
     rate_hz: float
+    ratio: int
 
 
 def forcing_of(plate: StepPlate, g_mps2: float) -> tuple[Forcing, float]:
@@ -167,11 +173,12 @@ def compare(
     chosen = [s for s in steps if s.periodic and s.measured.flights and s.predicted_s.size and not s.doubt]
     count = sum(s.measured.flights for s in chosen)
     inside = sum(s.within_sample * s.measured.flights for s in chosen if np.isfinite(s.within_sample))
-    ratios = [s.mean_ratio for s in steps if np.isfinite(s.mean_ratio)]
+    alike = [s.mean_ratio for s in steps if np.isfinite(s.mean_ratio) and s.measured.kind == "cycle" and s.periodic]
+    ratios = alike or [s.mean_ratio for s in steps if np.isfinite(s.mean_ratio)]
     return Comparison(
         tuple(steps), seen, _first(flights, setup, seen, declared), tuple(sorted(declared)),
         1.0 - float(np.median(ratios)) if ratios else float("nan"), inside / count if count else float("nan"), count,
-        sum(s.measured.double_hits for s in steps), flights.plate.rate_hz,
+        sum(s.measured.double_hits for s in steps), flights.plate.rate_hz, flights.plate.ratio,
     )
 
 
@@ -197,12 +204,14 @@ def _step(
     good = (flights.step == plate.step) & flights.good()
     tau = flights.duration_s[good]
     periodic = found.kind != "chaotic"
+    proper = flights.duration_s[good & ~flights.has(FlightFlag.DOUBLE_HIT)]
+    launched = predicted[predicted > SHORT * predicted.max()] if predicted.size else predicted
+    ratio = float(proper.mean() / launched.mean()) if proper.size and launched.size else float("nan")
     rms, within = float("nan"), float("nan")
     if periodic and tau.size and predicted.size:
         distance = np.abs(tau[:, None] - predicted[None, :]).min(axis=1)
         rms = float(np.sqrt(np.mean(distance**2)))
         within = float(np.mean(distance <= NEAR_SAMPLES / flights.plate.rate_hz))
-    ratio = float(tau.mean() / predicted.mean()) if tau.size and predicted.size else float("nan")
     unit = 1.0 / plate.omega_radps
     bands = tuple(
         band_test(flights, plate.step, float(low) * unit, float(high) * unit)

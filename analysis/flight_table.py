@@ -28,7 +28,7 @@ class FlightFlag(enum.IntFlag):
     FALSE = 1
     """Contact bounce or a glitch, not a flight."""
     DOUBLE_HIT = 2
-    """Left the plate while the plate was pushing: a rebound (the paper's double hit)."""
+    """Left the plate while the plate was pushing, by rebound, and was back within half a forcing period."""
     RELAUNCHED = 4
     """Took off where it had just landed, launched by the plate at once."""
     WITNESS = 8

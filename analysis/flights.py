@@ -29,6 +29,7 @@ BOUNCE_S = 4e-4  # nor is one shorter than this that comes within BOUNCE_AFTER_S
 BOUNCE_AFTER_S = 2e-3
 INSTANT_S = 1.5e-3  # a contact this short may be an impact's closure alone: the ball may have left as it landed
 REBOUND_CONTACT_S = 5e-3  # contacts shorter than this may be rebounds
+SOON_CYCLES = 0.5  # of the forcing: a rebound that is back sooner makes a double hit
 PUSHING = 0.8  # -a_p / g below this at take-off: the plate was pushing, a resting ball would have stayed
 HIDDEN = 0.1  # of the flight's height: how far below the plate the ideal path may dip before a landing is suspected
 
@@ -62,7 +63,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     )
     true = (flags & FlightFlag.FALSE) == 0
     contact = _contacts(takeoff, landing, true)
-    flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, contact, step, true)
+    flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, landing, contact, step, true)
     flags |= _unresolved(strength, flags, report)
     flags |= _hidden(plate, setup.g_mps2.value, takeoff, landing, contact, step, flags)
     return Flights(
@@ -231,7 +232,13 @@ def _contacts(takeoff: Floats, landing: Floats, true: npt.NDArray[np.bool_]) -> 
 
 
 def _launch_flags(
-    plate: PlateMotion, g: float, takeoff: Floats, contact: Floats, step: Ints, true: npt.NDArray[np.bool_]
+    plate: PlateMotion,
+    g: float,
+    takeoff: Floats,
+    landing: Floats,
+    contact: Floats,
+    step: Ints,
+    true: npt.NDArray[np.bool_],
 ) -> Ints:
     """Flags `RELAUNCHED` (where the ball had just landed the plate fell away) and `DOUBLE_HIT` (it pushed)."""
     flags = np.zeros(takeoff.size, dtype=np.int64)
@@ -242,7 +249,8 @@ def _launch_flags(
     landed_at = takeoff - np.where(np.isfinite(contact), contact, 0.0)
     landed = -plate.acceleration_mps2(landed_at, step) / g
     flags[brief & (contact < INSTANT_S) & (landed >= 1.0)] |= int(FlightFlag.RELAUNCHED)
-    flags[brief & (leaving < PUSHING)] |= int(FlightFlag.DOUBLE_HIT)
+    back_soon = landing - takeoff < SOON_CYCLES / plate.frequency_hz(step)
+    flags[brief & (leaving < PUSHING) & back_soon] |= int(FlightFlag.DOUBLE_HIT)
     return flags
 
 

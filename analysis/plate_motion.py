@@ -153,6 +153,11 @@ class PlateMotion:
     rate_hz: float
     gaps: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
+    @property
+    def ratio(self) -> int:
+        """The forcing's c in the last fitted step (1 where none was)."""
+        return next((p.ratio for p in reversed(self.steps) if p is not None), 1)
+
     def true_time_s(self, time_s: npt.ArrayLike) -> Floats:
         """Recording time with the lost samples counted: the clock on which tones keep their phase through gaps."""
         t = np.asarray(time_s, dtype=np.float64)
@@ -171,6 +176,12 @@ class PlateMotion:
             return np.full(k.shape, np.nan)
         phase = np.where(inside, omega[k] * self.true_time_s(time_s) + phase0[k], np.nan)
         return np.asarray(np.mod(phase, TWO_PI))
+
+    def frequency_hz(self, step: npt.ArrayLike) -> Floats:
+        """Frequency of the first tone in each of the given steps; NaN where the step was not fitted."""
+        k = np.asarray(step, dtype=np.int64)
+        omega = np.append(self._table()[0], np.nan)
+        return np.asarray(omega[np.where((k >= 0) & (k < len(self.steps)), k, -1)] / TWO_PI)
 
     def acceleration_mps2(self, time_s: Floats, step: npt.NDArray[np.int64]) -> Floats:
         """Plate acceleration at times within steps (fitted tones), m/s^2; NaN where the step was not fitted."""

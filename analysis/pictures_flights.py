@@ -1,0 +1,208 @@
+"""Pictures of the flights: bifurcation diagram (Figs. 4-6, 10-12), return maps (Figs. 7-9), trajectory (Fig. 1).
+
+The rule kept here: the model lies under the measurement, over the plate as measured; doubtful flights keep their place
+and wear another mark.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis import pictures
+from analysis.compare import Comparison, forcing_of
+from analysis.flight_table import FlightFlag, Flights
+from analysis.plate_motion import StepPlate
+from daq.recording import Recording
+from daq.setup import Setup
+from model.ball import IdealBall
+from model.choose import ball_of
+from model.diagram import diagram
+from model.orbit import attractor
+from model.zones import forbidden_zones
+
+Floats = npt.NDArray[np.float64]
+
+GAMMAS = 500  # of the model's diagram
+ZONE_GAMMAS = 150
+MAPS = 6  # return maps on one page
+CYCLES = 4.0  # of the trajectory
+
+
+def _axis(flights: Flights) -> tuple[list[StepPlate], Floats, str, float]:
+    """Fitted steps, the axis value of every step (NaN: not fitted), its label, and axis over gamma."""
+    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
+    gamma = np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
+    peak = np.array([np.nan if p is None else p.gamma_peak for p in flights.plate.steps])
+    ratio = plates[-1].ratio if plates else 1
+    values, label = pictures.gamma_axis(ratio, gamma, peak)
+    scale = float(np.nanmedian(values / gamma)) if plates else 1.0
+    return plates, values, label, scale
+
+
+def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> None:
+    """Measured flight times against gamma over the model's diagram, forbidden zones shaded."""
+    plates, values, label, scale = _axis(flights)
+    if not plates:
+        return
+    with pictures.figure(folder, "bifurcation", pictures.badge_of(recording), figsize=(8.0, 5.2)) as (_, ax):
+        low, high = 0.97 * min(p.gamma for p in plates), 1.03 * max(p.gamma for p in plates)
+        top = _draw_model(ax, plates[-1], recording.setup, low, high, scale)
+        poor = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.SETTLING | FlightFlag.GAP
+        true = ~flights.has(poor) & (flights.step >= 0)
+        marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
+        x, y = values[np.maximum(flights.step, 0)], 1e3 * flights.duration_s
+        plain = true & ~marked
+        ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=pictures.MEASURED, alpha=0.75, label="measured")
+        if np.any(true & marked):
+            ax.plot(
+                x[true & marked], y[true & marked], "x", ms=4.0, mew=0.9, color=pictures.DOUBTFUL,
+                label="measured: double hit, or unsure",
+            )
+        ax.set_xlabel(label)
+        ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
+        top = max(top, float(y[true].max()) if true.any() else 0.0)
+        ax.set(xlim=(low * scale, high * scale), ylim=(0.0, 1.06 * top))
+        ax.legend(loc="upper left", frameon=True, framealpha=0.9, fontsize=8)
+
+
+def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float, scale: float) -> float:
+    """The model's diagram and its forbidden zones; returns the longest flight shown, ms."""
+    g = setup.g_mps2.value
+    forcing, _ = forcing_of(plate, g)
+    unit = 1e3 / plate.omega_radps
+    declared = setup.declared_values()
+    ball = ball_of(forcing, declared, frequency_hz=plate.frequency_hz, g_mps2=g)
+    for gamma in np.linspace(low, high, ZONE_GAMMAS):
+        for a, b in forbidden_zones(forcing, float(gamma)):
+            if a > 0.0:
+                half = 0.52 * (high - low) / (ZONE_GAMMAS - 1) * scale
+                edges = [gamma * scale - half, gamma * scale + half]
+                ax.fill_between(edges, a * unit, b * unit, color=pictures.ZONE, lw=0, zorder=0)
+    ax.fill_between([], [], [], color=pictures.ZONE, label="forbidden to the ideal ball")
+    rows = diagram(ball, np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else GAMMAS // 2))
+    x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
+    y = rows.tau.ravel() * unit
+    name = "model: ideal" if not declared else f"model with {', '.join(sorted(declared))}"
+    ax.plot(x, y, ".", ms=3.0, mew=0, color=pictures.MODEL, zorder=1, rasterized=True)
+    ax.plot([], [], ".", ms=8, mew=0, color=pictures.MODEL, label=name)
+    return float(np.nanmax(y)) if np.isfinite(y).any() else 0.0
+
+
+def draw_return_maps(recording: Recording, flights: Flights, comparison: Comparison, folder: Path) -> None:
+    """Each flight time against the one before, for the steps where most happens, with the model's."""
+    ranked = sorted(
+        (s for s in comparison.steps if s.measured.flights >= 3),
+        key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights), reverse=True,
+    )
+    chosen = sorted(ranked[:MAPS], key=lambda s: s.step)
+    if not chosen:
+        return
+    columns = min(3, len(chosen))
+    rows = -(-len(chosen) // columns)
+    with pictures.figure(
+        folder, "return_maps", pictures.badge_of(recording), nrows=rows, ncols=columns, squeeze=False,
+        figsize=(3.1 * columns + 0.4, 3.2 * rows + 0.4),
+    ) as (drawn, axes):
+        for ax in axes.ravel()[len(chosen) :]:
+            ax.axis("off")
+        for ax, own in zip(axes.ravel(), chosen, strict=False):
+            good = (flights.step == own.step) & ~flights.has(FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT)
+            tau = 1e3 * flights.duration_s[good]
+            model = 1e3 * own.predicted_s
+            pairs = np.append(model, model[:1]) if own.periodic else model
+            ax.plot(pairs[:-1], pairs[1:], "s", ms=9, mew=1.4, mfc="none", color=pictures.MODEL, label="model")
+            ax.plot(tau[:-1], tau[1:], "o", ms=3.5, mew=0, color=pictures.MEASURED, label="measured")
+            span = np.concatenate([tau, model])
+            pad = 0.08 * (np.ptp(span) if np.ptp(span) > 0 else 1.0) + 0.5
+            limits = (span.min() - pad, span.max() + pad)
+            ax.plot(limits, limits, "-", lw=0.6, color="0.7", zorder=0)
+            ax.set(xlim=limits, ylim=limits, aspect="equal")
+            name = _gamma_name(flights.plate.ratio, own.gamma, own.gamma_peak)
+            ax.set_title(f"{name}: {own.measured.label}", fontsize=9)
+        axes[0, 0].legend(fontsize=8, frameon=False)
+        drawn.supxlabel("flight time (ms)", fontsize=10)
+        drawn.supylabel("next flight time (ms)", fontsize=10)
+
+
+def _gamma_name(ratio: int, gamma: float, peak: float) -> str:
+    """The gamma of the axis, with its name."""
+    return rf"$\Gamma_{{\mathrm{{peak}}}}$ = {peak:.3f}" if ratio == 1 else rf"$\Gamma$ = {gamma:.3f}"
+
+
+def draw_trajectory(recording: Recording, flights: Flights, folder: Path, step: int | None = None) -> None:
+    """Plate and ball over a few cycles of one step, measured and as the model would have it from the first take-off."""
+    good = flights.good()
+    counts = np.bincount(flights.step[good & (flights.step >= 0)], minlength=len(flights.plate.steps))
+    step = int(np.flatnonzero(counts == counts.max())[-1]) if step is None and counts.size else step
+    plate = flights.plate.steps[step] if step is not None and counts.size else None
+    if plate is None or counts[plate.step] < 2:
+        return
+    index = np.flatnonzero(good & (flights.step == plate.step))
+    begin = flights.takeoff_s[index[0]] - 0.3 / plate.frequency_hz
+    end = begin + CYCLES / plate.frequency_hz
+    with pictures.figure(
+        folder, "trajectory", pictures.badge_of(recording), nrows=2, sharex=True, figsize=(8.0, 5.0),
+        height_ratios=(3.2, 1.0),
+    ) as (_, (ax, low)):
+        t = np.linspace(begin, end, 1200)
+        motion = plate.plate()
+        at = flights.plate.true_time_s
+        height = 1e3 * motion.position_at(at(t))
+        ax.plot(1e3 * (t - begin), height, "-", lw=1.6, color=pictures.PLATE, label="plate, measured")
+        for n, i in enumerate(index[flights.takeoff_s[index] < end]):
+            _draw_flight(ax, flights, int(i), begin, motion, recording.setup.g_mps2.value, first=n == 0)
+        _draw_predicted(ax, flights, plate, recording.setup, begin, end, float(flights.takeoff_s[index[0]]))
+        first, last = int(begin * recording.rate_hz), min(int(end * recording.rate_hz), recording.n_samples)
+        volts = recording.read_v("continuity", first, last)
+        low.plot(1e3 * (np.arange(first, last) / recording.rate_hz - begin), volts, lw=0.8, color=pictures.MEASURED)
+        low.set(xlabel="time (ms)", ylabel="continuity (V)")
+        ax.set(ylabel="height (mm)", xlim=(0.0, 1e3 * (end - begin)))
+        name = _gamma_name(plate.ratio, plate.gamma, plate.gamma_peak)
+        ax.set_title(f"{name}, c = {plate.ratio}, {plate.frequency_hz:.2f} Hz", fontsize=10, loc="left")
+        ax.set_ylim(top=ax.get_ylim()[1] + 0.3 * np.ptp(ax.get_ylim()))
+        ax.legend(loc="upper right", fontsize=8, framealpha=0.9)
+
+
+def _draw_flight(ax: Any, flights: Flights, i: int, begin: float, motion: Any, g: float, *, first: bool) -> None:
+    """One measured flight: the parabola through its two ends on the plate."""
+    a, b = flights.takeoff_s[i], flights.landing_s[i]
+    s = np.linspace(0.0, b - a, 80)
+    start, stop = (float(motion.position_at(flights.plate.true_time_s(t))) for t in (a, b))
+    speed = (stop - start) / (b - a) + 0.5 * g * (b - a)
+    y = start + speed * s - 0.5 * g * s**2
+    label = "ball, measured take-off and landing" if first else None
+    ax.plot(1e3 * (a + s - begin), 1e3 * y, "-", lw=1.4, color=pictures.MEASURED, label=label)
+    ax.plot(1e3 * (np.array([a, b]) - begin), [1e3 * start, 1e3 * stop], "o", ms=4, mew=0, color=pictures.MEASURED)
+
+
+def _draw_predicted(
+    ax: Any, flights: Flights, plate: StepPlate, setup: Setup, begin: float, end: float, start_s: float
+) -> None:
+    """The model's landings of its own cycle, as dashed flights from the first measured take-off on."""
+    g = setup.g_mps2.value
+    forcing, gamma = forcing_of(plate, g)
+    ball = ball_of(forcing, setup.declared_values(), frequency_hz=plate.frequency_hz, g_mps2=g)
+    found = attractor(ball, gamma)
+    if found.tau.size == 0 or found.kind == "chaotic":
+        return
+    phase = float(flights.plate.phase(start_s, plate.step))
+    k = int(np.argmin(np.abs(np.angle(np.exp(1j * (found.phase - phase))))))
+    motion, omega, t = plate.plate(), plate.omega_radps, start_s
+    shown = False
+    for j in range(k, k + 12 * found.tau.size):
+        i = j % found.tau.size
+        t += float(np.mod(found.phase[i] - float(flights.plate.phase(t, plate.step)) + 0.1, 2.0 * np.pi) - 0.1) / omega
+        if t > end:
+            return
+        s = np.linspace(0.0, found.tau[i] / omega, 80)
+        x, v = (float(f(flights.plate.true_time_s(t))) for f in (motion.position_at, motion.velocity_at))
+        ax.plot(
+            1e3 * (t + s - begin), 1e3 * (x + v * s - 0.5 * g * s**2), "--", lw=1.6, color=pictures.MODEL,
+            label=None if shown else "ball, model's cycle", zorder=5,
+        )
+        shown = True
+        t += float(found.tau[i]) / omega

@@ -1,0 +1,107 @@
+"""Drive against accelerometer: what was asked of the plate and what it did, step by step, and one period of it.
+
+The rule kept here: the drive's version needs ``g_per_volt``; where nobody measured it, only the shapes are compared.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis import pictures
+from analysis.flight_table import Flights
+from analysis.plate_motion import StepPlate
+from daq.recording import Recording
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST = 400_000  # samples folded into one period
+
+
+def draw_plate(recording: Recording, flights: Flights, folder: Path) -> None:
+    """Gain and lag of the plate against the drive at each step, and one period of the largest step."""
+    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
+    if not plates:
+        return
+    gamma = np.array([p.gamma for p in plates])
+    peak = np.array([p.gamma_peak for p in plates])
+    x, label = pictures.gamma_axis(plates[-1].ratio, gamma, peak)
+    with pictures.figure(
+        folder, "plate", pictures.badge_of(recording), nrows=2, ncols=2, figsize=(9.0, 6.0)
+    ) as (_, axes):
+        _gain(axes[0, 0], plates, x)
+        _lag(axes[1, 0], plates, x)
+        axes[1, 0].set_xlabel(label)
+        _period(axes[0, 1], recording, plates[-1])
+        _harmonics(axes[1, 1], plates, x)
+        axes[1, 1].set_xlabel(label)
+
+
+def _transfer(plates: list[StepPlate]) -> tuple[Floats, Floats, npt.NDArray[np.complex128]]:
+    """Plate over drive at the forcing's strongest tone, (m/s^2)/V, and its relative uncertainty."""
+    values, sigmas, which = [], [], []
+    for p in plates:
+        rows = [p.multiples.index(m) for m in p.forcing_multiples]
+        k = rows[int(np.argmax(np.abs(p.acceleration.amplitudes[rows])))]
+        drive = p.drive.amplitudes[k] if p.drive is not None else np.nan
+        values.append(p.acceleration.amplitudes[k] / drive)
+        sigmas.append(p.acceleration.amplitude_sigma()[k] / np.abs(p.acceleration.amplitudes[k]))
+        which.append(float(k))
+    return np.array(which), np.array(sigmas), np.array(values, dtype=np.complex128)
+
+
+def _gain(ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Plate over drive, relative to its middle."""
+    _, sigma, transfer = _transfer(plates)
+    size = np.abs(transfer)
+    middle = float(np.nanmedian(size)) if np.isfinite(size).any() else 1.0
+    deviation = 100.0 * (size / middle - 1.0)
+    ax.errorbar(x, deviation, 100.0 * sigma, fmt="o", ms=3.5, lw=0.8, color=pictures.MEASURED, label="measured")
+    ax.axhline(0.0, lw=1.2, color=pictures.MODEL, label="a linear shaker")
+    ax.set_ylabel("plate / drive, deviation (%)")
+    ax.set_title(f"middle {middle:.4g} (m/s$^2$)/V", fontsize=9)
+    ax.legend(fontsize=8, frameon=False)
+
+
+def _lag(ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Phase of the plate behind the drive."""
+    _, sigma, transfer = _transfer(plates)
+    ax.errorbar(x, np.degrees(np.angle(transfer)), np.degrees(sigma), fmt="o", ms=3.5, lw=0.8, color=pictures.MEASURED)
+    ax.axhline(0.0, lw=1.2, color=pictures.MODEL)
+    ax.set_ylabel("plate ahead of drive (deg)")
+
+
+def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
+    """One period of the step, all its samples folded, with the fitted tones."""
+    first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + LONGEST)
+    channel = recording.setup.channels.accelerometer
+    zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
+    a = (recording.read_v("accelerometer", first, last) - zero_v) / channel.volts_per_mps2 - plate.acceleration.offset
+    t = np.arange(first, last) / recording.rate_hz
+    place = np.mod(plate.frequency_hz * t + plate.phase0_rad / (2.0 * np.pi), 1.0)
+    keep = slice(None, None, max(1, a.size // 12000))
+    ax.plot(place[keep], a[keep], ".", ms=1.0, mew=0, color=pictures.MEASURED, rasterized=True, label="accelerometer")
+    grid = np.linspace(0.0, 1.0, 400)
+    start = (grid - plate.phase0_rad / (2.0 * np.pi)) / plate.frequency_hz
+    ax.plot(grid, plate.plate().acceleration_at(start), "-", lw=1.4, color=pictures.MODEL, label="fitted tones")
+    ax.set(xlabel="forcing period", ylabel="acceleration (m/s$^2$)", xlim=(0.0, 1.0))
+    ax.set_title(rf"$\Gamma$ = {plate.gamma:.3f}", fontsize=9)
+    ax.legend(fontsize=8, frameon=False, markerscale=6)
+
+
+def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Harmonics and slow lines, relative to the forcing."""
+    for k, m in enumerate(m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples):
+        own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
+        whole = np.array([np.abs(p.acceleration.amplitudes).max() for p in plates])
+        ax.plot(x, 100.0 * own / whole, ".-", ms=4, lw=0.7, color=f"C{k}", label=f"{m} f")
+    for p, at in zip(plates, x, strict=True):
+        for line in p.lines:
+            size = 100.0 * line.amplitude_mps2 / float(np.abs(p.acceleration.amplitudes).max())
+            ax.plot(at, size, "v", color="k", ms=4)
+            ax.annotate(f"{line.frequency_hz:.1f} Hz", (float(at), size), fontsize=6)
+    ax.set(ylabel="harmonics, of the forcing (%)", yscale="log")
+    ax.legend(fontsize=7, frameon=False, ncol=3)

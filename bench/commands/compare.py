@@ -1,0 +1,153 @@
+"""`bench compare`: a recording held against the model, step by step, at the gamma that the plate achieved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from analysis.compare import Comparison, StepComparison
+
+
+def command(
+    recording: Path = typer.Argument(help="The recording (HDF5)."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    figures: Path | None = typer.Option(None, "--figures", metavar="FOLDER", help="Draw the pictures there."),
+    ideal: bool = typer.Option(False, "--ideal", help="Leave the declared effects out of the model."),
+) -> None:
+    """Measured against predicted: flight times, double hits, and the first bifurcation.
+
+    Example: bench compare run.h5 --figures pictures
+    """
+    from analysis.compare import compare
+    from bench.commands.reprocess import draw, with_progress
+    from bench.console import EXIT_USAGE, fail, write_json
+    from daq.errors import InputError
+    from daq.recording import open_recording
+
+    try:
+        with open_recording(recording) as opened:
+            table = with_progress(opened, quiet=json == "-")
+            if "continuity" not in opened.channels:
+                raise InputError(
+                    f"{recording}: wanted a channel 'continuity' (take-offs and landings), found "
+                    f"{', '.join(opened.channels)}; `bench reprocess` analyses the plate alone"
+                )
+            held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
+            if figures is not None:
+                draw(opened, table, figures)
+            write_json(as_json(held), json)
+            if json != "-":
+                _print(held, recording.name, bool(opened.attrs.get("simulated")))
+    except (InputError, ValueError) as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{error}; name a file that can be written", EXIT_USAGE)
+
+
+def as_json(held: Comparison) -> dict[str, Any]:
+    """The comparison for a machine; what does not exist is null."""
+    first = held.first
+    bracket = None if first.measured is None else [first.measured.gamma_before, first.measured.gamma_after]
+    return {
+        "model_effects": list(held.effects),
+        "flights_short_by": _finite(held.short_by),
+        "within_one_sample": _finite(held.within_sample),
+        "periodic_flights": held.periodic_flights,
+        "double_hits": held.double_hits,
+        "first_bifurcation": {
+            "measured_type": None if first.measured is None else first.measured.type,
+            "measured_bracket_gamma": bracket,
+            "predicted_type": first.predicted_type or None,
+            "predicted_gamma": _finite(first.predicted_gamma),
+            "predicted_gamma_same_type": _finite(first.same_type_gamma),
+            "ratio": _finite(first.ratio),
+        },
+        "changes": [
+            {
+                "type": c.type, "bracket_gamma": [c.gamma_before, c.gamma_after],
+                "before": c.before.label, "after": c.after.label,
+            }
+            for c in held.changes
+        ],
+        "steps": [_step_json(s) for s in held.steps],
+    }
+
+
+def _step_json(own: StepComparison) -> dict[str, Any]:
+    """One step for a machine."""
+    return {
+        "step": own.step, "gamma": own.gamma, "gamma_peak": own.gamma_peak, "measured": own.measured.label,
+        "flights": own.measured.flights, "double_hits": own.measured.double_hits, "predicted": own.predicted,
+        "doubt": own.doubt or None, "predicted_flight_times_s": own.predicted_s.tolist(),
+        "mean_ratio": _finite(own.mean_ratio), "rms_s": _finite(own.rms_s),
+        "within_one_sample": _finite(own.within_sample),
+        "forbidden_bands": [
+            {"low_s": b.low_s, "high_s": b.high_s, "observed": b.observed, "expected": b.expected, "p_value": b.p_value}
+            for b in own.bands
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    """NaN and infinity as null."""
+    import math
+
+    return float(value) if math.isfinite(value) else None
+
+
+def _print(held: Comparison, name: str, simulated: bool) -> None:
+    """Tables for a person."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    title = f"{name}{' (simulated rig)' if simulated else ''} against the model"
+    shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    peak = held.ratio == 1
+    for column in ("step", "peak" if peak else "gamma", "measured", "model", "n", "ratio", "rms us", "doubt"):
+        left = column in ("measured", "model", "doubt")
+        shown.add_column(column, justify="left" if left else "right", no_wrap=True)
+    for s in held.steps:
+        ratio = f"{s.mean_ratio:.4f}" if s.mean_ratio == s.mean_ratio else ""
+        rms = f"{1e6 * s.rms_s:.1f}" if s.rms_s == s.rms_s else ""
+        shown.add_row(
+            str(s.step), f"{s.gamma_peak if peak else s.gamma:.4f}", s.measured.label,
+            s.predicted.replace("with ", "").replace(", period ", " p"), str(s.measured.flights), ratio, rms, s.doubt,
+        )
+    console = Console()
+    console.print(shown)
+    for line in lines(held):
+        console.print(line, soft_wrap=True, highlight=False)
+
+
+def lines(held: Comparison) -> list[str]:
+    """What it comes to, in sentences."""
+    effects = ", ".join(held.effects) if held.effects else "no effects (ideal)"
+    out = [f"model with {effects}"]
+    if held.short_by == held.short_by:
+        size, way = abs(100 * held.short_by), "shorter" if held.short_by >= 0 else "longer"
+        out.append(f"measured flights are {size:.2f} % {way} than the model's (median over steps with cycles, bounces apart)")
+    if held.periodic_flights:
+        share = 100 * held.within_sample
+        out.append(f"periodic windows: {share:.1f} % of {held.periodic_flights} flights within one sample of the model")
+    out.append(f"double hits: {held.double_hits}")
+    first = held.first
+    if first.measured is None:
+        out.append("no bifurcation measured after take-off")
+    else:
+        out.append(
+            f"first bifurcation measured: {first.measured.type}, gamma between {first.measured.gamma_before:.4f} and "
+            f"{first.measured.gamma_after:.4f}"
+        )
+    if first.predicted_type:
+        out.append(f"first bifurcation predicted: {first.predicted_type} at gamma {first.predicted_gamma:.4f}")
+        if first.measured is not None:
+            out.append(f"measured / predicted: {first.ratio:.3f}")
+    bands = [b for s in held.steps for b in s.bands]
+    if bands:
+        observed, expected = sum(b.observed for b in bands), sum(b.expected for b in bands)
+        out.append(f"flights in the ideal ball's forbidden bands: {observed} (their neighbourhood: {expected:.0f})")
+    return out

@@ -1,0 +1,176 @@
+"""`bench reprocess`: a recording to its table of flights, the plate's motion step by step, and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from analysis.classify import StepClass
+    from analysis.flights import Flights
+    from daq.recording import Recording
+
+
+def command(
+    recording: Path = typer.Argument(help="The recording (HDF5)."),
+    flights: Path | None = typer.Option(None, "--flights", metavar="FILE.csv", help="Write the table of flights."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    figures: Path | None = typer.Option(None, "--figures", metavar="FOLDER", help="Draw the pictures there."),
+) -> None:
+    """From a recording to flights and plate motion, in one pass over the file.
+
+    Example: bench reprocess run.h5 --flights flights.csv --figures pictures
+    """
+    from analysis.classify import classify
+    from analysis.flight_table import write_csv
+    from bench.console import EXIT_USAGE, fail, write_json
+    from daq.errors import InputError
+    from daq.recording import open_recording
+
+    try:
+        with open_recording(recording) as opened:
+            table = with_progress(opened, quiet=json == "-")
+            classes = classify(table)
+            if flights is not None:
+                write_csv(table, flights)
+            if figures is not None:
+                draw(opened, table, figures)
+            write_json(as_json(opened, table, classes), json)
+            if json != "-":
+                _print(opened, table, classes)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{error}; name a file that can be written", EXIT_USAGE)
+
+
+def with_progress(opened: Recording, *, quiet: bool) -> Flights:
+    """The flights, with a bar on standard error while the file is read."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from analysis.flights import flights_of
+
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
+        task = progress.add_task(f"reading {opened.path.name}", total=1.0)
+        return flights_of(opened, progress=lambda part: progress.update(task, completed=part))
+
+
+def draw(opened: Recording, table: Flights, folder: Path) -> None:
+    """Every picture of a recording."""
+    from analysis.compare import compare
+    from analysis.pictures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
+    from analysis.pictures_plate import draw_plate
+
+    draw_plate(opened, table, folder)
+    if len(table):
+        draw_bifurcations(opened, table, folder)
+        draw_trajectory(opened, table, folder)
+        draw_return_maps(opened, table, compare(table, opened.setup, steps_table=opened.steps), folder)
+
+
+def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> dict[str, Any]:
+    """Steps, plate and flights in counts, for a machine."""
+    from analysis.flights import FlightFlag
+
+    report = table.edges
+    witness = report.witness
+    return {
+        "recording": opened.path.name,
+        "simulated": bool(opened.attrs.get("simulated")),
+        "flights": int((~table.has(FlightFlag.FALSE)).sum()),
+        "flags": {str(f.name): int(table.has(f).sum()) for f in FlightFlag},
+        "edges": {
+            "opening_tau_s": report.opening.tau_s, "closing_tau_s": report.closing.tau_s, "dips": report.dips,
+        },
+        "second_witness": None if witness is None else {
+            "offset_s": witness.offset_s, "uncertainty_s": _finite(witness.uncertainty_s), "pairs": witness.pairs,
+        },
+        "accelerometer_noise_mps2": table.plate.noise_mps2,
+        "steps": [_step_json(table, own) for own in classes],
+    }
+
+
+def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
+    """One step for a machine; a step that could not be fitted has its verdict alone."""
+    plate = table.plate.steps[own.step]
+    row: dict[str, Any] = {
+        "step": own.step, "verdict": own.label, "flights": own.flights, "double_hits": own.double_hits,
+        "modes": own.modes, "mean_flight_time_s": _finite(own.mean_s), "repeat_s": _finite(own.repeat_s),
+        "expected_repeat_s": _finite(own.expected_s),
+    }
+    if plate is None:
+        return row
+    fit = plate.acceleration
+    row |= {
+        "gamma": _finite(plate.gamma), "gamma_uncertainty": _finite(plate.gamma_uncertainty),
+        "gamma_peak": plate.gamma_peak, "gamma_from_drive": _finite(plate.gamma_drive),
+        "frequency_hz": plate.frequency_hz, "masked": plate.masked,
+        "tones": [
+            {"frequency_hz": f, "amplitude_mps2": abs(z), "phase_rad": _angle(z), "uncertainty_mps2": s}
+            for f, z, s in zip(
+                fit.frequencies_hz.tolist(), fit.amplitudes.tolist(), fit.amplitude_sigma().tolist(), strict=True
+            )
+        ],
+        "below_forcing": [{"frequency_hz": n.frequency_hz, "amplitude_mps2": n.amplitude_mps2} for n in plate.lines],
+    }
+    return row
+
+
+def _angle(z: complex) -> float:
+    import cmath
+
+    return cmath.phase(z)
+
+
+def _finite(value: float) -> float | None:
+    """NaN and infinity as null."""
+    import math
+
+    return float(value) if math.isfinite(value) else None
+
+
+def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> None:
+    """Tables for a person."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from analysis.flights import FlightFlag
+
+    title = f"{opened.path.name}{' (simulated rig)' if opened.attrs.get('simulated') else ''}"
+    shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in ("step", "gamma", "+-", "peak", "by drive", "n", "double", "mean ms", "verdict"):
+        shown.add_column(name, justify="right", no_wrap=True)
+    notes = []
+    for own in classes:
+        plate = table.plate.steps[own.step]
+        mean = f"{1e3 * own.mean_s:.3f}" if own.flights else ""
+        if plate is None:
+            shown.add_row(str(own.step), *[""] * 4, str(own.flights), str(own.double_hits), mean, "too short to fit")
+            continue
+        notes += [
+            f"step {own.step}: {n.amplitude_mps2:.3f} m/s^2 at {n.frequency_hz:.1f} Hz, below the forcing"
+            for n in plate.lines
+        ]
+        shown.add_row(
+            str(own.step), f"{plate.gamma:.4f}", f"{plate.gamma_uncertainty:.4f}", f"{plate.gamma_peak:.3f}",
+            f"{plate.gamma_drive:.4f}", str(own.flights), str(own.double_hits), mean,
+            own.label,
+        )
+    console = Console()
+    console.print(shown)
+    for note in notes:
+        console.print(note, soft_wrap=True, highlight=False)
+    counts = ", ".join(f"{f.name} {int(table.has(f).sum())}" for f in FlightFlag if table.has(f).any())
+    console.print(f"{len(table)} intervals in the air; flags: {counts or 'none'}", soft_wrap=True, highlight=False)
+    witness = table.edges.witness
+    if witness is None:
+        console.print("the accelerometer shows no impacts: landings that relaunch at once may hide", soft_wrap=True)
+    elif witness.uncertainty_s < 1.0:
+        console.print(
+            f"second witness: accelerometer minus contact edge {1e6 * witness.offset_s:.1f} +- "
+            f"{1e6 * witness.uncertainty_s:.2f} us from {witness.pairs} landings", soft_wrap=True, highlight=False,
+        )
