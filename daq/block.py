@@ -44,6 +44,7 @@ BLOCK_DTYPE = np.dtype(
         ("clock_ns", "<i8"),
         ("lost_before", "<i8"),
         ("lost_uncertainty", "<i8"),
+        ("adc_ns", "<i8"),
         ("crc32", "<u4"),
     ]
 )
@@ -98,6 +99,8 @@ class Block:
         Samples lost between the block before and this one.
     lost_uncertainty
         Standard uncertainty of ``lost_before``, in samples (rounded up).
+    adc_ns
+        The device's own time of the first frame, nanoseconds; 0 where it has none.
     """
 
     first_sample: int
@@ -106,6 +109,7 @@ class Block:
     clock_ns: int = 0
     lost_before: int = 0
     lost_uncertainty: int = 0
+    adc_ns: int = 0
 
 
 def volts_per_code(range_v: float) -> float:

@@ -8,6 +8,7 @@ not part of the recording. The end state is ``incomplete`` from the start.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -24,6 +25,8 @@ from daq.block import BLOCK_DTYPE, DRIVE_DTYPE, STEP_DTYPE, Block, crc32, step_r
 from daq.errors import InputError
 
 FRAMES, FRAME_BLOCKS, FRAME_STEPS, FRAME_DRIVE = "frames", "frame_blocks", "frame_steps", "frame_drive"
+FRAME_END = "frame_end"
+_END_BYTES = 4096
 _CHUNK_BYTES = 65536
 
 
@@ -55,7 +58,7 @@ class FrameWriter:
                 raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from error
             raise InputError(f"{path}: cannot be created ({error}).") from error
         self.path = path
-        self.n_samples = 0
+        self.n_samples = self.n_lost = self.n_doubtful = 0
         self._n_channels = len(channels)
         self._n_blocks = self._n_steps = 0
         self._last_step_first = -1
@@ -66,12 +69,14 @@ class FrameWriter:
         self._blocks = self._file.create_dataset(FRAME_BLOCKS, (0,), BLOCK_DTYPE, maxshape=(None,), chunks=(256,))
         self._steps = self._file.create_dataset(FRAME_STEPS, (0,), STEP_DTYPE, maxshape=(None,), chunks=(16,))
         self._drive = self._file.create_dataset(FRAME_DRIVE, (0,), DRIVE_DTYPE, maxshape=(None,), chunks=(64,))
+        self._end = self._file.create_dataset(FRAME_END, (_END_BYTES,), "u1", chunks=(_END_BYTES,))
+        self.end({"ended": "incomplete", "why": "", "ended_at": ""})
         self._file.attrs.update(attributes)
         self._file.flush()
         self._file.swmr_mode = True
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         self._identity = os.fstat(self._descriptor).st_ino
-        self._broken = False
+        self.is_broken = False
 
     def append(self, block: Block) -> None:
         """Write one block; when this returns the block survives the end of the process.
@@ -92,7 +97,7 @@ class FrameWriter:
         try:
             self._write(block, np.ascontiguousarray(block.codes, "<i2"))
         except (OSError, RuntimeError) as error:
-            self._broken = True
+            self.is_broken = True
             raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
 
     def _write(self, block: Block, codes: NDArray[np.int16]) -> None:
@@ -103,11 +108,13 @@ class FrameWriter:
         self._frames.id.flush()
         row = np.array(
             [(block.first_sample, n, block.flags, block.clock_ns, block.lost_before, block.lost_uncertainty,
-              crc32(codes))], BLOCK_DTYPE)
+              block.adc_ns, crc32(codes))], BLOCK_DTYPE)
         self._blocks.resize((self._n_blocks + 1,))
         self._blocks[self._n_blocks :] = row
         self._blocks.id.flush()
         self.n_samples += n
+        self.n_lost += block.lost_before
+        self.n_doubtful += block.lost_uncertainty
         self._n_blocks += 1
 
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
@@ -127,6 +134,14 @@ class FrameWriter:
         self._drive.resize((n + len(changes),))
         self._drive[n:] = changes
         self._drive.id.flush()
+
+    def end(self, ending: Mapping[str, Any]) -> None:
+        """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""
+        text = json.dumps(dict(ending)).encode()
+        if len(text) > _END_BYTES:
+            text = json.dumps({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]}).encode()
+        self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
+        self._end.id.flush()
 
     @property
     def is_open(self) -> bool:
@@ -158,7 +173,7 @@ class FrameWriter:
         finally:
             where = self._rescued() if vanished else self.path
             os.close(self._descriptor)
-        if self._broken and not vanished:
+        if self.is_broken and not vanished:
             raise OSError(f"{self.path}: the disk had refused")
         return where
 
@@ -212,6 +227,7 @@ class FrameFile:
     def __init__(self, file: Any) -> None:
         self._frames = file[FRAMES]
         rows = file[FRAME_BLOCKS][()]
+        self.ending: dict[str, Any] = json.loads(file[FRAME_END][()].tobytes())
         ends = rows["first_sample"] + rows["n_samples"]
         starts = np.concatenate([[0], ends[:-1]]) if len(rows) else ends
         whole = (rows["first_sample"] == starts) & (rows["n_samples"] > 0) & (ends <= self._frames.shape[0])

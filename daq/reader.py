@@ -62,12 +62,13 @@ class Recording:
     def __init__(self, path: Path, file: Any) -> None:
         self.path = path
         self._file = file
+        self.frames = FrameFile(file) if FRAMES in file else None
         self.stored: dict[str, Any] = {k: _plain(v) for k, v in file.attrs.items()}
+        self.stored |= self.frames.ending if self.frames is not None else {}
         self.attrs = dict(self.stored)
         self.attrs["extra"] = json.loads(self.attrs.pop("extra_json", "{}"))
         self.setup = Setup.model_validate_json(self.stored["setup_json"])
         self.rate_hz = float(self.stored["rate_hz"])
-        self.frames = FrameFile(file) if FRAMES in file else None
         self.channels: tuple[str, ...] = tuple(self.stored["channels"])
         self._scales: dict[str, list[float]]
         if self.frames is not None:

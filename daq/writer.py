@@ -14,7 +14,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,9 +117,6 @@ class RecordingWriter:
             "channels": list(channels),
             "scales_json": json.dumps(known),
             "started": now_utc(),
-            "ended": "incomplete",
-            "why": "",
-            "ended_at": "",
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
         }
@@ -155,13 +151,16 @@ class RecordingWriter:
         """Add `DRIVE_DTYPE` rows: changes of the drive's amplitudes that were played."""
         self._frames.mark_drive(changes)
 
-    def close(self, how: Ending = "complete", why: str = "") -> None:
+    def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording: write the column file beside, check it, rename it into place.
 
         Parameters
         ----------
         how, why
             How the run ended, and the reason where it was not completed.
+        expected_samples
+            Samples that the device must have given (played, or clocked). The recording is marked as suspect where
+            recorded and declared as lost do not add up to that, within the uncertainty of the gaps.
 
         Raises
         ------
@@ -170,9 +169,9 @@ class RecordingWriter:
         """
         where = self.path
         try:
+            if not self._frames.is_broken:
+                self._frames.end({"ended": how, "why": why, "ended_at": now_utc(), **self._balance(expected_samples)})
             where = self._frames.close()
-            with h5py.File(where, "r+") as file:
-                file.attrs.update({"ended": how, "why": why, "ended_at": now_utc()})
             columns_from_frames(where, where)
         except (OSError, RuntimeError) as error:
             raise OSError(
@@ -181,6 +180,13 @@ class RecordingWriter:
             ) from error
         if where != self.path:
             raise OSError(f"{self.path}: was removed while it was being written; all of the run is kept in {where}")
+
+    def _balance(self, expected_samples: int | None) -> dict[str, Any]:
+        """Whether recorded and lost samples add up."""
+        if expected_samples is None:
+            return {}
+        missing = expected_samples - self._frames.n_samples - self._frames.n_lost
+        return {"expected_samples": expected_samples, "suspect": abs(missing) > self._frames.n_doubtful}
 
     def __enter__(self) -> Self:
         return self
