@@ -22,8 +22,8 @@ WINDOW_CYCLES = 4  # over which a dead accelerometer is judged
 DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
 CLIPPED_FRACTION = 0.04  # of a cycle; an impact alone may touch the converter's limit
-FLAT_PART = 0.1  # of the converter's range: below, equal codes are the converter's steps
-AIRBORNE_GAMMA_PEAK = 2.0  # a ball that never leaves the plate above this is a wire, not a ball
+FLAT_PART = 0.02  # of the converter's range: below, equal codes are the converter's steps
+AIRBORNE_GAMMA_PEAK = 3.0  # a ball that never leaves the plate above this, friction and all, is a wire
 
 
 class Interlock:
@@ -65,7 +65,7 @@ class Interlock:
         self._full = {name: _full_code(ranges[name], scales[name][0]) for name in ranges if name in self._column}
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window_asked = self._window_moved = 0.0
-        self._window_n = 0
+        self._window_n = self._still = self._last_code = 0
         self.limit_in_use = 0.0
         self.contact_age_cycles = 0.0
 
@@ -91,6 +91,7 @@ class Interlock:
         self._n_seen += len(codes)
         reasons = (
             self._drive(),
+            self._frozen(drive_v, codes[:, self._column["accelerometer"]]),
             self._moved(motion),
             self._dead(drive_v),
             *(self._clipping(name, codes[:, self._column[name]]) for name in self._clipped),
@@ -128,6 +129,16 @@ class Interlock:
         worst, reason = max(used)
         self.limit_in_use = max(worst, self._clamped_v / limits.drive_v)
         return reason if worst > 1.0 else None
+
+    def _frozen(self, drive_v: Floats, codes: NDArray[np.int16]) -> str | None:
+        """An accelerometer that says one and the same while the drive moves."""
+        moving = float(np.max(np.abs(drive_v), initial=0.0)) * self._mps2_per_volt > DEAD_FLOOR_MPS2
+        same = codes.size > 0 and codes.min() == codes.max() == (self._last_code if self._still else codes[0])
+        self._still = self._still + codes.size if moving and same else 0
+        self._last_code = int(codes[-1]) if codes.size else self._last_code
+        if self._still < self._cycle:
+            return None
+        return "dead accelerometer: its reading has not changed for a cycle while the drive moves; check its cable"
 
     def _dead(self, drive_v: Floats) -> str | None:
         """The drive moves and the accelerometer does not."""
