@@ -60,7 +60,7 @@ class Interlock:
         self._threshold = _contact_threshold(profile, scales)
         self._n_seen = 0
         self._clamped_v = 0.0
-        self._since_open = self._since_closed = 0
+        self._since_open = self._since_closed = self._flying = 0
         ranges = {"accelerometer": accelerometer.range_v, "drive": profile.channels.drive.range_v}
         self._full = {name: _full_code(ranges[name], scales[name][0]) for name in ranges if name in self._column}
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
@@ -179,8 +179,10 @@ class Interlock:
         n, limit = len(codes), self._limits.contact_cycles * self._cycle
         closed_at, open_at = np.flatnonzero(~is_open), np.flatnonzero(is_open)
         self._since_closed = n - 1 - int(closed_at[-1]) if closed_at.size else self._since_closed + n
-        flying = float(np.max(np.abs(drive_v), initial=0.0)) * self._gamma_peak_per_volt > AIRBORNE_GAMMA_PEAK
-        self._since_open = self._since_open + n if flying and not open_at.size else 0
+        if float(np.max(np.abs(drive_v), initial=0.0)) * self._gamma_peak_per_volt > AIRBORNE_GAMMA_PEAK:
+            self._flying = self._cycle  # the peak comes once a cycle, not in every block
+        self._since_open = self._since_open + n if self._flying > 0 and not open_at.size else 0
+        self._flying -= n
         # A ball that is launched again as it lands makes no contact that a sample could show; its impacts ring.
         alive = min(self._since_closed, motion.since_impact)
         self.contact_age_cycles = alive / self._cycle
