@@ -42,7 +42,7 @@ def declare(text: str, measured: list[Measured], date: datetime.date, where: str
         raise InputError(f"{where}: declared: expected a table, found {type(declared).__name__}")
     lines = text.splitlines()
     for item in measured:
-        entry = {"value": item.value, "uncertainty": item.uncertainty, "date": date, "source": item.source}
+        entry = {"value": item.value, "uncertainty": item.uncertainty, "date": date, "source": _plain(item.source)}
         declared.setdefault(item.effect, {})[item.parameter] = entry
         _put(lines, item, date)
     edited = "\n".join(lines) + "\n"
@@ -56,12 +56,16 @@ def declare(text: str, measured: list[Measured], date: datetime.date, where: str
     return edited
 
 
+def _plain(source: str) -> str:
+    """Text that needs no escape in TOML."""
+    return " ".join(source.replace("\\", "/").replace('"', "'").split())
+
+
 def _put(lines: list[str], item: Measured, date: datetime.date) -> None:
     """Replace or add one parameter's line, in place."""
-    source = item.source.replace("\\", "/").replace('"', "'")
     line = (
         f"{item.parameter} = {{ value = {item.value!r}, uncertainty = {item.uncertainty!r}, "
-        f'date = {date.isoformat()}, source = "{source}" }}'
+        f'date = {date.isoformat()}, source = "{_plain(item.source)}" }}'
     )
     header = re.compile(rf"\s*\[\s*declared\s*\.\s*{re.escape(item.effect)}\s*\]\s*(#.*)?$")
     start = next((i for i, text in enumerate(lines) if header.match(text)), None)

@@ -7,6 +7,7 @@ refined by the Akaike information criterion of a two-part signal (Maeda 1985).
 
 from __future__ import annotations
 
+import warnings
 import wave
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ def read_wav(path: Path) -> tuple[Array, float]:
         with wave.open(str(path), "rb") as file:
             rate, width, channels = file.getframerate(), file.getsampwidth(), file.getnchannels()
             raw = file.readframes(file.getnframes())
-    except (wave.Error, EOFError) as error:
+    except (wave.Error, EOFError, RuntimeError) as error:  # RuntimeError: a chunk longer than the file
         return _read_other_wav(path, error)
     values = _pcm(raw, width)
     values = values[: len(values) // channels * channels].reshape(-1, channels)
@@ -56,7 +57,9 @@ def _read_other_wav(path: Path, reason: Exception) -> tuple[Array, float]:
     from scipy.io import wavfile
 
     try:
-        rate, values = wavfile.read(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", wavfile.WavFileWarning)  # extra chunks are none of our business
+            rate, values = wavfile.read(path)
     except (ValueError, EOFError) as error:
         raise InputError(f"{path}: not a readable WAV file ({reason}); export it as 16-bit PCM WAV") from error
     values = np.atleast_2d(np.asarray(values, dtype=np.float64).T).T

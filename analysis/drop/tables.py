@@ -7,6 +7,7 @@ decimal comma; separators may be tab, semicolon, comma or spaces; legacy and new
 from __future__ import annotations
 
 import csv
+import io
 import re
 import zipfile
 from dataclasses import dataclass
@@ -64,7 +65,7 @@ def _read_xlsx(path: Path) -> list[Grid]:
     except ImportError as error:
         raise InputError(f"{path}: reading a spreadsheet needs the extra: pip install 'shakerbench[tables]'") from error
     try:
-        book = openpyxl.load_workbook(path, data_only=True)
+        book = openpyxl.load_workbook(io.BytesIO(path.read_bytes()), data_only=True)
     except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
         raise InputError(f"{path}: damaged spreadsheet ({error}); export it again") from error
     return [Grid(sheet.title, [[_cell(c) for c in row] for row in sheet.iter_rows(values_only=True)]) for sheet in book]
@@ -76,8 +77,7 @@ def _read_xls(path: Path) -> list[Grid]:
     except ImportError as error:
         raise InputError(f"{path}: reading a spreadsheet needs the extra: pip install 'shakerbench[tables]'") from error
     try:
-        with path.with_name(path.name).open("rb") as file:
-            book = xlrd.open_workbook(file_contents=file.read(), logfile=_Quiet())
+        book = xlrd.open_workbook(file_contents=path.read_bytes(), logfile=_Quiet())
     except (xlrd.XLRDError, xlrd.compdoc.CompDocError, IndexError, ValueError, OSError) as error:
         raise InputError(f"{path}: damaged spreadsheet ({error}); export it again") from error
     return [Grid(s.name, [[_cell(c) for c in s.row_values(i)] for i in range(s.nrows)]) for s in book.sheets()]

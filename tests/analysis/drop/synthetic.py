@@ -5,7 +5,7 @@ The rule kept here: the truth is integrated in small time steps, with none of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 G_MPS2 = 9.80665
+
+__all__ = ["Camera", "Truth", "film", "path", "replace", "taps"]
 
 
 @dataclass(frozen=True)

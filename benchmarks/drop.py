@@ -1,0 +1,174 @@
+"""Drop tests, measured: synthetic films of known truth, and the recordings made by others.
+
+Run ``python benchmarks/drop.py films`` (fifty films through a codec: bias, coverage, accuracy), ``times`` (impact
+times: which rung is chosen, coverage) or ``real FOLDER`` (the table of docs/results/drop.md).
+The rule kept here: truths and seeds are drawn before anything is analysed, and every film counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from analysis.drop.attribution import choose, judge
+from analysis.drop.camera import fit_camera
+from analysis.drop.filmed import Units, of_camera
+from analysis.drop.flights import Clip
+from analysis.drop.outcome import of_times
+from analysis.drop.rows import Drop
+from analysis.drop.sequence import bounces_of
+from analysis.drop.sources import Path2D, load
+from analysis.drop.tracking import track_film
+from daq.errors import InputError
+
+G = 9.80665
+
+
+def synthetic() -> ModuleType:
+    """The tests' camera."""
+    here = Path(__file__).parents[1] / "tests" / "analysis" / "drop" / "synthetic.py"
+    spec = importlib.util.spec_from_file_location("drop_synthetic", here)
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(here)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["drop_synthetic"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def films(count: int, seed: int) -> None:
+    """Fifty drops filmed: a fifth at the paper's conditions, the rest over a range of truth."""
+    cam, rng = synthetic(), np.random.default_rng(seed)
+    rows: list[tuple[float, ...]] = []
+    names: Counter[str] = Counter()
+    for k in range(count):
+        paper = k % 5 == 0
+        e0, f = (0.514, 0.3) if paper else (rng.uniform(0.4, 0.75), rng.uniform(0.05, 0.4))
+        fps = 1000.0 if paper else rng.uniform(350.0, 700.0)
+        truth = cam.Truth(e0=e0, friction=f, height_m=0.06 if paper else rng.uniform(0.04, 0.065))
+        camera = cam.Camera(fps=fps, noise=rng.uniform(1, 4), flicker=rng.uniform(0, 0.1), exposure=rng.uniform(0.2, 0.8))
+        with tempfile.TemporaryDirectory() as folder:
+            target = Path(folder) / "drop.avi"
+            cam.film(target, truth, camera, 0.38, rng)
+            track = track_film(target).track
+        fit = fit_camera([Clip("x", track.clock, track.height, track.acceleration)], np.random.default_rng(k))
+        name = choose(fit.rungs)[0]
+        names[name] += 1
+        law = next(r.law for r in fit.rungs if r.model.name == "coulomb_friction")
+        friction, spread = float(fit.shapes["friction"].values[1]), float(fit.values["friction"][:, 1].std())
+        rows.append((paper, law.theta[0] - e0, law.half_width[0] / 1.96, friction - f, spread))
+        print(f"{k:3d} {name} e {rows[-1][1]:+.4f} +- {rows[-1][2]:.4f} f {rows[-1][3]:+.4f} +- {spread:.4f}", flush=True)
+    _summary(np.array(rows, dtype=float), names)
+
+
+def _summary(table: np.ndarray, names: Counter[str]) -> None:
+    print("chosen:", dict(names))
+    for label, column in (("restitution", 1), ("friction", 3)):
+        off, sigma = table[:, column], table[:, column + 1]
+        inside = np.abs(off) < 1.96 * sigma
+        paper = table[:, 0] > 0
+        print(
+            f"{label}: bias {off.mean():+.5f} = {np.mean(off / sigma):+.2f} sigma, rms {off.std():.5f}, "
+            f"95 % interval covers {inside.sum()} of {len(off)}; paper's conditions: worst {np.abs(off[paper]).max():.4f}"
+        )
+
+
+def times(count: int, seed: int) -> None:
+    """Impact times of single drops under three truths: rung chosen, truth in the tie set, coverage of e0 and height."""
+    cam, rng = synthetic(), np.random.default_rng(seed)
+    for label, changes in (
+        ("constant_restitution", {}),
+        ("speed_dependent_restitution", {"e1_s_per_m": 0.02}),
+        ("quadratic_drag", {"drag_per_m": 0.14}),
+    ):
+        chosen: Counter[str] = Counter()
+        tied = e_in = h_in = 0
+        for _ in range(count):
+            truth = cam.Truth(height_m=rng.uniform(0.2, 0.6), e0=rng.uniform(0.8, 0.93), hold_s=0.0, **changes)
+            _, impacts = cam.path(truth, np.array([9.0]), 2e-4, settle_mps=0.5)
+            drop = Drop("x", bounces_of(impacts + rng.normal(0.0, 1e-4, len(impacts)), "x"))
+            verdict = judge([drop], G, rng)
+            payload = of_times([drop], verdict, G, [None], rng).payload
+            chosen[verdict.chosen] += 1
+            tied += label in verdict.tie_set
+            e0 = next(m for m in payload["models"] if m["name"] == label)["parameters"]["e0"]
+            e_in += e0["low"] <= truth.e0 <= e0["high"]
+            height = payload["drop_height_m"]
+            h_in += height["low"] <= truth.height_m <= height["high"]
+        print(f"{label}: chosen {dict(chosen)}; truth in the tie set {tied}, e0 covered {e_in}, height {h_in} of {count}")
+
+
+def real(folder: Path) -> None:
+    """A row for each kind of recording, as Markdown."""
+    print("| recording | impacts | chosen (ties) | parameters | held-out before, after (ms) | drop height (m) |\n|---|---|---|---|---|---|")
+    groups = {f"pingpong {h} cm (6)": sorted((folder / "phyphox/pingpong_ball").glob(f"*,{h}cm*")) for h in (8, 10, 15, 18, 30)}
+    groups["pingpong, all (30)"] = sorted((folder / "phyphox/pingpong_ball").iterdir())
+    for h in (25, 35, 45, 55, 65):
+        groups[f"blue ball {h} cm"] = sorted((folder / "phyphox/blue_ball").glob(f"*{h}*xls"))
+    groups["blue ball, all (30)"] = sorted((folder / "phyphox/blue_ball").iterdir())
+    groups["sound (1)"] = [folder / "audio/alessia_rimbalzi.wav"]
+    groups["film, drop (1)"] = [folder / "video/arza_bounceAmeen.avi"]
+    for sheets in (1, 10, 50, 55, 100, 140, 300):
+        groups[f"A4, {sheets} sheets"] = sorted((folder / "tracked/A4").glob(f"?-{sheets}-M.csv"))
+    for n in (2, 4):
+        groups[f"HT-{n}"] = sorted((folder / "tracked/HT").glob(f"HT-{n}-*.csv"))
+    for name in ("18-7_Results_100_1018,5hPa", "18-7_Results_100_410mbar", "22-7_Results_5_30mbar"):
+        groups[f"vacuum {name}"] = [folder / f"tracked/vacuum/{name}.csv"]
+    for label, files in groups.items():
+        try:
+            _row(label, files)
+        except InputError as error:
+            print(f"| {label} | {error} |||||")
+
+
+def _row(label: str, files: list[Path]) -> None:
+    loaded = [load(file) for file in files]
+    rng = np.random.default_rng(1)
+    if isinstance(loaded[0], Path2D):
+        fit = fit_camera([item.clip for item in loaded], rng)
+        frame_s = loaded[0].frame_s or (None if "vacuum" in label else 1 / 200)
+        payload = of_camera([label], fit, Units(frame_s, None, G), rng).payload
+        count = len(payload["impacts_frames"])
+        f, list_e = payload["friction"], [b["restitution"]["value"] for b in payload["restitution"] if b["file"] == 0]
+        more = f"; e by bounce {', '.join(f'{e:.3f}' for e in list_e)}; f {f['value']:.3f} ({f['low']:.3f}, {f['high']:.3f})"
+    else:
+        payload = of_times(loaded, judge(loaded, G, rng), G, [None] * len(loaded), rng).payload
+        count, more = len(payload["impacts_s"]), ""
+    model = next(m for m in payload["models"] if m["name"] == payload["chosen"])
+    values = ", ".join(f"{k} {v['value']:.4f} ({_n(v['low'], 4)}, {_n(v['high'], 4)})" for k, v in model["parameters"].items())
+    ties = ", ".join(payload["tie_set"][1:]) or "none"
+    before, height = payload["models"][0]["held_out_rms_ms"], payload["drop_height_m"]
+    tall = f"{_n(height['value'], 3)} ({_n(height['low'], 3)}, {_n(height['high'], 3)})"
+    after = model["held_out_rms_ms"]
+    print(f"| {label} | {count} | {payload['chosen']} ({ties}) | {values}{more} | {_n(before, 2)}, {_n(after, 2)} | {tall} |", flush=True)
+
+
+def _n(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("what", choices=["films", "times", "real"])
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=20261121)
+    chosen = parser.parse_args()
+    if chosen.what == "films":
+        films(chosen.count, chosen.seed)
+    elif chosen.what == "times":
+        times(chosen.count, chosen.seed)
+    else:
+        real(chosen.folder)
+
+
+if __name__ == "__main__":
+    main()
