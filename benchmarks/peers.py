@@ -123,7 +123,8 @@ def diffrax_flight() -> Flight:
     def solve(c: Any, gamma: Any, phi0: Any) -> Any:
         done = diffrax.diffeqsolve(
             diffrax.ODETerm(motion), diffrax.Dopri8(), phi0, phi0 + LONGEST, None, jnp.zeros(2), args=(c, gamma),
-            stepsize_controller=diffrax.PIDController(rtol=1e-10, atol=1e-12), event=event, max_steps=100_000, throw=False,
+            stepsize_controller=diffrax.PIDController(rtol=1e-10, atol=1e-12), event=event, max_steps=100_000,
+            throw=False,
         )  # fmt: skip
         return done.ts[-1] - phi0
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import branches, friction_kernel, ideal_kernel, stage
+from model import branches, friction_kernel, ideal_kernel, rough_lockstep, stage
 from model.flight import turning_points
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
@@ -138,20 +138,9 @@ def run_rough_diagram(
     if not (math.isfinite(phi0) and math.isfinite(v0) and v0 >= 0.0):
         raise ValueError(f"phi0 must be finite and v0 finite and not negative, not {phi0} and {v0}")
     shape = (grid.size, n_keep)
-    tau, phase, speed, rest = np.empty((4, *shape))
-    out = RoughOrbit(tau, phase, speed, rest, np.empty(shape, dtype=np.int8))
-    friction_kernel.rough_diagram(
-        forcing.tones,
-        turning_points(forcing),
-        grid,
-        rough.packed,
-        branches.fold(phi0, 0.0),
-        float(v0),
-        n_transient,
-        out.tau,
-        out.takeoff_phase,
-        out.impact_speed,
-        out.rest_tau,
-        out.flag,
+    out, flags = np.empty((4, *shape)), np.empty(shape, dtype=np.int8)
+    start = (branches.fold(phi0, 0.0), float(v0))
+    rough_lockstep.rough_lockstep_diagram(
+        forcing.tones, turning_points(forcing), grid, rough.packed, start, n_transient, out, flags
     )
-    return out
+    return RoughOrbit(out[0], out[1], out[2], out[3], flags)

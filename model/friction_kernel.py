@@ -258,30 +258,3 @@ def rough_orbit(
             rest_taus[k] = rest_tau
             flags[k] = flag | (RESET if reset else 0)
     return phi, v
-
-
-@compiled
-def rough_diagram(
-    tones: Floats,
-    turning: Floats,
-    gammas: Floats,
-    rough: Rough,
-    phi: float,
-    v: float,
-    n_transient: int,
-    taus: Floats,
-    phases: Floats,
-    speeds: Floats,
-    rest_taus: Floats,
-    flags: Flags,
-) -> None:
-    """`rough_orbit` for each gamma into the rows of the arrays."""
-    up = np.empty(turning.shape[0] + 2)
-    down = np.empty(turning.shape[0] + 2)
-    for row in range(gammas.shape[0]):
-        gamma = gammas[row]
-        n_up, n_down = fill_rough_edges(tones, turning, gamma, rough, up, down)
-        rough_orbit(
-            tones, gamma, up, n_up, down, n_down, rough, phi, v, n_transient,
-            taus[row], phases[row], speeds[row], rest_taus[row], flags[row],
-        )  # fmt: skip

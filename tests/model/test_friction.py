@@ -56,6 +56,25 @@ def test_smooth_and_dead_is_the_ideal_ball():
         assert np.array_equal(rough.flag, ideal.flag)
 
 
+def test_lockstep_flies_the_orbits_of_the_lone_kernel():
+    """Lane by lane the lockstep repeats the orbit flown flight by flight, until rounding is blown up."""
+    for ratio in (1, 2, 3):
+        forcing, gammas = Forcing.superposition(ratio), np.linspace(0.2, 6, 150)
+        for rough in (Rough(0.3, 0.2), Rough(0.0, 0.3, 0.6), Rough(0.2, 0.2, 0.514, 0.02)):
+            batch = run_rough_diagram(forcing, gammas, rough, 2, 6, 0.4, 0.7)
+            up, down = np.zeros(20), np.zeros(20)
+            for row, gamma in enumerate(gammas):
+                n_up, n_down = friction_kernel.fill_rough_edges(
+                    forcing.tones, turning_points(forcing), gamma, rough.packed, up, down
+                )
+                one, flag = np.empty((4, 6)), np.empty(6, dtype=np.int8)
+                friction_kernel.rough_orbit(
+                    forcing.tones, gamma, up, n_up, down, n_down, rough.packed, 0.4, 0.7, 2, *one, flag
+                )
+                assert batch.tau[row, :2] == pytest.approx(one[0, :2], abs=1e-7)
+                assert np.array_equal(batch.flag[row, :2], flag[:2])
+
+
 def cases(n, seed, hanging):
     """Random rough balls on random plates, with their take-offs; those that hang in mid-air or those that do not."""
     rng = np.random.default_rng(seed)
