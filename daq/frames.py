@@ -78,44 +78,52 @@ class FrameWriter:
         self._identity = os.fstat(self._descriptor).st_ino
         self.is_broken = False
 
-    def append(self, block: Block) -> None:
-        """Write one block; when this returns the block survives the end of the process.
+    def append(self, *blocks: Block) -> None:
+        """Write blocks that follow each other; when this returns they survive the end of the process.
 
         Raises
         ------
         ValueError
-            When the block does not follow the one before, or has another number of channels.
+            When a block does not follow the one before, or has another number of channels.
         OSError
             When the disk refuses, or the file was removed; what was acknowledged before is kept.
         """
-        if block.codes.ndim != 2 or block.codes.shape[1] != self._n_channels:
-            raise ValueError(f"wanted frames of {self._n_channels} channels, got an array of {block.codes.shape}")
-        if block.first_sample != self.n_samples:
-            raise ValueError(f"wanted a block that starts at sample {self.n_samples}, got {block.first_sample}")
+        expected = self.n_samples
+        for block in blocks:
+            if block.codes.ndim != 2 or block.codes.shape[1] != self._n_channels:
+                raise ValueError(f"wanted frames of {self._n_channels} channels, got an array of {block.codes.shape}")
+            if block.first_sample != expected:
+                raise ValueError(f"wanted a block that starts at sample {expected}, got {block.first_sample}")
+            expected += len(block.codes)
         if self.has_vanished():
             raise OSError(f"{self.path}: was removed while it was being written; closing keeps a copy elsewhere")
         try:
-            self._write(block, np.ascontiguousarray(block.codes, "<i2"))
+            self._write(blocks)
         except (OSError, RuntimeError) as error:
             self.is_broken = True
             raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
 
-    def _write(self, block: Block, codes: NDArray[np.int16]) -> None:
-        """Frames first, then the row that acknowledges them."""
-        n = len(codes)
-        self._frames.resize((self.n_samples + n, self._n_channels))
-        self._frames[self.n_samples :] = codes
+    def _write(self, blocks: Sequence[Block]) -> None:
+        """Frames first, then the rows that acknowledge them."""
+        pieces = [np.ascontiguousarray(block.codes, "<i2") for block in blocks]
+        frames = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
+        rows = np.array(
+            [
+                (b.first_sample, len(c), b.flags, b.clock_ns, b.lost_before, b.lost_uncertainty, b.adc_ns, crc32(c))
+                for b, c in zip(blocks, pieces, strict=True)
+            ],
+            BLOCK_DTYPE,
+        )
+        self._frames.resize((self.n_samples + len(frames), self._n_channels))
+        self._frames[self.n_samples :] = frames
         self._frames.id.flush()
-        row = np.array(
-            [(block.first_sample, n, block.flags, block.clock_ns, block.lost_before, block.lost_uncertainty,
-              block.adc_ns, crc32(codes))], BLOCK_DTYPE)
-        self._blocks.resize((self._n_blocks + 1,))
-        self._blocks[self._n_blocks :] = row
+        self._blocks.resize((self._n_blocks + len(rows),))
+        self._blocks[self._n_blocks :] = rows
         self._blocks.id.flush()
-        self.n_samples += n
-        self.n_lost += block.lost_before
-        self.n_doubtful += block.lost_uncertainty
-        self._n_blocks += 1
+        self.n_samples += len(frames)
+        self.n_lost += int(rows["lost_before"].sum())
+        self.n_doubtful += int(rows["lost_uncertainty"].sum())
+        self._n_blocks += len(rows)
 
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
         """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""

@@ -127,17 +127,17 @@ class RecordingWriter:
         """Frames recorded so far; the next block must start here."""
         return self._frames.n_samples
 
-    def append(self, block: Block) -> None:
-        """Write one block; once this returns a killed process does not lose it.
+    def append(self, *blocks: Block) -> None:
+        """Write blocks that follow each other; once this returns a killed process does not lose them.
 
         Raises
         ------
         ValueError
-            When the block does not follow the one before.
+            When a block does not follow the one before.
         OSError
             When the disk refuses.
         """
-        self._frames.append(block)
+        self._frames.append(*blocks)
 
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
         """Write a step's row (`STEP_DTYPE` or a mapping of its fields) and sync the file to the disk.
