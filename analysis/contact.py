@@ -52,16 +52,19 @@ class Levels:
 def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: float) -> Levels:
     """Levels and noise from a sample of continuity volts, ``volts`` shape (n,).
 
-    A plateau is a stretch of nine samples on one side of the declared middle; where there is none, the declared level
-    stands.
+    A plateau is what follows sixteen samples (four, where there are none so long) on one side of the declared middle;
+    where there is none, the declared level stands.
     """
     swing = declared_open_v - declared_closed_v
     side = (volts - declared_closed_v) / swing > 0.5
-    width = 9
     levels, spreads = [], []
     for wanted, declared in ((False, declared_closed_v), (True, declared_open_v)):
-        inside = np.convolve(side == wanted, np.ones(width), mode="same") > width - 0.5
-        plateau = volts[inside]
+        plateau = volts[:0]
+        for before in (16, 4):
+            length = before + 5  # and four more on this side
+            inside = np.convolve(side == wanted, np.ones(length))[length - 1 :] > length - 0.5
+            if plateau.size < 50:
+                plateau = volts[before : before + inside.size][inside[: volts.size - before]]
         if plateau.size < 50:
             levels.append(declared)
             continue
@@ -232,6 +235,8 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     for kind in kinds:
         chosen = crossings.kind == kind
         alone = (room[chosen] > AFTER) & (gap[chosen] > AFTER)
+        if alone.sum() < MIN_EDGES:
+            alone = (room[chosen] > 2) & (gap[chosen] > 2)
         shapes[kind] = edge_shape(height[kind][alone], noise, rate_hz)
     for missing in (False, True):
         for kind in kinds:
@@ -301,7 +306,7 @@ def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
         alike = np.abs(ratios - ratio) < 5.0 * own
         if alike.sum() >= MIN_EDGES:
             ratio = float(np.average(ratios[alike], weights=own[alike] ** -2))
-        ratio_sigma = 1.0 / float(np.sqrt(np.sum(1.0 / own[alike] ** 2)))
+            ratio_sigma = 1.0 / float(np.sqrt(np.sum(1.0 / own[alike] ** 2)))
     if 8.0 * ratio_sigma < ratio < 0.98 and ratio > 0.01:
         tau = -1.0 / (rate_hz * np.log(ratio))
         tau_sigma = tau**2 * rate_hz * ratio_sigma / ratio

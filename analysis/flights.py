@@ -28,6 +28,7 @@ GLITCH_S = 2e-4  # an opening shorter than this is no flight
 BOUNCE_S = 4e-4  # nor is one shorter than this that comes within BOUNCE_AFTER_S of a landing
 BOUNCE_AFTER_S = 2e-3
 INSTANT_S = 1.5e-3  # a contact this short may be an impact's closure alone: the ball may have left as it landed
+RESTED_S = 3e-4  # a ball seen to lie this long where the plate pushes has come to rest
 REBOUND_CONTACT_S = 5e-3  # contacts shorter than this may be rebounds
 SOON_CYCLES = 0.5  # of the forcing: a rebound that is back sooner makes a double hit
 PUSHING = 0.8  # -a_p / g below this at take-off: the plate was pushing, a resting ball would have stayed
@@ -259,8 +260,8 @@ def _hidden(
 ) -> Ints:
     """Flag `UNSURE` where a ball that left at rest, falling freely, would have met the plate well before it landed."""
     out = np.zeros(takeoff.size, dtype=np.int64)
-    skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT
-    rest = ((flags & int(skip)) == 0) & ((contact > INSTANT_S) | np.isnan(contact))
+    skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT | FlightFlag.RELAUNCHED
+    rest = ((flags & int(skip)) == 0) & ((contact > RESTED_S) | np.isnan(contact))
     for k in np.unique(step[rest]):
         fitted = plate.steps[k] if 0 <= k < len(plate.steps) else None
         if fitted is None:

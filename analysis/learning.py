@@ -53,7 +53,8 @@ def _onsets(volts: Floats, fitted: npt.NDArray[np.bool_], noise_v: float) -> Flo
     """Places in a piece where something strong begins after a quiet stretch."""
     past = np.convolve(volts, np.ones(6) / 6.0)[: volts.size]
     error = np.abs(volts[1:] - past[:-1]) / (noise_v * np.sqrt(7.0 / 6.0))
-    loud = np.flatnonzero((error > ONSET) & fitted[1:]) + 1
+    known = np.convolve(fitted, np.ones(8))[: volts.size] > 7.5  # the past it is held against is known too
+    loud = np.flatnonzero((error > ONSET) & known[1:]) + 1
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
     peak = np.array([np.abs(volts[n : n + LEAD]).max() for n in first])
     if not first.size:

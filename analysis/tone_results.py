@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
+LEAST_APART = 60  # block means on each side that contact and flight are told apart by
 WINDOW_CYCLES = 2.0
+CHANCE = 1e-5  # of a slow line in noise alone, below which it is reported
 SLOW_PER_CYCLE = 4.0  # values of the slow series per period of the forcing
 
 
@@ -105,7 +107,7 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[Line, ...]:
     for _ in range(3):
         k = int(np.argmax(power))
         chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
-        if chance > 1e-3:
+        if chance > CHANCE:
             break
         found.append(Line(float(f[k]), float(np.sqrt(power[k])), float(chance)))
         power[max(k - 12, 0) : k + 13] = 0.0
@@ -125,26 +127,37 @@ def _scaled(fit: ToneFit, factor: float, offset: float) -> ToneFit:
     )
 
 
-def _gated(part: LockIn | None, whole: ToneFit, rows: list[int]) -> ToneFit | None:
-    """The tones ``rows`` and a constant fitted to part of the samples, the other tones held at the whole fit."""
-    if part is None or part.n < 20 * (2 * len(rows) + 1):
-        return None
-    unknown = [0, *(c for r in rows for c in (2 * r + 1, 2 * r + 2))]
-    solution = np.empty(part.gram.shape[0])
-    solution[0] = whole.offset
-    solution[1::2], solution[2::2] = whole.amplitudes.real, whole.amplitudes.imag
-    held = solution.copy()
-    held[unknown] = 0.0
-    gram = part.gram[np.ix_(unknown, unknown)]
-    if np.linalg.cond(gram) > 1e8:
-        return None
-    rhs = (part.rhs[:, 0] - part.gram @ held)[unknown]
-    own = np.linalg.solve(gram, rhs)
-    covariance = np.asarray(np.linalg.inv(gram) * whole.rms**2, dtype=np.float64)
-    return ToneFit(
-        whole.frequencies_hz[rows], own[1::2] + 1j * own[2::2], covariance[1:, 1:], whole.rms,
-        float(own[0]), float(np.sqrt(covariance[0, 0])), part.n,
-    )
+def _apart(contact: LockIn | None, total: LockIn, rms: float, rows: list[int]) -> tuple[ToneFit | None, ToneFit | None]:
+    """The tones ``rows`` in contact and in flight: one joint fit in which contact has an extra amplitude of each.
+
+    Offset and harmonics are common to both, so what the ball's weight on the table changes is not put into them.
+    """
+    if contact is None or min(contact.n, total.n - contact.n) < LEAST_APART:
+        return None, None
+    columns = [c for r in rows for c in (2 * r + 1, 2 * r + 2)]
+    beside = contact.gram[:, columns]
+    gram = np.block([[total.gram, beside], [beside.T, contact.gram[np.ix_(columns, columns)]]])
+    scale = 1.0 / np.sqrt(np.diag(gram))
+    scaled = gram * np.outer(scale, scale)
+    if np.linalg.cond(scaled) > 1e6:
+        return None, None
+    inverse = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale), dtype=np.float64)
+    solution = inverse @ np.concatenate([total.rhs[:, 0], contact.rhs[columns, 0]])
+    p = total.gram.shape[0]
+    pick = np.zeros((2, len(columns), gram.shape[0]))
+    for k, c in enumerate(columns):
+        pick[:, k, c] = 1.0
+        pick[0, k, p + k] = 1.0
+    fits = []
+    for part, n in zip(pick, (contact.n, total.n - contact.n), strict=True):
+        own = part @ solution
+        fits.append(
+            ToneFit(
+                total.frequencies_hz[rows], own[0::2] + 1j * own[1::2], part @ inverse @ part.T * rms**2, rms,
+                float(solution[0]), float(np.sqrt(inverse[0, 0])) * rms, n,
+            )
+        )
+    return fits[0], fits[1]
 
 
 def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ratio: int) -> float:
@@ -179,8 +192,8 @@ def step_plate(recording: Recording, fold: StepFold, total: LockIn) -> StepPlate
     acceleration = _scaled(volts, factor, zero_v)
     multiples = fold.multiples
     rows = [multiples.index(m) for m in sorted({1, fold.ratio}) if m in multiples]
-    gated = [_gated(part, volts, rows) for part in (fold.contact, fold.flight)]
-    contact, flight = (None if g is None else _scaled(g, factor, zero_v) for g in gated)
+    apart = _apart(fold.contact, total, volts.rms, rows)
+    contact, flight = (None if part is None else _scaled(part, factor, zero_v) for part in apart)
     slow = SlowMotion(
         np.concatenate([s[0] for s in fold.slow]) if fold.slow else np.zeros(0),
         np.concatenate([s[1] for s in fold.slow]) * factor if fold.slow else np.zeros(0),

@@ -104,6 +104,8 @@ def learn_waveform(
     # matched to the whole waveform, but blind to the motion under it
     taps = fine[: LENGTH * FINE : FINE] @ projector
     norm = float(np.linalg.norm(taps))
+    if not norm > 0.3 * float(np.linalg.norm(fine[: LENGTH * FINE : FINE])):  # as slow as the motion: no impact
+        return None
     return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
 
 
