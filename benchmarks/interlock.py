@@ -16,17 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-import rig.interlock
-from bench.profiles import load
-from daq.block import Block
-from daq.recording import RecordingWriter, open_recording
-from rig.backends.base import Backend
-from rig.backends.simulated import SimulatedBackend
-from rig.profile import Profile
-from rig.run import Status, StopRequest, run_ramp
-from rig.sequencer import Stop
-from rig.sim.faults import AmplifierTrip, Clipping, Fault, FaultyBackend, JammedSensor, LooseCable, Unplugged
-from rig.sim.scenario import Scenario
+sys.path[0] = str(Path(__file__).resolve().parent.parent)  # not this folder: its rig.py is not the package
+
+import rig.interlock  # noqa: E402
+from bench.profiles import load  # noqa: E402
+from daq.block import Block  # noqa: E402
+from daq.recording import RecordingWriter, open_recording  # noqa: E402
+from rig.backends.base import Backend  # noqa: E402
+from rig.backends.simulated import SimulatedBackend  # noqa: E402
+from rig.profile import Profile  # noqa: E402
+from rig.run import Status, StopRequest, run_ramp  # noqa: E402
+from rig.sequencer import Stop  # noqa: E402
+from rig.sim.faults import AmplifierTrip, Clipping, Fault, FaultyBackend, JammedSensor, LooseCable, Unplugged  # noqa: E402
+from rig.sim.scenario import Scenario  # noqa: E402
 
 AT = 60_000
 RNG = np.random.default_rng(1)

@@ -18,6 +18,7 @@ from daq.recording import RecordingWriter
 from rig.backends.base import Backend, BackendError, Running
 from rig.backends.replay import ReplayBackend
 from rig.backends.simulated import SimulatedBackend
+from rig.sim.faults import FaultyBackend
 from rig.sim.scenario import Scenario
 
 RATE_HZ = 20000.0
@@ -42,7 +43,12 @@ def replay(folder: Path) -> Backend:
     return ReplayBackend(path)
 
 
-BACKENDS: dict[str, Callable[[Path], Backend]] = {"simulated": simulated, "replay": replay}
+def faultless(folder: Path) -> Backend:
+    """The simulated rig seen through the layer of faults, without any."""
+    return FaultyBackend(simulated(folder), [])
+
+
+BACKENDS: dict[str, Callable[[Path], Backend]] = {"simulated": simulated, "replay": replay, "faultless": faultless}
 
 
 @pytest.fixture(params=sorted(BACKENDS))
@@ -58,7 +64,7 @@ def drive(n: int, first: int = 0) -> np.ndarray:
 
 def test_says_what_it_is(backend: Backend) -> None:
     """Name, rate, channels and scales are known before it is started, and make sense."""
-    assert backend.name in BACKENDS and backend.rate_hz == RATE_HZ
+    assert backend.name and backend.rate_hz == RATE_HZ
     assert {"accelerometer", "drive"} <= set(backend.channels)
     assert set(backend.scales) == set(backend.channels)
     assert all(scale > 0 for scale, _ in backend.scales.values())
