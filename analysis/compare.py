@@ -103,8 +103,8 @@ class FirstBifurcation:
 class Comparison:
     """A whole recording against the model.
 
-    ``short_by`` is one minus the median ratio of flight times, over the steps in which both are cycles (all, where there
-    are none); ``within_sample`` is over the flights of periodic steps without doubt.
+    ``short_by`` is one minus the median ratio of flight times, over the steps in which both are cycles (all, where
+    there are none); ``within_sample`` is over the flights of periodic steps without doubt.
     """
 
     steps: tuple[StepComparison, ...]

@@ -65,7 +65,8 @@ class ImpactScan:
         self._bank = bank / self._norms[:, None]
         slope = np.gradient(self._bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
-        self._found: list[Floats] = [np.zeros((0, 4))]  # columns: place (samples), size (units of fine), score, echo (V)
+        # columns: place (samples), size (units of fine), score and echo (V)
+        self._found: list[Floats] = [np.zeros((0, 4))]
 
     def add(self, volts: npt.NDArray[np.float32], first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``; samples found."""

@@ -76,7 +76,7 @@ class StepPlate:
     drive : ToneFit or None
         V, looped back; None where it was not recorded.
     contact, flight : ToneFit or None
-        The forcing's tones in contact and in flight, from one joint fit with everything else in common.
+        The forcing's tones and the offset in contact and in flight, from one joint fit, all else in common.
     gamma, gamma_uncertainty : float
         ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
     gamma_peak : float

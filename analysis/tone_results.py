@@ -128,13 +128,13 @@ def _scaled(fit: ToneFit, factor: float, offset: float) -> ToneFit:
 
 
 def _apart(contact: LockIn | None, total: LockIn, rms: float, rows: list[int]) -> tuple[ToneFit | None, ToneFit | None]:
-    """The tones ``rows`` in contact and in flight: one joint fit in which contact has an extra amplitude of each.
+    """The tones ``rows`` and the offset in contact and in flight: one joint fit in which contact has an extra of each.
 
-    Offset and harmonics are common to both, so what the ball's weight on the table changes is not put into them.
+    The harmonics are common to both, so what the ball's weight on the table changes is not put into them.
     """
     if contact is None or min(contact.n, total.n - contact.n) < LEAST_APART:
         return None, None
-    columns = [c for r in rows for c in (2 * r + 1, 2 * r + 2)]
+    columns = [0, *(c for r in rows for c in (2 * r + 1, 2 * r + 2))]
     beside = contact.gram[:, columns]
     gram = np.block([[total.gram, beside], [beside.T, contact.gram[np.ix_(columns, columns)]]])
     scale = 1.0 / np.sqrt(np.diag(gram))
@@ -150,11 +150,11 @@ def _apart(contact: LockIn | None, total: LockIn, rms: float, rows: list[int]) -
         pick[0, k, p + k] = 1.0
     fits = []
     for part, n in zip(pick, (contact.n, total.n - contact.n), strict=True):
-        own = part @ solution
+        own, covariance = part @ solution, part @ inverse @ part.T * rms**2
         fits.append(
             ToneFit(
-                total.frequencies_hz[rows], own[0::2] + 1j * own[1::2], part @ inverse @ part.T * rms**2, rms,
-                float(solution[0]), float(np.sqrt(inverse[0, 0])) * rms, n,
+                total.frequencies_hz[rows], own[1::2] + 1j * own[2::2], covariance[1:, 1:], rms,
+                float(own[0]), float(np.sqrt(covariance[0, 0])), n,
             )
         )
     return fits[0], fits[1]
