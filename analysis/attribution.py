@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fit import Fitted, Fitter, parameter_of
-from analysis.likelihood import DRIFT, Key, Whitener, World, robust_loss
+from analysis.likelihood import DRIFT, Key, Whitener, World
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects import registry
 
@@ -24,6 +24,8 @@ Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 THREADS = 2
+LOST = 20.0  # excess of landings over their uncertainty beyond which several starts are followed
+STARTS = 3
 
 
 @dataclass(frozen=True)
@@ -215,14 +217,29 @@ class Attributor:
         free = tuple(k for k in candidate.free if k not in taken)
         if not free:
             return None
-        start, ahead = self._start(best, candidate, free)
-        if ahead < HOPELESS_NATS and self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS:
+        starts = self._starts(best, candidate, free)
+        level = self._quick(best.whitener, best.fitted.values)
+        ahead = level - starts[0][0]
+        added = (*best.candidates, Candidate(candidate.names, free))
+        if ahead < HOPELESS_NATS and self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS and not self._lost(best):
             return None
-        added = Candidate(candidate.names, free)
-        fitted = self.fitter.fit(best.whitener, (*best.free, *free), start, best.fitted.slopes)
-        if best.fitted.loss - fitted.loss < HOPELESS_NATS:
-            return Explanation((*best.candidates, added), fitted, best.whitener, fitted.held_out(best.whitener))
-        return self._judged((*best.candidates, added), self._settled(fitted))
+        if ahead < HOPELESS_NATS and not self._lost(best):
+            fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
+            if best.fitted.loss - fitted.loss < HOPELESS_NATS:
+                return Explanation(added, fitted, best.whitener, fitted.held_out(best.whitener))
+            return self._judged(added, self._settled(fitted))
+        tried = [self._from(best, (*best.free, *free), point) for _, point in starts[: STARTS if self._lost(best) else 1]]
+        return self._judged(added, min(tried, key=lambda f: self._quick(best.whitener, f.values)))
+
+    def _lost(self, best: Explanation) -> bool:
+        """Whether landings miss by so much that a fit may begin on the wrong branch."""
+        return best.whitener.excess_s[1] > LOST * float(np.median(best.whitener.total_s))
+
+    def _from(self, best: Explanation, free: Sequence[Key], start: Mapping[Key, float]) -> Fitted:
+        """Fit from a start, from soft weights to sharp ones."""
+        soft = self.fitter.fit(best.whitener, free, start)
+        at_start, after = (self._quick(best.whitener, v) for v in (start, soft.values))
+        return self._settled(self.fitter.fit(Whitener.of(self.world, start), free, start) if at_start < after else soft)
 
     def _settled(self, fitted: Fitted) -> Fitted:
         """Fit again with the weights of the point found, until the excess no longer shrinks."""
@@ -234,22 +251,14 @@ class Attributor:
             fitted = self.fitter.fit(after, fitted.free, fitted.values)
         return fitted
 
-    def _start(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> tuple[dict[Key, float], float]:
-        """The best of the candidate's starting points, and how far ahead of the best explanation it is, in nats."""
+    def _starts(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> list[tuple[float, dict[Key, float]]]:
+        """The candidate's starting points with the loss at each, lowest first."""
         values = best.fitted.values
-        lowest = level = self._quick(best.whitener, values)
-        start = {**values, **(candidate.starts[0] if candidate.starts else {})}
-        for point in candidate.starts:
-            trial = {**values, **{k: v for k, v in point.items() if k in free}}
-            loss = self._quick(best.whitener, trial)
-            if loss < lowest:
-                start, lowest = trial, loss
-        return start, level - lowest
+        points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in candidate.starts or ({},)]
+        return sorted(((self._quick(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
 
     def _quick(self, whitener: Whitener, values: Mapping[Key, float]) -> float:
-        events, plate = whitener.white(self.world.residuals(values))
-        ev = self.world.evidence
-        return float(robust_loss(events[self.train[whitener.step]]).sum() + robust_loss(plate[self.train[ev.plate.step]]).sum())
+        return whitener.profile_loss(self.world.residuals(values), self.world.evidence.plate, self.train)
 
     def _promising(self, pool: Sequence[Candidate], best: Explanation) -> list[Candidate]:
         return [c for c in pool if not set(c.names) & set(best.names)]

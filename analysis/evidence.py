@@ -26,6 +26,7 @@ NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFla
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
 MAX_TONES = 8
+TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
 FARTHEST_JITTER_S = 5e-4
 REPEATS = 8  # flights after a rest that a step needs to tell how well edges repeat
 WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
@@ -84,6 +85,8 @@ class Evidence:
         Impacts slower than this may have gone unnoticed when the ball left at once; infinite without a second witness.
     unseen_s : float
         Flights shorter than this cannot have been seen.
+    closed_s : float
+        The shortest contact that the circuit shows between flights: rebounds shorter than this look closed.
     sources : tuple of str
     """
 
@@ -97,6 +100,7 @@ class Evidence:
     plate: PlateData
     setup: Setup
     unseen_s: float
+    closed_s: float
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
 
@@ -167,8 +171,15 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     data, notes = plate_data(fitted, setup)
     return Evidence(
         measured, sigmas_open, sigmas_land, judged, measured.landing_s.copy(), weak, steps, data, setup,
-        unseen_s=GLITCH_S, sources=(str(recording.path),), notes=notes,
+        unseen_s=GLITCH_S, closed_s=_closed_s(measured, 1.0 / recording.rate_hz), sources=(str(recording.path),), notes=notes,
     )
+
+
+def _closed_s(measured: Measured, sample_s: float) -> float:
+    """Shortest contact between a landing and a take-off at once, or a sample where none is seen."""
+    rest = measured.opening_s[1:] - measured.landing_s[:-1]
+    brief = rest[measured.at_once[1:] & measured.linked[1:]]
+    return max(float(np.quantile(brief, 0.1)), sample_s) if len(brief) >= REPEATS else sample_s
 
 
 def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDArray[np.bool_], steps: Steps) -> Array:
@@ -193,7 +204,7 @@ def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDAr
     if len(scatter) < 3:
         return sigma_s
     excess = np.array(scatter) ** 2 - np.array(claimed) ** 2
-    jitter = float(np.quantile(excess, 0.4))
+    jitter = float(np.median(excess))
     return np.sqrt(sigma_s**2 + max(jitter, 0.0))
 
 
@@ -211,7 +222,8 @@ def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArra
     linked = (np.arange(n) > 0) & (step == step[before]) & ((flags[before] & MISLEADING) == 0)
     rest = opening - landing[before]
     at_once = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
-    judged = linked & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
+    tiny = at_once & (landing - opening < TINY_S)
+    judged = linked & ~tiny & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
     return Measured(opening, landing, at_once, linked, step.astype(np.int64), judged), judged, keep
 
 
@@ -243,6 +255,6 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         measured,
         *(np.concatenate([getattr(p, k) for p in parts]) for k in ("opening_sigma_s", "landing_sigma_s", "judged", "time_s", "weak_mps")),
         steps=table, plate=PlateData.join([p.plate for p in parts], shift), setup=parts[0].setup,
-        unseen_s=max(p.unseen_s for p in parts), sources=tuple(s for p in parts for s in p.sources),
+        unseen_s=max(p.unseen_s for p in parts), closed_s=max(p.closed_s for p in parts), sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
     )

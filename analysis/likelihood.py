@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
-from analysis.platedata import expected
+from analysis.platedata import PlateData, expected
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -150,7 +150,8 @@ class World:
         if landing_shift_s is not None:
             moved = moved + landing_shift_s
         measured = replace(ev.measured, opening_s=ev.measured.opening_s - shift, landing_s=moved)
-        p = one_ahead(measured, plate, self.rows(values) if rows is None else rows, gap_m=gap, unseen_s=ev.unseen_s, weak_mps=ev.weak_mps)
+        p = one_ahead(measured, plate, self.rows(values) if rows is None else rows, gap_m=gap, unseen_s=ev.unseen_s, closed_s=ev.closed_s,
+                      weak_mps=ev.weak_mps)
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -237,6 +238,7 @@ class Whitener:
     plate_sigma: Array
     plate_log: Array
     excess_s: tuple[float, float]
+    total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
 
     @classmethod
     def of(cls, world: World, values: Values) -> Whitener:
@@ -269,8 +271,23 @@ class Whitener:
             logs[rows] += 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
         sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         return cls(
-            opening, landing, step[order], order, bounds, sd, shared, shrink, np.concatenate([cap_o, cap_l]), logs, sigma, log, excess
+            opening, landing, step[order], order, bounds, sd, shared, shrink, np.concatenate([cap_o, cap_l]), logs, sigma, log, excess,
+            np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]]),
         )
+
+    def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
+        """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
+        step = np.empty_like(self.step)
+        step[self.order] = self.step
+        events = _capped(np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]]), self.cap)
+        channel = np.arange(len(events)) < len(self.opening)
+        total = 0.0
+        for rows in (channel & train[step], ~channel & train[step]):
+            sigma = np.hypot(self.total_s[rows], _excess(events[rows], self.total_s[rows]))
+            total += float(np.sum(robust_loss(events[rows] / sigma) + np.log(sigma)))
+        rows = train[plate.step]
+        sigma, log = _plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
+        return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
 
     def stacked(self, r: Residuals) -> Array:
         """Bare residuals in one column: events in the order of ``step``, then plate data."""

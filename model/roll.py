@@ -155,7 +155,7 @@ class Predicted:
 
 def one_ahead(
     measured: Measured, plate: PlateSteps, rows: Array, *, gap_m: Array | float = 0.0, unseen_s: float = 1e-4,
-    passable_s: float = 2e-3, weak_mps: Array | float = 0.0,
+    closed_s: float = 5e-5, passable_s: float = 2e-3, weak_mps: Array | float = 0.0,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -169,6 +169,8 @@ def one_ahead(
         Height at which the circuit opens, one number or (n,).
     unseen_s
         Flights shorter than this are passed over: no instrument has seen them.
+    closed_s
+        Rebounds shorter than this look like contact.
     passable_s
         Flights shorter than this may have escaped the instrument: they are passed over when they end before the
         measured flight begins.
@@ -185,7 +187,7 @@ def one_ahead(
         plate.period_s, plate.omega_radps, np.ascontiguousarray(plate.acceleration_mps2.real),
         np.ascontiguousarray(plate.acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"),
         elastic, np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)), unseen_s,
-        passable_s, np.ascontiguousarray(np.broadcast_to(np.asarray(weak_mps, dtype=np.float64), n)), out,
+        closed_s, passable_s, np.ascontiguousarray(np.broadcast_to(np.asarray(weak_mps, dtype=np.float64), n)), out,
     )
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan

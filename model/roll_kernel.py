@@ -382,12 +382,12 @@ def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, 
 
 @njit(cache=True, error_model="numpy")
 def weak_rebounds(
-    land, hit, target, rests, weak_mps, unseen_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough
+    land, hit, target, rests, weak_mps, closed_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough
 ):
     """Which landing ends a flight as the instrument shows it, given a first landing.
 
     An impact slower than ``weak_mps`` from which the ball leaves at once has left no mark: the flight seems to go on
-    through it. Where the ball then ``rests``, it ends when the rebounds become shorter than ``unseen_s``; else at the
+    through it. Where the ball then ``rests``, it ends when the rebounds become shorter than ``closed_s``; else at the
     landing nearest to ``target``. (q, qd) is the mode's state just after the landing. Returns (landing, impact speed,
     impacts passed).
     """
@@ -397,7 +397,7 @@ def weak_rebounds(
         if kind != 1:
             break
         lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
-        if lasts < unseen_s:
+        if lasts < closed_s:
             break
         following = off + lasts
         if abs(following - target) > abs(land - target) and (not rests or following > target + 16.0 * dt):
@@ -479,7 +479,7 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
 @njit(cache=True, error_model="numpy", nogil=True)
 def one_ahead(
     opening, landing, at_once, linked, wanted, step, period, w, ar, ai, p, forced, rough, bounce, gap, unseen_s,
-    passable_s, weak_mps, out,
+    closed_s, passable_s, weak_mps, out,
 ):
     """Predict each event from the measured one before it.
 
@@ -515,7 +515,7 @@ def one_ahead(
                 qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
                 rests = i + 1 < landing.shape[0] and linked[i + 1] and not at_once[i + 1]
                 land, hit, passed = weak_rebounds(
-                    land, hit, landing[i], rests, weak_mps[i], unseen_s, qt, qdt, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough
+                    land, hit, landing[i], rests, weak_mps[i], closed_s, qt, qdt, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough
                 )
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = off, v0, land, hit
             out[i, 4], out[i, 5], out[i, 6] = opened, hidden, kind
