@@ -25,6 +25,7 @@ from daq.setup import Setup
 FORMAT = "shakerbench recording"
 FORMAT_VERSION = 1
 CHUNK_SAMPLES = 65536
+SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
 LONG_NAMES = {
     "continuity": "contact circuit voltage",
     "accelerometer": "plate accelerometer voltage",
@@ -83,7 +84,7 @@ class ColumnWriter:
         self.part = path.with_name(path.name + ".part")
         self.n_samples = 0
         self._filters: dict[str, Any] = (
-            dict(hdf5plugin.Bitshuffle(cname="lz4")) if compression == "lz4"
+            dict(hdf5plugin.Bitshuffle(nelems=SHUFFLED_SAMPLES, cname="lz4")) if compression == "lz4"
             else {"compression": "gzip", "compression_opts": 4, "shuffle": True}
         )
         self._file = h5py.File(self.part, "w", libver=("v110", "v110"))

@@ -8,6 +8,7 @@ not part of the recording. The end state is ``incomplete`` from the start.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -97,8 +98,14 @@ class FrameWriter:
             expected += len(block.codes)
         if self.has_vanished():
             raise OSError(f"{self.path}: was removed while it was being written; closing keeps a copy elsewhere")
-        try:
+        with self._refusals():
             self._write(blocks)
+
+    @contextlib.contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """HDF5 reports a disk that refuses as one of two errors; for a person it is one."""
+        try:
+            yield
         except (OSError, RuntimeError) as error:
             self.is_broken = True
             raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
@@ -128,6 +135,10 @@ class FrameWriter:
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
         """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""
         row = step_row(step)
+        with self._refusals():
+            self._mark_step(row)
+
+    def _mark_step(self, row: NDArray[np.void]) -> None:
         if int(row["first_sample"][0]) != self._last_step_first:
             self._steps.resize((self._n_steps + 1,))
             self._n_steps += 1
@@ -138,10 +149,11 @@ class FrameWriter:
 
     def mark_drive(self, changes: NDArray[np.void]) -> None:
         """Add rows (`DRIVE_DTYPE`) to the table of drive changes."""
-        n = self._drive.shape[0]
-        self._drive.resize((n + len(changes),))
-        self._drive[n:] = changes
-        self._drive.id.flush()
+        with self._refusals():
+            n = self._drive.shape[0]
+            self._drive.resize((n + len(changes),))
+            self._drive[n:] = changes
+            self._drive.id.flush()
 
     def end(self, ending: Mapping[str, Any]) -> None:
         """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""

@@ -28,7 +28,7 @@ from daq.ring import Ring, renumbered
 from daq.setup import Setup
 from daq.writer import Ending, RecordingWriter
 
-RING_S = 2.0
+RING_S = 4.0
 SWITCH_S = 0.0005
 IDLE_S = 0.001
 START_S = 60.0
