@@ -10,11 +10,12 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from daq.block import Block
+from daq.recorder import RecorderProcess
 from daq.recording import RecordingWriter
 from rig.amplitude import AmplitudeLoop, ToneMeter, achieved_gamma
 from rig.backends.base import Backend, BackendError, Running
@@ -25,6 +26,10 @@ from rig.ramp import Programme, Step, plan
 from rig.sequencer import Sequencer, State, Stop, change_rows, largest_block
 
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
+
+
+Recorder: TypeAlias = RecordingWriter | RecorderProcess
+"""Where a run is recorded: here, or in a process of its own."""
 
 
 class StopRequest:
@@ -72,7 +77,7 @@ class RunSummary:
 def run_ramp(
     profile: Profile,
     backend: Backend,
-    writer: RecordingWriter,
+    writer: Recorder,
     *,
     progress: Callable[[Status], None] | None = None,
     stop_request: StopRequest | None = None,
@@ -86,7 +91,7 @@ def run_ramp(
     backend
         Not yet started.
     writer
-        An open recording without samples.
+        An open recording without samples, here or in a process of its own.
     progress
         Called after each block.
     stop_request
@@ -106,7 +111,7 @@ def run_ramp(
                 run.drive()
         except BackendError as error:
             run.end("failed", f"back end {backend.name}: {error}")
-        writer.close(run.how, run.why)
+        writer.close(run.how, run.why, expected_samples=run.played_samples)
     return run.summary(time.monotonic() - began)
 
 
@@ -121,12 +126,13 @@ class _Run:
         self,
         profile: Profile,
         backend: Backend,
-        writer: RecordingWriter,
+        writer: Recorder,
         progress: Callable[[Status], None],
         stop_request: StopRequest,
     ) -> None:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
+        self.played_samples = 0
         self._programme: Programme = plan(profile)
         self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         self._sequencer = Sequencer(
@@ -203,6 +209,7 @@ class _Run:
         block = self._backend.exchange(drive)
         waited_s = time.monotonic() - asked
         self._device_lost = False
+        self.played_samples += len(drive)
         block = self._with_losses(block, len(drive))
         self._record(block)
         self._motion = self._watch.update(block.codes[:, self._accelerometer])

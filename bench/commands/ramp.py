@@ -46,7 +46,7 @@ def command(
         if faults:
             raise InputError(refusal(profile, faults))
         backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
-        summary = record(checked, text, backend, out, note=note, extra=extra, quiet=json == "-")
+        summary = record(checked, text, backend, out, note=note, extra=extra, quiet=json == "-", paced=real_time)
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
@@ -107,25 +107,38 @@ def record(
     note: str | None = None,
     extra: dict[str, Any] | None = None,
     quiet: bool = False,
+    paced: bool = False,
 ) -> RunSummary:
-    """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly."""
+    """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly.
+
+    What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
+    """
     from bench.signals import stop_on_signals
+    from daq.recorder import RecorderProcess
     from daq.recording import RecordingWriter
+    from rig.ramp import plan
     from rig.run import run_ramp
 
+    options: dict[str, Any] = {
+        "profile_text": text,
+        "channels": backend.channels,
+        "scales": backend.scales,
+        "backend": backend.name,
+        "simulated": backend.simulated,
+        "note": note,
+        "extra": extra,
+        "scenario_sha256": backend.scenario_sha256,
+        "expected_samples": plan(profile).n_samples,
+    }
     with stop_on_signals() as request, _progress(quiet) as progress:
-        writer = RecordingWriter(
-            out,
-            profile.setup(),
-            profile_text=text,
-            channels=backend.channels,
-            scales=backend.scales,
-            backend=backend.name,
-            simulated=backend.simulated,
-            note=note,
-            extra=extra,
-            scenario_sha256=backend.scenario_sha256,
-        )
+        if paced or not backend.simulated:
+            patience_s = 10.0 if backend.simulated else 0.0
+            block_samples = profile.backend.block_samples
+            writer: RecordingWriter | RecorderProcess = RecorderProcess(
+                out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
+            )
+        else:
+            writer = RecordingWriter(out, profile.setup(), **options)
         return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
 
 

@@ -28,7 +28,7 @@ class Tape:
     def mark_drive(self, changes) -> None:
         pass
 
-    def close(self, how="complete", why="") -> None:
+    def close(self, how="complete", why="", expected_samples=None) -> None:
         self.how, self.why = how, why
 
     def __enter__(self):
