@@ -53,7 +53,8 @@ def films(count: int, seed: int) -> None:
         e0, f = (0.514, 0.3) if paper else (rng.uniform(0.4, 0.75), rng.uniform(0.05, 0.4))
         fps = 1000.0 if paper else rng.uniform(350.0, 700.0)
         truth = cam.Truth(e0=e0, friction=f, height_m=0.06 if paper else rng.uniform(0.04, 0.065))
-        camera = cam.Camera(fps=fps, noise=rng.uniform(1, 4), flicker=rng.uniform(0, 0.1), exposure=rng.uniform(0.2, 0.8))
+        look = {"noise": rng.uniform(1, 4), "flicker": rng.uniform(0, 0.1), "exposure": rng.uniform(0.2, 0.8)}
+        camera = cam.Camera(fps=fps, **look)
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "drop.avi"
             cam.film(target, truth, camera, 0.38, rng)
@@ -105,11 +106,13 @@ def times(count: int, seed: int) -> None:
         print(f"{label}: chosen {dict(chosen)}; truth in the tie set {tied}, e0 covered {e_in}, height {h_in} of {count}")
 
 
-def real(folder: Path) -> None:
+def real(folder: Path, only: str = "") -> None:
     """A row for each kind of recording, as Markdown."""
-    print("| recording | impacts | chosen (ties) | parameters | held-out before, after (ms) | drop height (m) |\n|---|---|---|---|---|---|")
-    groups = {f"pingpong {h} cm (6)": sorted((folder / "phyphox/pingpong_ball").glob(f"*,{h}cm*")) for h in (8, 10, 15, 18, 30)}
-    groups["pingpong, all (30)"] = sorted((folder / "phyphox/pingpong_ball").iterdir())
+    print("| recording | impacts | chosen (ties) | parameters | held-out before, after (ms) | drop height (m) |")
+    print("|---|---|---|---|---|---|")
+    tennis = folder / "phyphox/pingpong_ball"
+    groups = {f"pingpong {h} cm (6)": sorted(tennis.glob(f"*,{h}cm*")) for h in (8, 10, 15, 18, 30)}
+    groups["pingpong, all (30)"] = sorted(tennis.iterdir())
     for h in (25, 35, 45, 55, 65):
         groups[f"blue ball {h} cm"] = sorted((folder / "phyphox/blue_ball").glob(f"*{h}*xls"))
     groups["blue ball, all (30)"] = sorted((folder / "phyphox/blue_ball").iterdir())
@@ -122,6 +125,8 @@ def real(folder: Path) -> None:
     for name in ("18-7_Results_100_1018,5hPa", "18-7_Results_100_410mbar", "22-7_Results_5_30mbar"):
         groups[f"vacuum {name}"] = [folder / f"tracked/vacuum/{name}.csv"]
     for label, files in groups.items():
+        if only not in label:
+            continue
         try:
             _row(label, files)
         except InputError as error:
@@ -137,17 +142,20 @@ def _row(label: str, files: list[Path]) -> None:
         payload = of_camera([label], fit, Units(frame_s, None, G), rng).payload
         count = len(payload["impacts_frames"])
         f, list_e = payload["friction"], [b["restitution"]["value"] for b in payload["restitution"] if b["file"] == 0]
-        more = f"; e by bounce {', '.join(f'{e:.3f}' for e in list_e)}; f {f['value']:.3f} ({f['low']:.3f}, {f['high']:.3f})"
+        more = f"; e by bounce {', '.join(f'{e:.3f}' for e in list_e)}"
+        more += f"; f {f['value']:.3f} ({f['low']:.3f}, {f['high']:.3f})"
     else:
         payload = of_times(loaded, judge(loaded, G, rng), G, [None] * len(loaded), rng).payload
         count, more = len(payload["impacts_s"]), ""
     model = next(m for m in payload["models"] if m["name"] == payload["chosen"])
-    values = ", ".join(f"{k} {v['value']:.4f} ({_n(v['low'], 4)}, {_n(v['high'], 4)})" for k, v in model["parameters"].items())
+    shown = [f"{k} {v['value']:.4f} ({_n(v['low'], 4)}, {_n(v['high'], 4)})" for k, v in model["parameters"].items()]
+    values = ", ".join(shown)
     ties = ", ".join(payload["tie_set"][1:]) or "none"
     before, height = payload["models"][0]["held_out_rms_ms"], payload["drop_height_m"]
     tall = f"{_n(height['value'], 3)} ({_n(height['low'], 3)}, {_n(height['high'], 3)})"
     after = model["held_out_rms_ms"]
-    print(f"| {label} | {count} | {payload['chosen']} ({ties}) | {values}{more} | {_n(before, 2)}, {_n(after, 2)} | {tall} |", flush=True)
+    errors = f"{_n(before, 2)}, {_n(after, 2)}"
+    print(f"| {label} | {count} | {payload['chosen']} ({ties}) | {values}{more} | {errors} | {tall} |", flush=True)
 
 
 def _n(value: float | None, digits: int) -> str:
@@ -159,6 +167,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("what", choices=["films", "times", "real"])
     parser.add_argument("folder", nargs="?", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--only", default="", help="rows whose name holds this text")
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=20261121)
     chosen = parser.parse_args()
@@ -167,7 +176,7 @@ def main() -> None:
     elif chosen.what == "times":
         times(chosen.count, chosen.seed)
     else:
-        real(chosen.folder)
+        real(chosen.folder, chosen.only)
 
 
 if __name__ == "__main__":

@@ -169,7 +169,7 @@ def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: f
     scores = np.empty(len(flights))
     for i, flight in enumerate(flights):
         others = flights[:i] + flights[i + 1 :]
-        known = fit_shape(shape.name, others, shape.law.g_mps2, noise) if len(others) >= 2 else shape
+        known = fit_shape(shape.name, others, shape.law.g_mps2, noise, shape.values) if len(others) >= 2 else shape
         scores[i] = -surprise(known, flight, noise, sigma, worth)
     return scores
 

@@ -20,6 +20,7 @@ LEAST_SAMPLES = 6
 _RELEASE_SIGMA = 6.0
 _RELEASE_SHARE = 0.04  # of the fall, left out at its top
 _LEAST_FLIGHT_FRAMES = 6.0
+_BENDS = (0.5, 2.0)  # of the usual acceleration: friction and a tilted picture stay inside
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,18 @@ def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
     parts = [Flight(number, 0, *_fall(t[: low[0]], h[: low[0]], clip.acceleration), True)]
     for k, start in enumerate(low):
         last = k + 1 == len(low)
-        stop, lands = _end_of_last(h, int(start)) if last else (int(low[k + 1]), True)
+        stop, lands = _end_of_last(clip, int(start)) if last else (int(low[k + 1]), True)
         parts.append(Flight(number, k + 1, *_inside(t[start + 1 : stop], h[start + 1 : stop]), lands))
-    return [part for part in parts if part.order == 0 or len(part.frame) >= LEAST_SAMPLES]
+    return [part for part in parts if part.order == 0 or _flies(part, clip.acceleration)]
+
+
+def _flies(part: Flight, acceleration: float) -> bool:
+    """Whether the samples bend as free flight does; a ball at rest or in a hand does not."""
+    if len(part.frame) < LEAST_SAMPLES:
+        return False
+    s = part.frame - part.frame.mean()
+    bend = -2.0 * float(np.polynomial.polynomial.polyfit(s, part.height, 2)[2])
+    return _BENDS[0] * acceleration < bend < _BENDS[1] * acceleration
 
 
 def jitter(height: Array) -> float:
@@ -110,13 +120,17 @@ def _real_impacts(t: Array, h: Array, low: NDArray[np.intp]) -> NDArray[np.intp]
     return np.array(kept, dtype=np.intp)
 
 
-def _end_of_last(h: Array, start: int) -> tuple[int, bool]:
-    """Where the last resolved flight ends: the first turn upward after its apex, or the end of the track."""
+def _end_of_last(clip: Clip, start: int) -> tuple[int, bool]:
+    """Where the last resolved flight ends: the first turn upward after its apex, the time a fall from there takes,
+    or the end of the track.
+    """
+    t, h = clip.frame, clip.height
     top = start + 1
     while top + 1 < len(h) and h[top + 1] >= h[top]:
         top += 1
     stop = top + 1
-    while stop < len(h) and h[stop] < h[stop - 1]:
+    latest = t[top] + 1.2 * float(np.sqrt(2.0 * max(h[top] - h[start], 0.0) / clip.acceleration)) + 1.0
+    while stop < len(h) and h[stop] < h[stop - 1] and t[stop] <= latest:
         stop += 1
     return stop - 1, stop < len(h)
 

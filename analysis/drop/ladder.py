@@ -112,7 +112,7 @@ def _wider(covariance: Array, other: Array) -> Array:
     """The first covariance, each standard deviation stretched to the other's where that is larger."""
     own, rival = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(other))
     stretch = np.maximum(rival / np.maximum(own, 1e-300), 1.0)
-    return covariance * np.outer(stretch, stretch)
+    return np.asarray(covariance * np.outer(stretch, stretch))
 
 
 @dataclass(frozen=True)

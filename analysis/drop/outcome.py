@@ -209,7 +209,7 @@ def describe_choice(models: list[dict[str, Any]], chosen: str, ties: Sequence[st
     by_name = {model["name"]: model for model in models}
     before, after = models[0]["held_out_rms_ms"], by_name[chosen]["held_out_rms_ms"]
     words = []
-    if before is None:
+    if before is None or after is None:
         words.append("Too few bounces to hold any out: no effect beyond a constant restitution can be judged.")
     elif chosen == models[0]["name"]:
         words.append(f"A constant restitution predicts held-out bounces to {before:.2f} ms; no more is beyond doubt.")

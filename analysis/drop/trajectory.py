@@ -82,11 +82,16 @@ def noise_of(flights: Sequence[Flight]) -> float:
     return max(float(np.median(thirds)) if thirds else 0.0, 1e-9)
 
 
-def fit_shape(name: str, flights: Sequence[Flight], acceleration: float, noise: float) -> Shape:
-    """Fit one shape to all flights: Levenberg-Marquardt, each flight's apex eliminated (Schur complement)."""
+def fit_shape(
+    name: str, flights: Sequence[Flight], acceleration: float, noise: float, near: Array | None = None
+) -> Shape:
+    """Fit one shape to all flights: Levenberg-Marquardt, each flight's apex eliminated (Schur complement).
+
+    ``near``: parameters to start from, where a fit to nearly the same flights is known.
+    """
     span = max(float(np.ptp(f.height)) for f in flights)
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span}
-    values = np.array([start[p] for p in SHAPES[name]])
+    values = np.array([start[p] for p in SHAPES[name]]) if near is None else near.copy()
     apex = np.array([_first_apex(f, acceleration) for f in flights])
     damping, best = 1e-3, np.inf
     blocks = [_block(name, values, float(a[0]), float(a[1]), f, noise) for a, f in zip(apex, flights, strict=True)]
@@ -97,7 +102,7 @@ def fit_shape(name: str, flights: Sequence[Flight], acceleration: float, noise: 
         before, after = sum(b.squares for b in blocks), sum(b.squares for b in trial)
         if after <= before * (1 + 1e-12):
             values, apex, blocks, damping = moved, moved_apex, trial, max(damping * 0.2, 1e-12)
-            if best - after < 1e-7 * (1.0 + after) and damping < 1e-4:
+            if best - after < 1e-6 * (1.0 + after) and damping < 1e-2:
                 break
             best = after
         else:

@@ -33,7 +33,8 @@ def _path(folder: Path) -> Path:
     y = np.where(second < 0, y, e * out * second - 0.5 * g * second**2)
     y = np.maximum(y, 0.0) * 1e3 + np.random.default_rng(1).normal(0.0, 0.02, len(t))
     target = folder / "path.csv"
-    target.write_text("t (s);y (mm)\n" + "".join(f"{a:.5f};{b:.4f}\n" for a, b in zip(t, y, strict=True)), encoding="utf-8")
+    lines = "".join(f"{a:.5f};{b:.4f}\n" for a, b in zip(t, y, strict=True))
+    target.write_text("t (s);y (mm)\n" + lines, encoding="utf-8")
     return target
 
 
@@ -54,7 +55,8 @@ def test_json_of_impact_times(tmp_path: Path) -> None:
 
 def test_json_of_a_path_and_its_picture(tmp_path: Path) -> None:
     """A table of positions gives the same keys, gravity from its unit, and a picture in the folder asked for."""
-    run = RUNNER.invoke(app, ["drop", str(_path(tmp_path)), "--json", str(tmp_path / "o.json"), "--out", str(tmp_path / "out")])
+    where = ["--json", str(tmp_path / "o.json"), "--out", str(tmp_path / "out")]
+    run = RUNNER.invoke(app, ["drop", str(_path(tmp_path)), *where])
     assert run.exit_code == 0, run.output
     result = json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))
     assert result["restitution"][0]["restitution"]["value"] == pytest.approx(0.6, abs=0.005)

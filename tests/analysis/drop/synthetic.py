@@ -82,7 +82,9 @@ def path(truth: Truth, times: Array, step_s: float = 1e-5, settle_mps: float = 0
     return heights, np.array(impacts)
 
 
-def film(target: Path, truth: Truth, camera: Camera, seconds: float, rng: np.random.Generator, codec: str = "MJPG") -> Array:
+def film(
+    target: Path, truth: Truth, camera: Camera, seconds: float, rng: np.random.Generator, codec: str = "MJPG"
+) -> Array:
     """Film a drop to ``target``; returns the block's true centre row in each frame (mid exposure)."""
     count, sub = int(seconds * camera.fps), 8
     offsets = (np.arange(sub) + 0.5) / sub - 0.5
@@ -121,7 +123,9 @@ def _row_of(heights: Array, camera: Camera) -> Array:
     return camera.floor_row - camera.block[1] / 2 - up
 
 
-def taps(truth: Truth, seconds: float, rate_hz: float, rng: np.random.Generator, noise: float = 2e-3) -> tuple[Array, Array]:
+def taps(
+    truth: Truth, seconds: float, rate_hz: float, rng: np.random.Generator, noise: float = 2e-3
+) -> tuple[Array, Array]:
     """Sound of a drop: ringing taps of falling loudness in noise; and the true impact times on the sample grid."""
     _, impacts = path(truth, np.array([seconds]), settle_mps=0.15)
     impacts = impacts[impacts < seconds - 0.1]

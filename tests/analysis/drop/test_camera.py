@@ -52,7 +52,7 @@ def test_no_friction_is_not_made_up(synthetic: ModuleType) -> None:
 def test_a_wrong_frame_rate_is_refused(synthetic: ModuleType) -> None:
     """With a scale, a frame rate off by two makes gravity four times wrong, and the error proposes the right one."""
     fit = fit_camera([_clip(synthetic, synthetic.Truth(), 500.0, 0.4, 2)], np.random.default_rng(0))
-    with pytest.raises(InputError, match="the frame rate 1000 or the scale .* is wrong; 50[0-9]"):
+    with pytest.raises(InputError, match=r"the frame rate 1000 or the scale .* is wrong; 50[0-9]"):
         of_camera(["x"], fit, Units(1 / 1000.0, SCALE_M, 9.80665), np.random.default_rng(0))
 
 
@@ -122,7 +122,8 @@ def test_a_still_film_a_cut_film_and_a_damaged_film_are_refused(tmp_path: Path) 
     _write(tmp_path / "still.avi", [scenes[0]] * 30)
     _write(tmp_path / "cut.avi", [scenes[0]] * 15 + [scenes[1]] * 15)
     (tmp_path / "bad.avi").write_bytes((tmp_path / "cut.avi").read_bytes()[:300])
-    for name, words in (("still", "no motion"), ("cut", "a cut in the film between frames 14 and 15"), ("bad", "cannot be read")):
+    faults = {"still": "no motion", "cut": "a cut in the film between frames 14 and 15", "bad": "cannot be read"}
+    for name, words in faults.items():
         with pytest.raises(InputError, match=words):
             track_film(tmp_path / f"{name}.avi")
 

@@ -24,7 +24,11 @@ def _drops(synthetic: ModuleType, truth: object, heights: list[float], seed: int
 
 @pytest.mark.parametrize(
     ("changes", "name"),
-    [({}, "constant_restitution"), ({"e1_s_per_m": 0.03}, "speed_dependent_restitution"), ({"drag_per_m": 0.15}, "quadratic_drag")],
+    [
+        ({}, "constant_restitution"),
+        ({"e1_s_per_m": 0.03}, "speed_dependent_restitution"),
+        ({"drag_per_m": 0.15}, "quadratic_drag"),
+    ],
 )
 def test_the_right_rung_is_climbed(synthetic: ModuleType, changes: dict[str, float], name: str) -> None:
     """Six drops name the effect that is there, with its value inside the interval, and none where there is none."""
@@ -39,9 +43,8 @@ def test_the_right_rung_is_climbed(synthetic: ModuleType, changes: dict[str, flo
 
 def test_friction_is_not_claimed_from_times_alone(synthetic: ModuleType) -> None:
     """With friction the times look like a lower restitution: a tie is reported, not a friction."""
-    verdict = judge(
-        _drops(synthetic, synthetic.Truth(e0=0.9, friction=0.1, hold_s=0.0), [0.3, 0.4, 0.5, 0.6], 5), G, np.random.default_rng(0)
-    )
+    truth = synthetic.Truth(e0=0.9, friction=0.1, hold_s=0.0)
+    verdict = judge(_drops(synthetic, truth, [0.3, 0.4, 0.5, 0.6], 5), G, np.random.default_rng(0))
     assert verdict.tie_set == ("constant_restitution", "coulomb_friction")
     assert verdict.rung("constant_restitution").fit.theta[0] == pytest.approx(0.9 * np.sqrt(0.9 / 1.1), abs=0.003)
 

@@ -62,10 +62,12 @@ def test_positions_in_any_dialect(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("separator", ["\t", " ", ","])
 def test_imagej_tracks(tmp_path: Path, separator: str) -> None:
     """ImageJ's wide table gives every point of every track, blanks lost or kept, and no summary rows."""
-    rows = ["Frame X1 Y1 Flag1 X2 Y2 Flag2".split(" "), ["Tracks 1 to 2"]]
+    rows = [["Frame", "X1", "Y1", "Flag1", "X2", "Y2", "Flag2"], ["Tracks 1 to 2"]]
     for k in range(1, 21):
-        rows.append([str(k), "10.5", f"{100 + k}.25", "*", "", "", ""] if k % 2 else [str(k), "10.5", f"{100 + k}.25", "", "50.5", "7.5", ""])
-    text = "\n".join(separator.join(row) for row in rows) + "\n\nTrack\tLength\tDistance traveled\tNr of Frames\n1\t917.3\t624.8\t370\n"
+        other = ["*", "", "", ""] if k % 2 else ["", "50.5", "7.5", ""]
+        rows.append([str(k), "10.5", f"{100 + k}.25", *other])
+    summary = "\n\nTrack\tLength\tDistance traveled\tNr of Frames\n1\t917.3\t624.8\t370\n"
+    text = "\n".join(separator.join(row) for row in rows) + summary
     file = tmp_path / "tracks.csv"
     file.write_text(text, encoding="utf-8")
     found = read_table(read_grids(file), "x")
@@ -88,7 +90,9 @@ def test_a_workbook_with_localised_sheets(tmp_path: Path) -> None:
     assert read_table(read_grids(tmp_path / "x.xlsx"), "x") == pytest.approx(TIMES)
 
 
-@pytest.mark.parametrize("content", [b"PK\x03\x04broken", b"\xd0\xcf\x11\xe0broken", b"words only\n", b"\x00\x01\x02\x00"])
+@pytest.mark.parametrize(
+    "content", [b"PK\x03\x04broken", b"\xd0\xcf\x11\xe0broken", b"words only\n", b"\x00\x01\x02\x00"]
+)
 def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes) -> None:
     """Damaged spreadsheets and files without numbers are refused with the file's name."""
     file = tmp_path / "odd.xls"

@@ -22,7 +22,7 @@ def _judged(files: list[Path]) -> tuple[list[Drop], Verdict]:
 
 
 def test_the_table_tennis_ball_meets_the_air(data: Path) -> None:
-    """All thirty drops together need drag, of a drag coefficient near 0.5, and it halves the held-out error at least."""
+    """All thirty drops together need drag, of a coefficient near 0.5, and it halves the held-out error at least."""
     drops, verdict = _judged(sorted((data / "phyphox" / "pingpong_ball").iterdir()))
     drag, constant = verdict.rung("quadratic_drag"), verdict.rung("constant_restitution")
     assert len(drops) == 30 and verdict.chosen == "quadratic_drag"
@@ -68,7 +68,12 @@ def test_every_tracked_table_gives_a_restitution(data: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "e"),
-    [("A4/1-55-M.csv", 0.558), ("A4/2-14-M.csv", 0.388), ("HT/HT-3-K.csv", 0.439), ("vacuum/22-7_Results_5_30mbar.csv", 0.427)],
+    [
+        ("A4/1-55-M.csv", 0.558),
+        ("A4/2-14-M.csv", 0.388),
+        ("HT/HT-3-K.csv", 0.439),
+        ("vacuum/22-7_Results_5_30mbar.csv", 0.427),
+    ],
 )
 def test_restitution_of_the_first_bounce(data: Path, name: str, e: float) -> None:
     """The first bounce's restitution, from the speeds on both sides, is that of the square root of the heights."""
