@@ -21,7 +21,7 @@ MASK_S = 8e-3  # left out of the tone fits after an impact while its waveform is
 QUIET_SAMPLES = 60  # without an onset before an onset
 ONSET = 6.0  # standard deviations of noise that make an onset
 STRONG = 12.0  # of them that make it one to learn from
-ROUNDS = 4
+ROUNDS = 3
 MOST = 400  # impacts learnt from
 
 
@@ -83,7 +83,8 @@ def _without_motion(
     quiet = np.ones(volts.size, dtype=np.bool_)
     for place in places.astype(np.int64):
         quiet[max(place - 4, 0) : max(place + int(MASK_S * rate_hz), 0)] = False
-    for row in steps:
+    ends = steps["first_sample"] + steps["n_samples"]
+    for row in steps[(ends > piece.first) & (steps["first_sample"] < piece.last)]:
         start = max(int(row["first_sample"] + row["settle_samples"]), piece.first)
         stop = min(int(row["first_sample"] + row["n_samples"]), piece.last)
         if stop - start < 3.0 * rate_hz / row["frequency_hz"]:

@@ -7,6 +7,7 @@ belongs to contact and to flight is also fitted apart. Phases refer to sample 0 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from model.tones import Plate
 
 Floats = npt.NDArray[np.float64]
 TWO_PI = 2.0 * np.pi
+CHANCE = 1e-5  # of a slow line in noise alone, below which it is reported
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,33 @@ class SlowMotion:
 
     time_s: Floats
     mps2: Floats
+
+
+def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[Line, ...]:
+    """Lines below 0.9 of the forcing that stand out of the residual's background, strongest first, at most three."""
+    known = np.isfinite(slow.mps2)
+    if known.sum() < 16:
+        return ()
+    step_s = float(np.median(np.diff(slow.time_s)))
+    x = np.where(known, slow.mps2 - np.nanmean(slow.mps2), 0.0) * np.hanning(slow.mps2.size)
+    gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
+    spectrum = np.abs(np.fft.rfft(x, 4 * x.size)) / gain
+    f = np.fft.rfftfreq(4 * x.size, step_s)
+    band = (f > 2.0 / (x.size * step_s)) & (f < 0.9 * frequency_hz)
+    if band.sum() < 8:
+        return ()
+    power = np.where(band, spectrum, 0.0) ** 2
+    background = float(np.median(power[band])) / np.log(2.0)
+    cells = max(band.sum() / 8.0, 1.0)
+    found = []
+    for _ in range(3):
+        k = int(np.argmax(power))
+        chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
+        if chance > CHANCE:
+            break
+        found.append(Line(float(f[k]), float(np.sqrt(power[k])), float(chance)))
+        power[max(k - 12, 0) : k + 13] = 0.0
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -87,7 +116,6 @@ class StepPlate:
         ``phi(t) = 2 pi f t + phase0`` is zero where the first tone's displacement crosses zero going up.
     masked : float
         Fraction of the hold left out after impacts.
-    lines : tuple of Line
     windows : Windows
     slow : SlowMotion
     """
@@ -110,9 +138,13 @@ class StepPlate:
     gamma_drive: float
     phase0_rad: float
     masked: float
-    lines: tuple[Line, ...]
     windows: Windows
     slow: SlowMotion
+
+    @cached_property
+    def lines(self) -> tuple[Line, ...]:
+        """Lines below the forcing that stand out of the background, strongest first, at most three."""
+        return slow_lines(self.slow, self.frequency_hz)
 
     @property
     def omega_radps(self) -> float:

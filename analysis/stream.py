@@ -17,7 +17,7 @@ from daq.recording import Recording
 
 PIECE = 1 << 16
 PAD = 128  # samples of neighbours on both sides of a piece
-SURVEY_PIECES = 8
+SURVEY_PIECES = 5
 
 Volts = npt.NDArray[np.float32]
 
@@ -50,9 +50,7 @@ def read_piece(recording: Recording, channels: tuple[str, ...], first: int, coun
         own = np.empty(count + 2 * PAD, dtype=np.float32)
         at = start - (first - PAD)
         middle = own[at : at + codes.size]
-        np.multiply(codes, np.float32(factor), out=middle, casting="same_kind" if codes.dtype.kind == "f" else "unsafe")
-        if offset:
-            middle += np.float32(offset)
+        _volts(codes, np.float32(factor), np.float32(offset), middle)
         own[:at] = middle[0]
         own[at + codes.size :] = middle[-1]
         volts[channel] = own
@@ -75,18 +73,24 @@ def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[P
         yield read_piece(recording, channels, (n - PIECE) * k // (SURVEY_PIECES - 1), PIECE)
 
 
-def block_means(x: Volts, width: int) -> npt.NDArray[np.float32]:
-    """Means over successive blocks of ``width`` samples; a remainder is left out."""
-    out = np.empty(x.size // width, dtype=np.float32)
-    _means(x, width, out)
+def block_means(x: Volts, width: int, skip: int = 0) -> npt.NDArray[np.float32]:
+    """Means over successive blocks of ``width`` samples after the first ``skip``; a remainder is left out."""
+    out = np.empty(max(x.size - skip, 0) // width, dtype=np.float32)
+    _means(x, width, skip, out)
     return out
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _means(x, width, out):  # type: ignore[no-untyped-def]
+def _means(x, width, skip, out):  # type: ignore[no-untyped-def]
     scale = np.float32(1.0 / width)
     for i in range(out.shape[0]):
         total = np.float32(0.0)
         for k in range(width):
-            total += x[i * width + k]
+            total += x[skip + i * width + k]
         out[i] = total * scale
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _volts(codes, factor, offset, out):  # type: ignore[no-untyped-def]
+    for i in range(codes.shape[0]):
+        out[i] = codes[i] * factor + offset

@@ -6,112 +6,112 @@ accelerometer; the drive's version stands beside it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate_motion import Line, SlowMotion, StepPlate, Windows
+from analysis import fold_kernel
+from analysis.plate_motion import SlowMotion, StepPlate, Windows
 from daq.recording import Recording
 from daq.setup import Setup
 from daq.tones import LockIn, ToneFit
 from model.tones import Plate
 
 if TYPE_CHECKING:
-    from analysis.folding import Span, StepFold
+    from analysis.folding import StepFold
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 LEAST_APART = 60  # block means on each side that contact and flight are told apart by
 WINDOW_CYCLES = 2.0
-CHANCE = 1e-5  # of a slow line in noise alone, below which it is reported
+LEAST_DRIFT = 1e-4  # radians over the step that a wrong frequency must make to be corrected
 SLOW_PER_CYCLE = 4.0  # values of the slow series per period of the forcing
 
 
-def residual_of(span: Span, fit: ToneFit, rate_hz: float, width: int) -> Floats:
-    """Accelerometer means minus the fit (volts), NaN where masked."""
-    index = span.first + np.arange(span.clear.size)
-    phasors = _phasors(fit.frequencies_hz, index, rate_hz, width)
-    residual = span.accelerometer - fit.offset - (fit.amplitudes[:, None] * phasors).real.sum(axis=0)
-    return np.where(span.clear, residual, np.nan)
+@dataclass(frozen=True)
+class Look:
+    """What a second look at a chapter gave, in volts.
+
+    ``slow`` at ``slow_s``; per window of a few cycles its middle ``time_s``, amplitudes (w, tones, channels) and the
+    relative spread (w, tones) that times the rms of a channel is an amplitude's uncertainty; the rms of each channel.
+    """
+
+    slow_s: Floats
+    slow: Floats
+    time_s: Floats
+    amplitudes: Complexes
+    spread: Floats
+    rms: Floats
 
 
-def _phasors(frequencies_hz: Floats, index: npt.NDArray[np.int64], rate_hz: float, width: int) -> Complexes:
-    """``exp(i 2 pi f t)`` as block means see it, shape (tones, n)."""
-    theta = np.pi * frequencies_hz / (rate_hz * width)
-    response = np.sin(width * theta) / (width * np.sin(theta)) * np.exp(1j * theta * (width - 1))
-    cycles = frequencies_hz[:, None] / rate_hz * index
-    return np.asarray(response[:, None] * np.exp(2j * np.pi * (cycles % 1.0)))
+def second_look(fold: StepFold, rate_hz: float) -> Look | None:
+    """Slow motion, and the forcing's tones a few cycles at a time, in the spans; None where the tones cannot be fitted."""
+    folded = fold.folded
+    if folded is None:
+        return None
+    clear = folded.part(fold.clear_sorts())
+    try:
+        fits = [clear.solve(c) for c in (0, 1)]
+    except ValueError:
+        return None
+    amplitudes, offsets = np.array([f.amplitudes for f in fits]), np.array([f.offset for f in fits])
+    rows = np.array(fold.rows)
+    group = max(int(rate_hz / (SLOW_PER_CYCLE * fold.frequency_hz)), 1)
+    length = max(round(WINDOW_CYCLES * rate_hz / fold.frequency_hz), 1)
+    q = 2 * rows.size + 1
+    parts = []
+    for span in fold.spans:
+        n = span.sort.size
+        slow, seen = np.zeros(n // group), np.zeros(n // group, dtype=np.int64)
+        windows = n // length
+        gram, side, used = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros(windows, dtype=np.int64)
+        fold_kernel.second_look(
+            span.values, span.sort % folding_bands(folded) >= fold.least_band, span.first,
+            folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
+            gram, side, used,
+        )
+        slow_s = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
+        time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
+        enough = used >= max(0.4 * length, 2 * q)
+        slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
+        parts.append((slow_s, slow, time_s[enough], gram[enough], side[enough]))
+    slow_s, slow, time_s, gram, side = (np.concatenate(column) for column in zip(*parts, strict=True))
+    inverse = np.linalg.pinv(gram, hermitian=True)
+    solution = inverse @ side
+    z = amplitudes[:, rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
+    spread = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(-1, rows.size, 2).mean(axis=2))
+    return Look(slow_s, slow, time_s, z, spread, np.array([f.rms for f in fits]))
 
 
-def windows(
-    spans: list[Span], fit: ToneFit, rows: list[int], rate_hz: float, width: int
-) -> tuple[Floats, Complexes, Floats]:
-    """The forcing tones' amplitudes a few cycles at a time (volts): the fit plus what the residual adds to it."""
-    frequency = fit.frequencies_hz[0]
-    times, amplitudes, sigmas = [], [], []
-    for span in spans:
-        residual = residual_of(span, fit, rate_hz, width)
-        length = max(round(WINDOW_CYCLES * rate_hz / frequency), 1)
-        for start in range(0, residual.size - length + 1, length):
-            part = slice(start, start + length)
-            use = np.isfinite(residual[part])
-            index = span.first + np.arange(start, start + length)[use]
-            if use.sum() < 0.4 * length or use.sum() < 4 * (2 * len(rows) + 1):
-                continue
-            phasor = _phasors(fit.frequencies_hz[rows], index, rate_hz, width)
-            design = np.vstack([np.ones(index.size), *[q for p in phasor for q in (p.real, -p.imag)]]).T
-            solution, *_ = np.linalg.lstsq(design, residual[part][use], rcond=None)
-            spread = np.sqrt(np.diag(np.linalg.pinv(design.T @ design)))[1:].reshape(-1, 2).mean(axis=1)
-            times.append((index.mean() + 0.5) / rate_hz)
-            amplitudes.append(fit.amplitudes[rows] + solution[1::2] + 1j * solution[2::2])
-            sigmas.append(fit.rms * spread)
-    shape = (-1, len(rows))
-    return np.array(times), np.array(amplitudes, dtype=complex).reshape(shape), np.array(sigmas).reshape(shape)
+def folding_bands(folded: LockIn) -> int:
+    """Bands of each place in the sorts of a fold."""
+    return folded.counts.size // 3
 
 
-def slow_motion(
-    spans: list[Span], fit: ToneFit, rate_hz: float, width: int, frequency_hz: float
-) -> tuple[Floats, Floats]:
-    """Residual means (volts) at about `SLOW_PER_CYCLE` values a period of the forcing; NaN where all is masked."""
-    group = max(int(rate_hz / (SLOW_PER_CYCLE * frequency_hz)), 1)
-    times, values = [], []
-    for span in spans:
-        residual = residual_of(span, fit, rate_hz, width)
-        count = residual.size // group
-        folded = residual[: count * group].reshape(count, group)
-        known = np.isfinite(folded)
-        total = np.where(known, folded, 0.0).sum(axis=1)
-        values.append(np.where(known.any(axis=1), total / np.maximum(known.sum(axis=1), 1), np.nan))
-        times.append((span.first + (np.arange(count) + 0.5) * group) / rate_hz)
-    return np.concatenate(times), np.concatenate(values)
+def refined_hz(fold: StepFold, look: Look, has_drive: bool) -> tuple[float, float, bool] | None:
+    """Frequency, its uncertainty, and whether it differs from the step table's by more than chance.
 
-
-def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[Line, ...]:
-    """Lines below 0.9 of the forcing that stand out of the residual's background, strongest first, at most three."""
-    known = np.isfinite(slow.mps2)
-    if known.sum() < 16:
-        return ()
-    step_s = float(np.median(np.diff(slow.time_s)))
-    x = np.where(known, slow.mps2 - np.nanmean(slow.mps2), 0.0) * np.hanning(slow.mps2.size)
-    gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
-    spectrum = np.abs(np.fft.rfft(x, 4 * x.size)) / gain
-    f = np.fft.rfftfreq(4 * x.size, step_s)
-    band = (f > 2.0 / (x.size * step_s)) & (f < 0.9 * frequency_hz)
-    if band.sum() < 8:
-        return ()
-    power = np.where(band, spectrum, 0.0) ** 2
-    background = float(np.median(power[band])) / np.log(2.0)
-    cells = max(band.sum() / 8.0, 1.0)
-    found = []
-    for _ in range(3):
-        k = int(np.argmax(power))
-        chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
-        if chance > CHANCE:
-            break
-        found.append(Line(float(f[k]), float(np.sqrt(power[k])), float(chance)))
-        power[max(k - 12, 0) : k + 13] = 0.0
-    return tuple(found)
+    The phase of the strongest forcing tone is followed from window to window, in the drive where it was recorded (it
+    carries neither impacts nor the ball), else in the accelerometer. None where there are too few windows.
+    """
+    if look.time_s.size < 4:
+        return None
+    channel = 1 if has_drive else 0
+    multiples = np.array([fold.multiples[r] for r in fold.rows])
+    strongest = int(np.argmax(np.abs(look.amplitudes[:, :, channel]).mean(axis=0) * multiples))
+    z = look.amplitudes[:, strongest, channel]
+    sigma = look.rms[channel] * look.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
+    if np.median(sigma) > 0.3:
+        return None
+    time_s = look.time_s - look.time_s.mean()
+    coefficients, covariance = np.polyfit(time_s, np.unwrap(np.angle(z)), 1, w=1.0 / np.maximum(sigma, 1e-9), cov="unscaled")
+    scale = 2.0 * np.pi * float(multiples[strongest])
+    error = float(np.sqrt(covariance[0, 0])) / scale
+    away = float(coefficients[0]) / scale
+    changed = abs(away) > 4.0 * error and abs(away) * 2.0 * np.pi * fold.hold_s > LEAST_DRIFT
+    return (fold.nominal_hz + away, error, True) if changed else (fold.nominal_hz, error, False)
 
 
 def _scaled(fit: ToneFit, factor: float, offset: float) -> ToneFit:
@@ -178,8 +178,11 @@ def gamma_peak_of(plate: Plate, frequency_hz: float, g_mps2: float) -> float:
     return float(np.max(-plate.acceleration_at(t))) / g_mps2
 
 
-def step_plate(recording: Recording, fold: StepFold, total: LockIn) -> StepPlate | None:
+def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
     """Everything about one step, in SI; None where the step is too short for its tones."""
+    if fold.folded is None:
+        return None
+    total = fold.folded.part(fold.clear_sorts())
     try:
         volts = total.solve(0)
         drive = total.solve(1) if "drive" in recording.channels else None
@@ -190,14 +193,9 @@ def step_plate(recording: Recording, fold: StepFold, total: LockIn) -> StepPlate
     factor = 1.0 / channel.volts_per_mps2
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
     acceleration = _scaled(volts, factor, zero_v)
-    multiples = fold.multiples
-    rows = [multiples.index(m) for m in sorted({1, fold.ratio}) if m in multiples]
-    apart = _apart(fold.contact, total, volts.rms, rows)
+    rows, multiples = fold.rows, fold.multiples
+    apart = _apart(fold.folded.part(fold.clear_sorts((0,))), total, volts.rms, rows)
     contact, flight = (None if part is None else _scaled(part, factor, zero_v) for part in apart)
-    slow = SlowMotion(
-        np.concatenate([s[0] for s in fold.slow]) if fold.slow else np.zeros(0),
-        np.concatenate([s[1] for s in fold.slow]) * factor if fold.slow else np.zeros(0),
-    )
     gamma = gamma_of(acceleration.amplitudes, multiples, setup, fold.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
     forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], acceleration.amplitudes[rows])
@@ -210,8 +208,8 @@ def step_plate(recording: Recording, fold: StepFold, total: LockIn) -> StepPlate
         gamma_peak=gamma_peak_of(forcing, fold.frequency_hz, setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, fold.ratio),
         phase0_rad=float(np.mod(np.angle(acceleration.amplitudes[0]) - 0.5 * np.pi, 2 * np.pi)),
-        masked=1.0 - fold.clear / max(fold.blocks, 1), lines=slow_lines(slow, fold.frequency_hz),
-        windows=_windows(fold, factor, len(rows)), slow=slow,
+        masked=1.0 - total.n / max(fold.folded.n, 1), windows=_windows(fold, factor, len(rows)),
+        slow=_slow(fold, factor),
     )
 
 
@@ -225,9 +223,17 @@ def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup
 
 def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
     """All chapters' windows in one, in m/s^2."""
-    if not fold.windows:
+    if not fold.looks:
         return Windows(np.zeros(0), np.zeros((0, tones), np.complex128), np.zeros((0, tones)))
-    time_s = np.concatenate([w[0] for w in fold.windows])
-    amplitudes = np.concatenate([w[1] for w in fold.windows])
-    scaled = np.asarray(amplitudes * factor, dtype=np.complex128)
-    return Windows(time_s, scaled, np.concatenate([w[2] for w in fold.windows]) * abs(factor))
+    scaled = np.asarray(np.concatenate([k.amplitudes[:, :, 0] for k in fold.looks]) * factor, dtype=np.complex128)
+    sigma = np.concatenate([k.rms[0] * k.spread for k in fold.looks]) * abs(factor)
+    return Windows(np.concatenate([k.time_s for k in fold.looks]), scaled, sigma)
+
+
+def _slow(fold: StepFold, factor: float) -> SlowMotion:
+    """All chapters' slow motion in one, in m/s^2."""
+    if not fold.looks:
+        return SlowMotion(np.zeros(0), np.zeros(0))
+    return SlowMotion(
+        np.concatenate([k.slow_s for k in fold.looks]), np.concatenate([k.slow for k in fold.looks]) * factor
+    )

@@ -66,24 +66,53 @@ class LockIn:
     boxcar : int
         When the values are means over ``boxcar`` recorded samples each (then ``rate_hz`` is the rate of the means and
         a value's index is that of its mean): the boxcar's gain and delay are taken out exactly.
+    sorts : int
+        How many sorts of values are kept apart (`part` gives the fit of some of them).
     """
 
-    def __init__(self, rate_hz: float, frequencies_hz: npt.ArrayLike, channels: int = 1, boxcar: int = 1) -> None:
+    def __init__(
+        self, rate_hz: float, frequencies_hz: npt.ArrayLike, channels: int = 1, boxcar: int = 1, sorts: int = 1
+    ) -> None:
         self.rate_hz = float(rate_hz)
+        self.boxcar = boxcar
         self.frequencies_hz = np.atleast_1d(np.asarray(frequencies_hz, dtype=np.float64))
         if self.frequencies_hz.size and not np.all(np.isfinite(self.frequencies_hz) & (self.frequencies_hz > 0)):
             raise ValueError(f"tone frequencies must be positive and finite, got {self.frequencies_hz}")
         p = 2 * self.frequencies_hz.size + 1
-        self.gram = np.zeros((p, p))
-        self.rhs = np.zeros((p, channels))
-        self.squares = np.zeros(channels)
-        self.n = 0
-        theta = np.pi * self.frequencies_hz / (self.rate_hz * boxcar)  # half a recorded sample's phase
-        gain = np.sin(boxcar * theta) / (boxcar * np.sin(theta))
-        self._response = gain * np.exp(1j * theta * (boxcar - 1))
+        self._grams = np.zeros((sorts, p, p))
+        self._sides = np.zeros((sorts, p, channels))
+        self._squares = np.zeros((sorts, channels))
+        self._counts = np.zeros(sorts, dtype=np.int64)
+        self._inverse: Floats | None = None
 
-    def add(self, x: npt.ArrayLike, first: int, mask: Mask | None = None) -> None:
-        """Accumulate values ``first, first + 1, ...`` where ``mask`` is True.
+    @property
+    def gram(self) -> Floats:
+        """Normal matrix over all sorts, shape (2k + 1, 2k + 1): constant, then cosine and sine of each tone."""
+        return np.asarray(self._grams.sum(axis=0))
+
+    @property
+    def rhs(self) -> Floats:
+        """Right sides over all sorts, shape (2k + 1, channels)."""
+        return np.asarray(self._sides.sum(axis=0))
+
+    @property
+    def n(self) -> int:
+        """Values used, of all sorts."""
+        return int(self._counts.sum())
+
+    @property
+    def counts(self) -> npt.NDArray[np.int64]:
+        """Values used, of each sort."""
+        return self._counts
+
+    def response(self) -> Complexes:
+        """What the boxcar makes of each tone, gain and delay, shape (k,)."""
+        theta = np.pi * self.frequencies_hz / (self.rate_hz * self.boxcar)  # half a recorded sample's phase
+        gain = np.sin(self.boxcar * theta) / (self.boxcar * np.sin(theta))
+        return np.asarray(gain * np.exp(1j * theta * (self.boxcar - 1)))
+
+    def add(self, x: npt.ArrayLike, first: int, mask: npt.ArrayLike | None = None) -> None:
+        """Accumulate values ``first, first + 1, ...``.
 
         Parameters
         ----------
@@ -91,43 +120,68 @@ class LockIn:
         first : int
             Index of the first value, counted from sample 0 of the recording.
         mask : bool array, shape (n,), optional
-            True where a value counts.
+            True where a value counts; or the sort of each value as int8, negative where it does not count.
         """
         values = np.asarray(x, dtype=np.float64)
         values = values.reshape(values.shape[0], -1)
-        if values.shape[1] != self.rhs.shape[1]:
-            raise ValueError(f"expected {self.rhs.shape[1]} channels, got {values.shape[1]}")
-        use = np.ones(values.shape[0], dtype=np.bool_) if mask is None else np.asarray(mask, dtype=np.bool_)
-        if use.shape[0] != values.shape[0]:
-            raise ValueError(f"mask has {use.shape[0]} entries for {values.shape[0]} values")
+        if values.shape[1] != self._sides.shape[2]:
+            raise ValueError(f"expected {self._sides.shape[2]} channels, got {values.shape[1]}")
+        sort = np.zeros(values.shape[0], dtype=np.int8)
+        if mask is not None:
+            given = np.asarray(mask)
+            sort = given.astype(np.int8) - 1 if given.dtype == np.bool_ else given.astype(np.int8, copy=False)
+        if sort.shape[0] != values.shape[0]:
+            raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")
         cycles = self.frequencies_hz / self.rate_hz
-        self.n += _accumulate(
-            np.ascontiguousarray(values), use, int(first), cycles, self._response, self.gram, self.rhs, self.squares
+        self._inverse = None
+        _accumulate(
+            np.ascontiguousarray(values), sort, int(first), cycles, self.response(), self._grams, self._sides,
+            self._squares, self._counts,
         )
 
+    def part(self, sorts: npt.ArrayLike) -> LockIn:
+        """The fit of some sorts alone."""
+        chosen = np.asarray(sorts, dtype=np.int64)
+        own = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)
+        own._grams = self._grams[chosen].sum(axis=0, keepdims=True)
+        own._sides = self._sides[chosen].sum(axis=0, keepdims=True)
+        own._squares = self._squares[chosen].sum(axis=0, keepdims=True)
+        own._counts = self._counts[chosen].sum(keepdims=True)
+        return own
+
     def __add__(self, other: LockIn) -> LockIn:
-        """The fit of both pieces together (same tones, same channels)."""
-        total = LockIn(self.rate_hz, self.frequencies_hz, self.rhs.shape[1])
-        total._response = self._response
-        total.gram = self.gram + other.gram
-        total.rhs = self.rhs + other.rhs
-        total.squares = self.squares + other.squares
-        total.n = self.n + other.n
+        """The fit of both pieces together (same tones, same channels, sorts merged)."""
+        total = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)
+        total._grams[0] = self.gram + other.gram
+        total._sides[0] = self.rhs + other.rhs
+        total._squares[0] = self._squares.sum(axis=0) + other._squares.sum(axis=0)
+        total._counts[0] = self.n + other.n
         return total
+
+    def inverse(self) -> Floats:
+        """Inverse of the normal matrix; raises ``ValueError`` when the values cannot tell the tones apart."""
+        if self._inverse is None:
+            gram = self.gram
+            p = gram.shape[0]
+            if self.n <= p:
+                raise ValueError(f"{self.n} values cannot fix {p} unknowns")
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            scaled = gram * np.outer(scale, scale)
+            try:
+                inverted = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
+            except np.linalg.LinAlgError:
+                inverted = np.full((p, p), np.inf)
+            if not np.abs(scaled).sum(axis=0).max() * np.abs(inverted).sum(axis=0).max() < 1e10:
+                raise ValueError(f"the tones {self.frequencies_hz} Hz cannot be told apart in {self.n} values")
+            self._inverse = inverted * np.outer(scale, scale)
+        return self._inverse
 
     def solve(self, channel: int = 0) -> ToneFit:
         """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
-        p = self.gram.shape[0]
-        if self.n <= p:
-            raise ValueError(f"{self.n} values cannot fix {p} unknowns")
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        scaled = self.gram * np.outer(scale, scale)
-        if np.linalg.cond(scaled) > 1e10:
-            raise ValueError(f"the tones {self.frequencies_hz} Hz cannot be told apart in {self.n} values")
-        inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
-        solution = inverse @ self.rhs[:, channel]
-        sum_squares = max(self.squares[channel] - float(solution @ self.rhs[:, channel]), 0.0)
-        variance = sum_squares / (self.n - p)
+        inverse, side = self.inverse(), self.rhs[:, channel]
+        solution = inverse @ side
+        sum_squares = max(float(self._squares[:, channel].sum() - solution @ side), 0.0)
+        variance = sum_squares / (self.n - side.size)
         # column pairs are (cos, -sin), so the unknowns are Re z and Im z
         return ToneFit(
             frequencies_hz=self.frequencies_hz,
@@ -175,8 +229,8 @@ def fit_tones(
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _accumulate(x, use, first, cycles, response, gram, rhs, squares):  # type: ignore[no-untyped-def]
-    """Add the normal equations of the used rows of ``x``; returns how many were used."""
+def _accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
+    """Add the normal equations of the rows of ``x`` to those of their sort."""
     n, channels = x.shape
     k = cycles.shape[0]
     p = 2 * k + 1
@@ -184,29 +238,30 @@ def _accumulate(x, use, first, cycles, response, gram, rhs, squares):  # type: i
     row[0] = 1.0
     step = np.exp(2j * np.pi * cycles)
     phasor = np.empty(k, dtype=np.complex128)
-    used = 0
     for i in range(n):
         if i % RESYNC == 0:
             for j in range(k):
                 phase = cycles[j] * (first + i)
                 phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
-        if use[i]:
-            used += 1
+        s = sort[i]
+        if s >= 0:
+            counts[s] += 1
             for j in range(k):
                 row[2 * j + 1] = phasor[j].real
                 row[2 * j + 2] = -phasor[j].imag
+            gram = grams[s]
             for a in range(p):
                 value = row[a]
                 for b in range(a + 1):
                     gram[a, b] += value * row[b]
             for c in range(channels):
                 v = x[i, c]
-                squares[c] += v * v
+                squares[s, c] += v * v
                 for a in range(p):
-                    rhs[a, c] += v * row[a]
+                    sides[s, a, c] += v * row[a]
         for j in range(k):
             phasor[j] *= step[j]
-    for a in range(p):
-        for b in range(a):
-            gram[b, a] = gram[a, b]
-    return used
+    for s in range(grams.shape[0]):
+        for a in range(p):
+            for b in range(a):
+                grams[s, b, a] = grams[s, a, b]
