@@ -26,7 +26,7 @@ sys.path.insert(1, str(ROOT / "tests" / "model"))
 from adversarial import flights_of  # noqa: E402
 
 from benchmarks import peers  # noqa: E402
-from model import friction_kernel, shortcut  # noqa: E402
+from model import friction_kernel, lockstep  # noqa: E402
 from model.flight import first_landing, run_diagram, run_orbit, take_off_phases, turning_points  # noqa: E402
 from model.friction import Rough, run_rough_diagram  # noqa: E402
 from model.tones import Forcing  # noqa: E402
@@ -60,7 +60,8 @@ def own(n: int) -> tuple[float, float, int]:
                 n, lambda f=forcing, g=gammas, e=every: run_diagram(f, g, TRANSIENT, KEPT, every_flight=e)
             )
         out = np.empty((2000, KEPT)), np.empty((2000, KEPT)), np.empty((2000, KEPT), dtype=np.int8)
-        flown += shortcut.shortcut_diagram(forcing.tones, turning_points(forcing), gammas, 0.0, TRANSIENT, *out)
+        tables = turning_points(forcing)
+        flown += lockstep.lockstep_diagram(forcing.tones, tables, gammas, 0.0, TRANSIENT, False, out)
     return seconds[True], seconds[False], flown
 
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import aperiodic, branches, ideal_kernel, lockstep, shortcut, stage
+from model import aperiodic, branches, ideal_kernel, lockstep, stage
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
@@ -183,9 +183,8 @@ def run_diagram(
 ) -> Orbit:
     """`run_orbit` for many gammas: arrays of shape ``(len(gammas), n_keep)``.
 
-    An orbit that repeats a threshold repeats exactly, so the rest of it is copied (`model.shortcut`), unless
-    ``every_flight`` asks for each flight to be flown (`model.lockstep`); the two agree to rounding, which in a chaotic
-    orbit that never rests grows.
+    An orbit that repeats a threshold repeats exactly, so the rest of it is copied, unless ``every_flight`` asks for
+    each flight to be flown (`model.lockstep`).
 
     Raises
     ------
@@ -205,8 +204,8 @@ def run_diagram(
     if not forcing.periodic:
         aperiodic.aperiodic_diagram(forcing.tones, grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag)
         return out
-    fly = lockstep.lockstep_diagram if every_flight else shortcut.shortcut_diagram
-    fly(
-        forcing.tones, turning_points(forcing), grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag
+    kept = (out.tau, out.takeoff_phase, out.flag)
+    lockstep.lockstep_diagram(
+        forcing.tones, turning_points(forcing), grid, phi0, n_transient, every_flight, kept
     )
     return out

@@ -25,7 +25,10 @@ CLEAR, TOUCHES, UNPLAIN = 0, 1, 2
 
 Point = tuple[float, float, float]  # phase, height, slope
 
-# rows of the lanes' working array
+Out = tuple[Floats, Floats, Flags]
+
+# rows of the lanes' whole numbers, and of their working array
+COUNT, ROW, WINDOWS, BRANCH, WAITED, PLAIN, TAKEN = range(7)
 PHI0, S0, SLOPE0, LO, HI, TURNS, X, SINE, COSINE, Q, LAST, CLEAR_FROM, CLEAR_TO, H_LO, H_HI, TANGENT = range(16)
 
 
@@ -120,41 +123,32 @@ def _dip(
 
 
 @compiled
-def _bracket(
-    tones: Floats,
-    gamma: float,
-    edge: Floats,
-    edge_s: Floats,
-    edge_slope: Floats,
-    n_windows: int,
-    branch: int,
-    work: Floats,
-    lane: int,
-) -> bool:
+def _bracket(tones: Floats, gamma: float, tables: Floats, whole: Rows, work: Floats, lane: int) -> bool:
     """Walk the branches of a lane's flight to the first that holds its landing; False where the proof is not plain.
 
     Writes LO, HI, TURNS and, for `_guess`, the heights at both ends and the root of the tangent that cannot pass it.
     """
     phi0, s0, slope0 = work[PHI0, lane], work[S0, lane], work[SLOPE0, lane]
     clear_from, clear_to = work[CLEAR_FROM, lane], work[CLEAR_TO, lane]
-    i = branch + 1
+    n_windows = whole[WINDOWS, lane]
+    i = whole[BRANCH, lane] + 1
     turns = 0.0
-    tau = edge[lane, i] - phi0
-    h = gamma * (s0 + slope0 * tau - edge_s[lane, i]) - 0.5 * tau * tau
-    h1 = gamma * (slope0 - edge_slope[lane, i]) - tau
+    tau = tables[0, lane, i] - phi0
+    h = gamma * (s0 + slope0 * tau - tables[1, lane, i]) - 0.5 * tau * tau
+    h1 = gamma * (slope0 - tables[2, lane, i]) - tau
     if h <= 0.0:
         return False
     while True:
-        hi_tau = edge[lane, i + 1] - phi0 + turns
-        h_hi = gamma * (s0 + slope0 * hi_tau - edge_s[lane, i + 1]) - 0.5 * hi_tau * hi_tau
-        h1_hi = gamma * (slope0 - edge_slope[lane, i + 1]) - hi_tau
+        hi_tau = tables[0, lane, i + 1] - phi0 + turns
+        h_hi = gamma * (s0 + slope0 * hi_tau - tables[1, lane, i + 1]) - 0.5 * hi_tau * hi_tau
+        h1_hi = gamma * (slope0 - tables[2, lane, i + 1]) - hi_tau
         if h_hi <= 0.0:
-            work[LO, lane], work[HI, lane], work[TURNS, lane] = edge[lane, i], edge[lane, i + 1], turns
+            work[LO, lane], work[HI, lane], work[TURNS, lane] = tables[0, lane, i], tables[0, lane, i + 1], turns
             work[H_LO, lane], work[H_HI, lane] = h, h_hi
-            work[TANGENT, lane] = edge[lane, i + 1] - h_hi / h1_hi if i % 2 == 1 else edge[lane, i] - h / h1
+            work[TANGENT, lane] = tables[0, lane, i + 1] - h_hi / h1_hi if i % 2 == 1 else tables[0, lane, i] - h / h1
             return True
         if i % 2 == 0 and h1 < 0.0 < h1_hi:
-            lo, hi = (edge[lane, i], h, h1), (edge[lane, i + 1], h_hi, h1_hi)
+            lo, hi = (tables[0, lane, i], h, h1), (tables[0, lane, i + 1], h_hi, h1_hi)
             verdict, lo, hi = _dip(tones, gamma, (phi0, s0, slope0), turns, lo, hi)
             if verdict != CLEAR:
                 work[LO, lane], work[HI, lane], work[TURNS, lane] = lo[0], hi[0], turns
@@ -169,86 +163,120 @@ def _bracket(
             skipped = TWO_PI * math.floor((clear_to - tau) * (1.0 / TWO_PI) + 1.0)
             turns += skipped
             tau += skipped
-            h = gamma * (s0 + slope0 * tau - edge_s[lane, i]) - 0.5 * tau * tau
+            h = gamma * (s0 + slope0 * tau - tables[1, lane, i]) - 0.5 * tau * tau
             h1 -= skipped
 
 
 @compiled
-def _leave(edge: Floats, lane: int, n_windows: int, landing: float) -> tuple[float, int, bool]:
+def _leave(tables: Floats, lane: int, n_windows: int, landing: float) -> tuple[float, int, bool]:
     """Where a ball on the plate at the folded phase ``landing`` leaves: phase, branch, whether it waited."""
     i = 0
-    while i + 1 < 2 * n_windows and landing >= edge[lane, i + 1]:
+    while i + 1 < 2 * n_windows and landing >= tables[0, lane, i + 1]:
         i += 1
-    if i % 2 == 0 and landing > edge[lane, i]:
+    if i % 2 == 0 and landing > tables[0, lane, i]:
         return landing, i, False
     i = i + i % 2
     if i == 2 * n_windows:
         i = 0
-    return edge[lane, i], i, True
+    return tables[0, lane, i], i, True
 
 
 @compiled
-def _fill_tables(
-    tones: Floats, turning: Floats, gammas: Floats, edges: Floats, edge_s: Floats, edge_slope: Floats, windows: Rows
-) -> None:
-    """Each lane's edges (`model.branches.fill_edges`) with ``s`` and ``s'`` there."""
-    for lane in range(gammas.shape[0]):
-        windows[lane] = fill_edges(tones, turning, gammas[lane], edges[lane])
-        for i in range(2 * windows[lane] + 1):
-            edge_s[lane, i], edge_slope[lane, i], _ = shape(tones, edges[lane, i])
+def _take_row(
+    tones: Floats, turning: Floats, gammas: Floats, phi_rest: float, tables: Floats, whole: Rows, seen: Rows,
+    landing: Floats, out: Out, lane: int,
+) -> bool:  # fmt: skip
+    """Give a lane the next gamma that lifts the ball: its edges in ``tables[0]``, ``s`` and ``s'`` there in 1 and 2."""
+    while whole[TAKEN, 0] < gammas.shape[0]:
+        row = whole[TAKEN, 0]
+        whole[TAKEN, 0] += 1
+        n_windows = fill_edges(tones, turning, gammas[row], tables[0, lane])
+        if n_windows == 0:
+            out[0][row], out[1][row], out[2][row] = 0.0, fold(phi_rest, 0.0), RESTS
+            continue
+        for i in range(2 * n_windows + 1):
+            tables[1, lane, i], tables[2, lane, i], _ = shape(tones, tables[0, lane, i])
+        whole[ROW, lane], whole[WINDOWS, lane], whole[COUNT, lane] = row, n_windows, 0
+        landing[lane] = fold(phi_rest, tables[0, lane, 0])
+        seen[lane] = -1
+        return True
+    return False
 
 
 @compiled
-def _lanes(
-    tones: Floats,
-    turning: Floats,
-    gammas: Floats,
-    rows: Rows,
-    phi_rest: float,
-    n_transient: int,
-    taus: Floats,
-    phases: Floats,
-    flags: Flags,
-) -> None:
-    """The given ``rows`` of `lockstep_diagram`: at most LANES, all above take-off."""
-    n = gammas.shape[0]
-    size = turning.shape[0] + 2
-    edges, edge_s, edge_slope = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
-    windows = np.empty(n, dtype=np.int64)
-    _fill_tables(tones, turning, gammas, edges, edge_s, edge_slope, windows)
-    work = np.zeros((16, n))
-    highest = tones[:, 1].sum()
-    landing = np.empty(n)
-    branch = np.empty(n, dtype=np.int64)
-    reset = np.empty(n, dtype=np.bool_)
-    plain = np.empty(n, dtype=np.bool_)
-    for lane in range(n):
-        landing[lane] = fold(phi_rest, edges[lane, 0])
-    for k in range(-n_transient, taus.shape[1]):
-        for lane in range(n):
-            work[PHI0, lane], branch[lane], reset[lane] = _leave(edges, lane, windows[lane], landing[lane])
-        _shapes(tones, work, PHI0, n)
-        _start(gammas, highest, work, n)
-        for lane in range(n):
-            plain[lane] = _bracket(
-                tones, gammas[lane], edges, edge_s, edge_slope, windows[lane], branch[lane], work, lane
+def _finish(row: int, lane: int, count: int, period: int, orbit: Floats, bits: Flags, out: Out) -> None:
+    """Copy the rest of a closed orbit, and keep what comes after the transient."""
+    total = orbit.shape[2]
+    first = total - out[0].shape[1]
+    for k in range(count, total):
+        orbit[0, lane, k], orbit[1, lane, k] = orbit[0, lane, k - period], orbit[1, lane, k - period]
+        bits[lane, k] = bits[lane, k - period]
+    out[0][row] = orbit[0, lane, first:]
+    out[1][row] = orbit[1, lane, first:]
+    out[2][row] = bits[lane, first:]
+
+
+@compiled
+def _leave_all(
+    tones: Floats, turning: Floats, gammas: Floats, phi_rest: float, every_flight: bool, tables: Floats, whole: Rows,
+    seen: Rows, work: Floats, landing: Floats, orbit: Floats, bits: Flags, out: Out,
+) -> int:  # fmt: skip
+    """Let every lane's ball leave the plate; a lane that is done takes the next row. Returns the busy lanes."""
+    total = orbit.shape[2]
+    busy = 0
+    for lane in range(LANES):
+        while True:
+            if whole[COUNT, lane] >= total and not _take_row(
+                tones, turning, gammas, phi_rest, tables, whole, seen, landing, out, lane
+            ):
+                break
+            phi0, branch, reset = _leave(tables, lane, whole[WINDOWS, lane], landing[lane])
+            work[PHI0, lane], whole[BRANCH, lane], whole[WAITED, lane] = phi0, branch, reset
+            first, count = seen[lane, branch], whole[COUNT, lane]
+            if reset:
+                seen[lane, branch] = count
+            if every_flight or not reset or first < 0:
+                busy += 1
+                break
+            _finish(whole[ROW, lane], lane, count, count - first, orbit, bits, out)
+            whole[COUNT, lane] = total
+    return busy
+
+
+@compiled
+def _bracket_all(tones: Floats, gamma: Floats, tables: Floats, whole: Rows, work: Floats, total: int) -> None:
+    """`_bracket` for every busy lane."""
+    for lane in range(LANES):
+        if whole[COUNT, lane] < total:
+            whole[PLAIN, lane] = _bracket(tones, gamma[lane], tables, whole, work, lane)
+
+
+@compiled
+def _land_all(
+    tones: Floats, gamma: Floats, tables: Floats, whole: Rows, work: Floats, landing: Floats, orbit: Floats,
+    bits: Flags, out: Out,
+) -> None:  # fmt: skip
+    """Take the landings from the rounds, or fly them alone where they are not plain."""
+    total = orbit.shape[2]
+    for lane in range(LANES):
+        k, reset = whole[COUNT, lane], whole[WAITED, lane]
+        if k >= total:
+            continue
+        phi0 = work[PHI0, lane]
+        tau = work[X, lane] - phi0 + work[TURNS, lane]
+        landing[lane] = work[X, lane]
+        flag = RESET if reset else 0
+        if not whole[PLAIN, lane] or tau < SHORT_FLIGHT or not work[LAST, lane] <= 1e-6:
+            a0 = 0.0 if reset else max(gamma[lane] * q_and_slope(tones, phi0)[0] - 1.0, 0.0)
+            tau, landing[lane], _, graze = land(
+                tones, gamma[lane], tables[0, lane], whole[WINDOWS, lane], phi0, a0, 0.0
             )
-        _guess(work, n)
-        for _ in range(ROUNDS):
-            _shapes(tones, work, X, n)
-            _halley_round(gammas, work, n)
-        for lane in range(n):
-            phi0 = work[PHI0, lane]
-            tau = work[X, lane] - phi0 + work[TURNS, lane]
-            landing[lane] = work[X, lane]
-            flag = 0
-            if not plain[lane] or tau < SHORT_FLIGHT or not work[LAST, lane] <= 1e-6:
-                a0 = 0.0 if reset[lane] else max(gammas[lane] * q_and_slope(tones, phi0)[0] - 1.0, 0.0)
-                tau, landing[lane], _, flag = land(tones, gammas[lane], edges[lane], windows[lane], phi0, a0, 0.0)
-            if k >= 0:
-                taus[rows[lane], k] = tau
-                phases[rows[lane], k] = phi0 - TWO_PI if phi0 >= TWO_PI else phi0
-                flags[rows[lane], k] = flag | (RESET if reset[lane] else 0)
+            flag |= graze
+        orbit[0, lane, k], orbit[1, lane, k] = tau, phi0 - TWO_PI if phi0 >= TWO_PI else phi0
+        bits[lane, k] = flag
+        whole[COUNT, lane] = k + 1
+        if k + 1 == total:
+            _finish(whole[ROW, lane], lane, total, 0, orbit, bits, out)
 
 
 @compiled
@@ -258,26 +286,37 @@ def lockstep_diagram(
     gammas: Floats,
     phi_rest: float,
     n_transient: int,
-    taus: Floats,
-    phases: Floats,
-    flags: Flags,
-) -> None:
-    """Fly ``n_transient`` flights from rest at ``phi_rest`` at each gamma, then as many as the rows of the arrays hold.
+    every_flight: bool,
+    out: Out,
+) -> int:
+    """Fly ``n_transient`` flights from rest at ``phi_rest`` at each gamma, then as many as the rows of ``out`` hold.
 
-    Fills ``taus``, ``phases`` (take-off, in [0, 2 pi)) and ``flags``, each ``(len(gammas), n_keep)``. Below take-off
-    the flights are zero and flagged RESTS.
+    Fills ``out``: flight times, take-off phases (in [0, 2 pi)) and flags, each ``(len(gammas), n_keep)``; returns the
+    number of flights flown. Below take-off the flights are zero and flagged RESTS. Unless ``every_flight``, an orbit
+    that leaves a threshold for the second time is closed, and the rest of it copied: it is equal to the last bit.
     """
-    spare = np.empty(turning.shape[0] + 2)
-    flying = np.empty(gammas.shape[0], dtype=np.int64)
-    n = 0
-    for row in range(gammas.shape[0]):
-        if fill_edges(tones, turning, gammas[row], spare) == 0:
-            taus[row] = 0.0
-            phases[row] = fold(phi_rest, 0.0)
-            flags[row] = RESTS
-        else:
-            flying[n] = row
-            n += 1
-    for start in range(0, n, LANES):
-        rows = flying[start : min(start + LANES, n)]
-        _lanes(tones, turning, gammas[rows], rows, phi_rest, n_transient, taus, phases, flags)
+    n, size, total = LANES, turning.shape[0] + 2, n_transient + out[0].shape[1]
+    tables, work, orbit = np.zeros((3, n, size)), np.zeros((16, n)), np.zeros((2, n, total))
+    gamma, landing, bits = np.ones(n), np.zeros(n), np.zeros((n, total), dtype=np.int8)
+    whole, seen = np.zeros((7, n), dtype=np.int64), np.zeros((n, size), dtype=np.int64)
+    whole[COUNT] = total
+    highest = tones[:, 1].sum()
+    flown = 0
+    while total > 0:
+        busy = _leave_all(
+            tones, turning, gammas, phi_rest, every_flight, tables, whole, seen, work, landing, orbit, bits, out
+        )
+        if busy == 0:
+            break
+        flown += busy
+        for lane in range(n):
+            gamma[lane] = gammas[whole[ROW, lane]]
+        _shapes(tones, work, PHI0, n)
+        _start(gamma, highest, work, n)
+        _bracket_all(tones, gamma, tables, whole, work, total)
+        _guess(work, n)
+        for _ in range(ROUNDS):
+            _shapes(tones, work, X, n)
+            _halley_round(gamma, work, n)
+        _land_all(tones, gamma, tables, whole, work, landing, orbit, bits, out)
+    return flown

@@ -46,7 +46,7 @@ def _flight(kind, rng, forcing, lowest, jump):
     elif kind == "graze":
         gamma = jump * (1 + rng.choice([-1, 1]) * 10 ** rng.uniform(-13, -4))
     elif kind == "long":
-        gamma = rng.uniform(6, 50)
+        gamma = max(rng.uniform(6, 50), 1.1 * lowest)
     else:
         gamma = lowest * 10 ** rng.uniform(0.01, 1.3)
     windows = take_off_phases(forcing, gamma)
