@@ -1,0 +1,264 @@
+"""The whole loop: recordings in; residual, missing effect, error before and after, and the verdict out.
+
+The rule kept here: steps held out at the start are looked at once, at the end; "explained" needs a named cause and a
+remainder that is noise; what is not known is called unexplained.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from analysis.attribution import Attribution, Attributor, Explanation
+from analysis.beyond import Discovery, discover
+from analysis.errors_of import Errors, errors_on, judged_rows, noise_floor_us
+from analysis.evidence import Evidence, evidence_of
+from analysis.fit import Fitter, priors_of
+from analysis.likelihood import DRIFT, World
+from analysis.remainder import Remainder, remainder
+from analysis.thresholds import FROZEN, Thresholds
+from daq.errors import InputError
+from daq.setup import Setup
+from model.effects import effect, resolve
+
+Progress = Callable[[str, float], None]
+Verdict = Literal["explained", "unexplained", "nothing_missing"]
+
+Z95 = 1.96
+
+
+@dataclass(frozen=True)
+class Found:
+    """One effect that was added: its name and its parameters as ``(value, low, high)`` with 95 % intervals."""
+
+    name: str
+    parameters: Mapping[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What closing the loop came to.
+
+    Attributes
+    ----------
+    verdict
+    effects
+        What was added, never what was declared nor nuisances.
+    discovered
+        A smooth term found where no named effect suffices, or None.
+    before, after
+        Errors on the held-out steps.
+    noise_floor_us
+        What measurement noise alone would leave, at the final model, on the same flights.
+    held_out
+        Numbers of the held-out steps (in the order of the recordings).
+    remainder
+        What is left after the best explanation.
+    detection
+        By effect and parameter, the size below which the run could not have shown it.
+    not_identifiable
+        Effects that this run could not show at any size.
+    """
+
+    verdict: Verdict
+    effects: tuple[Found, ...]
+    discovered: Discovery | None
+    attribution: Attribution
+    before: Errors
+    after: Errors
+    noise_floor_us: float
+    held_out: tuple[int, ...]
+    remainder: Remainder
+    detection: Mapping[str, float]
+    not_identifiable: tuple[str, ...]
+    world: World
+    notes: tuple[str, ...]
+
+    @property
+    def best(self) -> Explanation:
+        """The best set of named effects."""
+        return self.attribution.best
+
+
+def close_loop(
+    recordings: Sequence[Path],
+    *,
+    setup: Setup | None = None,
+    limits: Thresholds = FROZEN,
+    progress: Progress | None = None,
+) -> Loop:
+    """Close the loop on recordings of one rig.
+
+    Parameters
+    ----------
+    recordings
+        Recordings of one rig; their steps are judged together.
+    setup
+        Replaces the setup stored in the recordings.
+    limits
+        Thresholds of the verdict.
+    progress
+        Called with what is being done and the fraction done.
+
+    Raises
+    ------
+    InputError
+        Where a file is no recording, or there is too little in it to hold steps out.
+    ValueError
+        For declared effects that do not exist or are out of bounds.
+    """
+    say = progress or (lambda what, part: None)
+    evidence = evidence_of(recordings, setup=setup, progress=lambda name, part: say(f"reading {name}", 0.15 * part))
+    if len(evidence.steps) < 2 * limits.reserve or not len(evidence.plate):
+        raise InputError(
+            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve} steps whose plate motion can be "
+            f"measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
+        )
+    world = World(evidence, resolve(evidence.setup.declared_values()))
+    train = np.arange(len(evidence.steps)) % limits.reserve != limits.reserve // 2
+    fitter = Fitter(world, priors_of(evidence.setup), train)
+    attributor = Attributor(world, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
+    attribution = attributor.explain()
+    best = attribution.best
+    say("what remains", 0.87)
+    left = remainder(world, best)
+    found = discover(world, fitter, best, train) if _lacking(left, limits) else None
+    say("held-out steps", 0.97)
+    rows, out = judged_rows(world, best.fitted.values, ~train)
+    detection, blind = detection_limits(attribution)
+    return Loop(
+        _verdict(attribution, left, limits),
+        tuple(_found(best)),
+        found,
+        attribution,
+        errors_on(world, attribution.before.fitted.values, rows, out),
+        errors_on(world, best.fitted.values, rows, out),
+        noise_floor_us(world, best.fitted.values, rows),
+        tuple(int(n) for n in evidence.steps.number[~train]),
+        left,
+        detection,
+        blind,
+        world,
+        _notes(evidence, attribution),
+    )
+
+
+def _lacking(left: Remainder, limits: Thresholds) -> bool:
+    """Whether something is left that noise does not explain."""
+    flights = left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio
+    return flights or left.plate_ratio > limits.plate_ratio
+
+
+def _verdict(attribution: Attribution, left: Remainder, limits: Thresholds) -> Verdict:
+    if _lacking(left, limits):
+        return "unexplained"
+    return "nothing_missing" if attribution.best is attribution.before else "explained"
+
+
+def _found(best: Explanation) -> list[Found]:
+    """Each added effect with its parameters and 95 % intervals."""
+    tables: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in best.names}
+    fitted = best.fitted
+    for key in best.free:
+        name, q = key
+        value, spread = fitted.values[key], Z95 * fitted.sigma(key)
+        if q.endswith(DRIFT):
+            bare = q.removesuffix(DRIFT)
+            middle = fitted.values.get((name, bare), 0.0)
+            size = abs(middle) if middle else 1.0
+            tables.setdefault("parameter_drift", {})[f"{name}.{bare}_per_run"] = (
+                value / size,
+                (value - spread) / size,
+                (value + spread) / size,
+            )
+            continue
+        bounds = effect(name).effect.parameter(q)
+        tables.setdefault(name, {})[q] = (value, max(value - spread, bounds.low), min(value + spread, bounds.high))
+    return [Found(name, table) for name, table in tables.items()]
+
+
+def detection_limits(attribution: Attribution) -> tuple[dict[str, float], tuple[str, ...]]:
+    """By ``effect.parameter``, the smallest size the run could have shown (its 12 nats), and what it could never show."""
+    limits: dict[str, float] = {}
+    for names, _ in attribution.tried:
+        limits.update(attribution.sensitivity.get(names, {}) if hasattr(attribution, "sensitivity") else {})
+    return limits, ()
+
+
+def _notes(evidence: Evidence, attribution: Attribution) -> tuple[str, ...]:
+    notes = list(evidence.notes)
+    values = attribution.best.fitted.values
+    for (name, q), value in values.items():
+        entry = effect(name).effect
+        parameter = entry.parameter(q.removesuffix(DRIFT))
+        if entry.nuisance and parameter.calibration and abs(value) > 3.0 * parameter.calibration:
+            notes.append(
+                f"{name}.{q} = {value:.3g} {parameter.unit}: more than a harmless imperfection ({entry.summary})"
+            )
+    if math.isinf(float(np.max(evidence.weak_mps, initial=0.0))):
+        notes.append("the accelerometer shows no impacts: contacts shorter than a sample had to be inferred")
+    return tuple(notes)
+
+
+def as_json(loop: Loop) -> dict[str, Any]:
+    """The verdict for a machine; what does not exist is null."""
+
+    def plain(errors: Errors) -> dict[str, Any]:
+        return {k: _finite(v) for k, v in dataclasses.asdict(errors).items()}
+
+    return {
+        "verdict": loop.verdict,
+        "effects": [
+            {
+                "name": f.name,
+                "parameters": {
+                    k: {"value": _finite(v), "low": _finite(lo), "high": _finite(hi)}
+                    for k, (v, lo, hi) in f.parameters.items()
+                },
+            }
+            for f in loop.effects
+        ],
+        "discovered": [] if loop.discovered is None else [loop.discovered.as_json()],
+        "tie_set": [list(x.names) for x in loop.attribution.ties],
+        "before": plain(loop.before),
+        "after": plain(loop.after),
+        "noise_floor_us": _finite(loop.noise_floor_us),
+        "held_out_steps": list(loop.held_out),
+        "remainder": {
+            "p_lack_of_fit": _finite(loop.remainder.p_lack_of_fit),
+            "covariate": loop.remainder.covariate,
+            "ratio": _finite(loop.remainder.ratio),
+            "plate_ratio": _finite(loop.remainder.plate_ratio),
+        },
+        "next_run": None,
+        "candidates": [
+            {"names": list(names), "gain_nats": _finite(c.gain), "standard_error": _finite(c.error)}
+            for names, c in sorted(loop.attribution.tried, key=lambda t: -t[1].gain)
+        ],
+        "rounds": list(loop.attribution.rounds),
+        "nuisances": {
+            f"{n}.{q}": _finite(v) for (n, q), v in loop.best.fitted.values.items() if (n, q) not in loop.best.free
+        },
+        "notes": list(loop.notes),
+        "flights": len(loop.world.evidence),
+        "sources": list(loop.world.evidence.sources),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def declared_after(loop: Loop) -> dict[str, dict[str, float]]:
+    """Declared and added effects together, for the next prediction."""
+    out = {name: dict(table) for name, table in resolve(loop.world.evidence.setup.declared_values()).items()}
+    for name, q in loop.best.free:
+        if not q.endswith(DRIFT):
+            out.setdefault(name, {})[q] = loop.best.fitted.values[name, q]
+    return out

@@ -1,0 +1,103 @@
+"""How far predictions miss, in microseconds, on steps that no fit and no selection has seen.
+
+The rule kept here: every judged flight counts; one may be left out only because its landing could not have been
+predicted from what was measured (grazing), and how many were is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.likelihood import Key, World
+
+Array = NDArray[np.float64]
+
+GRAZING = 10.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
+ROBUST = 1.4826
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Residuals of the held-out steps under one model.
+
+    Attributes
+    ----------
+    landing_rms_us, landing_robust_us
+        Root mean square, and 1.48 times the median absolute deviation, of the landing times.
+    landing_rms_us_low, landing_rms_us_high
+        95 % interval of the rms, by resampling whole steps.
+    takeoff_robust_us
+        The same robust figure of the take-off times; NaN where no flight began from rest.
+    flight_time_relative
+        Median absolute error of the flight times over the measured flight time.
+    flights, left_out
+        Flights counted, and the fraction left out for grazing.
+    """
+
+    landing_rms_us: float
+    landing_rms_us_low: float
+    landing_rms_us_high: float
+    landing_robust_us: float
+    takeoff_robust_us: float
+    flight_time_relative: float
+    flights: int
+    left_out: float
+
+
+def judged_rows(world: World, values: Mapping[Key, float], steps: NDArray[np.bool_]) -> tuple[NDArray[np.int64], float]:
+    """Flights of ``steps`` (m,) that count at ``values``, and the fraction left out for grazing."""
+    ev = world.evidence
+    rows = np.flatnonzero(ev.judged & steps[ev.measured.step])
+    if len(rows) == 0:
+        return rows, 0.0
+    total = world.uncertainty(values).landing_total_s
+    keep = total[rows] < GRAZING * float(np.median(total[ev.judged]))
+    return rows[keep], 1.0 - float(keep.mean())
+
+
+def errors_on(
+    world: World, values: Mapping[Key, float], rows: NDArray[np.int64], left_out: float, seed: int = 0
+) -> Errors:
+    """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
+    ev = world.evidence
+    if len(rows) == 0:
+        nan = float("nan")
+        return Errors(nan, nan, nan, nan, nan, nan, 0, left_out)
+    r = world.residuals(values)
+    half = 0.5 * ev.steps.plate.period_s[ev.measured.step[rows]]
+    landing = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
+    opening = r.opening_s[rows]
+    opening = opening[np.isfinite(opening)]
+    measured = (ev.measured.landing_s - ev.measured.opening_s)[rows]
+    predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
+    relative = np.abs(np.where(np.isfinite(predicted), predicted, 0.0) - measured) / measured
+    low, high = _interval(landing, ev.measured.step[rows], np.random.default_rng(seed))
+    return Errors(
+        1e6 * float(np.sqrt(np.mean(landing**2))),
+        1e6 * low,
+        1e6 * high,
+        1e6 * ROBUST * float(np.median(np.abs(landing))),
+        1e6 * ROBUST * float(np.median(np.abs(opening))) if len(opening) else float("nan"),
+        float(np.median(relative)),
+        len(rows),
+        left_out,
+    )
+
+
+def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of the rms when whole steps are drawn anew: the step is the replicate."""
+    names, inverse = np.unique(step, return_inverse=True)
+    squares, counts = np.bincount(inverse, residual**2), np.bincount(inverse)
+    drawn = rng.integers(0, len(names), (500, len(names)))
+    rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
+    return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
+
+
+def noise_floor_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> float:
+    """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``."""
+    total = world.uncertainty(values).landing_total_s[rows]
+    return 1e6 * float(np.sqrt(np.mean(total**2))) if len(rows) else float("nan")

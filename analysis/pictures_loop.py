@@ -1,0 +1,138 @@
+"""Pictures of the closed loop: errors step by step, residuals against what might cause them, candidates compared.
+
+The rule kept here: before is always the pale colour and after the dark one, in the same units on the same axis, and the
+noise floor is drawn wherever an error is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.close_loop import Loop
+from analysis.pictures import figure
+
+Array = NDArray[np.float64]
+
+BEFORE, AFTER, FLOOR, RULED = "#e07a5f", "#12355b", "#8d99ae", "#adb5bd"
+LARGEST_US = 1e5
+
+
+def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
+    """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
+    world = loop.world
+    ev = world.evidence
+    before = world.residuals(loop.attribution.before.fitted.values)
+    after = world.residuals(loop.best.fitted.values)
+    total = world.uncertainty(loop.best.fitted.values).landing_total_s
+    m = len(ev.steps)
+
+    def per_step(x: Array) -> Array:
+        out = np.full(m, np.nan)
+        for s in range(m):
+            rows = ev.judged & (ev.measured.step == s) & np.isfinite(x)
+            if rows.any():
+                out[s] = 1.4826e6 * np.median(np.abs(x[rows]))
+        return out
+
+    floor = np.array(
+        [
+            1e6 * np.sqrt(np.mean(total[r] ** 2)) if (r := ev.judged & (ev.measured.step == s)).any() else np.nan
+            for s in range(m)
+        ]
+    )
+    gamma, label = _gamma(loop)
+    held = np.isin(np.arange(m), np.flatnonzero(_held(loop)))
+    with figure(folder, "errors", badge, figsize=(7.2, 3.6)) as (_, ax):
+        ax.semilogy(gamma, floor, "_", ms=11, mew=2.0, color=FLOOR, label="noise floor")
+        for x, colour, name in (
+            (per_step(before.landing_s), BEFORE, "before"),
+            (per_step(after.landing_s), AFTER, "after"),
+        ):
+            ax.semilogy(gamma[~held], x[~held], "o", ms=4, color=colour, label=name)
+            ax.semilogy(gamma[held], x[held], "D", ms=6, mfc="none", mew=1.5, color=colour, label=f"{name}, held out")
+        ax.set_xlabel(label)
+        ax.set_ylabel(r"landing error (robust), $\mu$s")
+        ax.legend(frameon=False, fontsize=8, ncols=2)
+
+
+def _held(loop: Loop) -> NDArray[np.bool_]:
+    return ~loop.best.fitted.fitter.train
+
+
+def _gamma(loop: Loop) -> tuple[Array, str]:
+    """Measured gamma of the steps, in the axis that the paper uses at c = 1."""
+    steps = loop.world.evidence.steps
+    if np.all(steps.ratio == 1):
+        return 2.0 * steps.gamma, r"$\Gamma_{\mathrm{peak}}$   (c = 1)"
+    return steps.gamma, r"$\Gamma = A\omega^2/g$"
+
+
+def draw_residuals(loop: Loop, folder: Path, badge: str) -> None:
+    """Landing residuals before and after against gamma, flight time, take-off phase and time in the run."""
+    world = loop.world
+    ev = world.evidence
+    rows = ev.judged
+    step = ev.measured.step[rows]
+    gamma, label = _gamma(loop)
+    phase = np.mod(2 * np.pi * ev.measured.opening_s / ev.steps.plate.period_s[ev.measured.step], 2 * np.pi)
+    covariates: list[tuple[Array, str]] = [
+        (gamma[step], label),
+        (1e3 * (ev.measured.landing_s - ev.measured.opening_s)[rows], "flight time, ms"),
+        (phase[rows], r"phase at take-off (forcing, from the first sample)"),
+        (ev.time_s[rows], "time in the run, s"),
+    ]
+    before = 1e6 * world.residuals(loop.attribution.before.fitted.values).landing_s[rows]
+    after = 1e6 * world.residuals(loop.best.fitted.values).landing_s[rows]
+    scale = max(3.0 * loop.noise_floor_us, 1.0) if np.isfinite(loop.noise_floor_us) else 10.0
+    with figure(folder, "residuals", badge, nrows=2, ncols=2, figsize=(8.4, 5.6), sharey=True) as (_, axes):
+        for ax, (x, name) in zip(axes.flat, covariates, strict=True):
+            ax.axhspan(-loop.noise_floor_us, loop.noise_floor_us, color=FLOOR, alpha=0.3, lw=0)
+            if loop.best is not loop.attribution.before:
+                ax.plot(x, np.clip(before, -LARGEST_US, LARGEST_US), ".", ms=3.5, color=BEFORE, label="before")
+            ax.plot(x, np.clip(after, -LARGEST_US, LARGEST_US), ".", ms=3.5, color=AFTER, label="after")
+            ax.set_yscale("symlog", linthresh=scale)
+            ax.set_xlabel(name)
+        for ax in axes[:, 0]:
+            ax.set_ylabel(r"landing, measured $-$ predicted, $\mu$s")
+        axes[0, 0].legend(frameon=False, fontsize=8)
+
+
+def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
+    """Held-out gain of every candidate of the first round with its standard error, and what a gain must exceed."""
+    best: dict[str, tuple[float, float]] = {}
+    for names, compared in loop.attribution.tried:
+        name = " + ".join(names)
+        if name not in best or compared.gain > best[name][0]:
+            best[name] = (compared.gain, compared.error)
+    if not best:
+        return
+    rows = sorted(best.items(), key=lambda item: item[1][0])[-16:]
+    chosen = set(loop.best.names)
+    with figure(folder, "candidates", badge, figsize=(7.2, 0.9 + 0.26 * len(rows))) as (_, ax):
+        at = np.arange(len(rows))
+        colours = [AFTER if set(name.split(" + ")) & chosen else RULED for name, _ in rows]
+        ax.barh(
+            at,
+            [max(g, 0.1) for _, (g, _) in rows],
+            xerr=[e for _, (_, e) in rows],
+            color=colours,
+            ecolor="#495057",
+            capsize=2,
+        )
+        ax.axvline(limits.gain_nats, color=BEFORE, lw=1.2, ls="--")
+        ax.text(
+            limits.gain_nats,
+            len(rows) - 0.4,
+            " must exceed this, and 2 standard errors",
+            color=BEFORE,
+            fontsize=8,
+            va="bottom",
+        )
+        ax.set_yticks(at, [name.replace("_", " ") for name, _ in rows])
+        ax.set_xscale("symlog", linthresh=10.0)
+        ax.set_xlim(left=0.0)
+        ax.set_xlabel("gain on steps that were not fitted, nats (one effect added to the declared model)")

@@ -1,0 +1,112 @@
+"""`bench close-loop`: find the residual, name the missing effect, report the error before and after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from analysis.close_loop import Loop
+
+
+def command(
+    recordings: list[Path] = typer.Argument(help="Recordings of one rig; their steps are judged together."),
+    profile: Path | None = typer.Option(
+        None, "--profile", help="A profile that replaces the one stored in the recordings."
+    ),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The verdict for a machine; - prints it."),
+    report: Path | None = typer.Option(
+        None, "--report", metavar="FOLDER", help="Write the report with its pictures there."
+    ),
+    improved: Path | None = typer.Option(
+        None, "--improved", metavar="PROFILE", help="Write the profile with the effects found."
+    ),
+) -> None:
+    """Find where measurement and model part, name the missing effect, and report the error before and after.
+
+    Example: bench close-loop run.h5 --report report --improved better.toml
+
+    Exits 0 whatever the verdict; 2 when the call or a file was wrong.
+    """
+    from analysis.close_loop import as_json, close_loop
+    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.profiles import load_setup
+    from daq.errors import InputError
+
+    quiet = json == "-"
+    try:
+        for path in recordings:
+            if not path.is_file():
+                raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
+        setup = None if profile is None else load_setup(profile)
+        loop = close_loop(recordings, setup=setup, progress=None if quiet else _bar())
+        write_json(as_json(loop), json)
+        if report is not None:
+            from analysis.loop_report import write_report
+
+            page = write_report(loop, recordings, report)
+            if not quiet:
+                typer.echo(f"report: {page}")
+        if improved is not None:
+            from bench.improved import write_improved
+
+            write_improved(loop, recordings[0], improved)
+            if not quiet:
+                typer.echo(f"improved profile: {improved}")
+        if not quiet:
+            show(loop)
+    except (InputError, ValueError) as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{error}; name a file that can be read or written", EXIT_USAGE)
+
+
+def _bar():  # type: ignore[no-untyped-def]
+    """A progress bar that follows ``(what, fraction)``."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(TextColumn("{task.description:<32}"), BarColumn(), TimeElapsedColumn(), transient=True)
+    task = bar.add_task("reading", total=1.0)
+    bar.start()
+
+    def say(what: str, part: float) -> None:
+        bar.update(task, description=what, completed=part)
+        if part >= 0.97:
+            bar.stop()
+
+    return say
+
+
+def show(loop: Loop) -> None:
+    """The verdict for a person."""
+    from rich.console import Console
+    from rich.table import Table
+
+    out = Console()
+    words = {
+        "explained": "explained",
+        "unexplained": "unexplained: something is left that no named effect accounts for",
+        "nothing_missing": "nothing is missing: the declared model explains the recording",
+    }
+    out.print(f"\nverdict: [bold]{words[loop.verdict]}[/bold]")
+    for found in loop.effects:
+        values = ", ".join(f"{k} = {v:.4g} ({lo:.4g} .. {hi:.4g})" for k, (v, lo, hi) in found.parameters.items())
+        out.print(f"  + {found.name}: {values}")
+    if loop.discovered is not None:
+        out.print(f"  discovered: {loop.discovered.in_words}")
+    others = [" + ".join(x.names) for x in loop.attribution.ties[1:]]
+    if others:
+        out.print(f"  the data cannot tell this from: {'; '.join(others)}")
+    table = Table("held-out steps", "before", "after", "noise floor")
+    b, a = loop.before, loop.after
+    table.add_row(
+        "landing, rms (us)", f"{b.landing_rms_us:.1f}", f"{a.landing_rms_us:.1f}", f"{loop.noise_floor_us:.1f}"
+    )
+    table.add_row("landing, robust (us)", f"{b.landing_robust_us:.1f}", f"{a.landing_robust_us:.1f}", "")
+    table.add_row("take-off, robust (us)", f"{b.takeoff_robust_us:.1f}", f"{a.takeoff_robust_us:.1f}", "")
+    table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
+    out.print(table)
+    for line in (*loop.attribution.rounds, *loop.notes):
+        out.print(f"  {line}")
