@@ -65,7 +65,8 @@ def films(count: int, seed: int) -> None:
         law = next(r.law for r in fit.rungs if r.model.name == "coulomb_friction")
         friction, spread = float(fit.shapes["friction"].values[1]), float(fit.values["friction"][:, 1].std())
         rows.append((paper, law.theta[0] - e0, law.half_width[0] / 1.96, friction - f, spread))
-        print(f"{k:3d} {name} e {rows[-1][1]:+.4f} +- {rows[-1][2]:.4f} f {rows[-1][3]:+.4f} +- {spread:.4f}", flush=True)
+        off, sigma = rows[-1][1:3]
+        print(f"{k:3d} {name} e {off:+.4f} +- {sigma:.4f} f {friction - f:+.4f} +- {spread:.4f}", flush=True)
     _summary(np.array(rows, dtype=float), names)
 
 
@@ -77,7 +78,8 @@ def _summary(table: np.ndarray, names: Counter[str]) -> None:
         paper = table[:, 0] > 0
         print(
             f"{label}: bias {off.mean():+.5f} = {np.mean(off / sigma):+.2f} sigma, rms {off.std():.5f}, "
-            f"95 % interval covers {inside.sum()} of {len(off)}; paper's conditions: worst {np.abs(off[paper]).max():.4f}"
+            f"95 % interval covers {inside.sum()} of {len(off)}; "
+            f"at the paper's conditions the worst is off by {np.abs(off[paper]).max():.4f}"
         )
 
 
@@ -103,7 +105,7 @@ def times(count: int, seed: int) -> None:
             e_in += e0["low"] <= truth.e0 <= e0["high"]
             height = payload["drop_height_m"]
             h_in += height["low"] <= truth.height_m <= height["high"]
-        print(f"{label}: chosen {dict(chosen)}; truth in the tie set {tied}, e0 covered {e_in}, height {h_in} of {count}")
+        print(f"{label}: chosen {dict(chosen)}; truth in the tie set {tied}, e0 in {e_in}, height in {h_in} of {count}")
 
 
 def real(folder: Path, only: str = "") -> None:

@@ -60,7 +60,7 @@ def _read_other_wav(path: Path, reason: Exception) -> tuple[Array, float]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", wavfile.WavFileWarning)  # extra chunks are none of our business
             rate, values = wavfile.read(path)
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, UnboundLocalError) as error:  # the last: no format chunk at all
         raise InputError(f"{path}: not a readable WAV file ({reason}); export it as 16-bit PCM WAV") from error
     values = np.atleast_2d(np.asarray(values, dtype=np.float64).T).T
     return values / max(float(np.abs(values).max(initial=0.0)), 1e-12), float(rate)

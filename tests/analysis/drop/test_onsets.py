@@ -8,8 +8,13 @@ import pytest
 from scipy.io import wavfile
 
 from analysis.drop.onsets import read_wav, sound_onsets
+from analysis.drop.rows import Drop
 from analysis.drop.sequence import bounces_of
+from analysis.drop.sources import load
+from daq.block import Block
 from daq.errors import InputError
+from daq.recording import RecordingWriter
+from daq.setup import Setup
 
 
 def test_onsets_to_the_sample(synthetic: ModuleType) -> None:
@@ -51,3 +56,37 @@ def test_a_damaged_wav_is_an_error(tmp_path: Path) -> None:
     target.write_bytes(b"RIFF\x10\x00\x00\x00WAVEjunkjunkjunk")
     with pytest.raises(InputError, match=r"bad\.wav"):
         read_wav(target)
+
+
+def test_a_contact_channel_with_the_plate_at_rest(tmp_path: Path) -> None:
+    """Closings of the contact circuit in a recording are the impacts; chatter within a closing is not."""
+    rate, times = 20000.0, 0.3 + np.concatenate(([0.0], np.cumsum(0.3 * 0.7 ** np.arange(8))))
+    setup = Setup.model_validate(
+        {
+            "name": "rest",
+            "sampling": {"rate_hz": rate},
+            "forcing": {"frequency_hz": 25.0},
+            "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g"}},
+            "ball": {"mass_kg": 0.25},
+        }
+    )
+    volts = np.full(int(2.0 * rate), 5.0)
+    for when in times:
+        first = int(np.ceil(when * rate))
+        volts[first : first + 20] = 0.0
+        volts[first + 8] = 5.0
+    codes = np.zeros((len(volts), 3), dtype=np.int16)
+    codes[:, 0] = np.round(volts / 10.0 * 32767)
+    writer = RecordingWriter(
+        tmp_path / "rest.h5",
+        setup,
+        profile_text="",
+        channels=("continuity", "accelerometer", "drive"),
+        backend="test",
+        simulated=True,
+    )
+    writer.append(Block(first_sample=0, codes=codes, flags=0, clock_ns=0, lost_before=0))
+    writer.close()
+    drop = load(next(tmp_path.glob("rest*.h5")))
+    assert isinstance(drop, Drop)
+    assert drop.bounces.impacts_s == pytest.approx(times, abs=1.1 / rate)
