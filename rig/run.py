@@ -25,6 +25,7 @@ from rig.profile import Profile
 from rig.ramp import Programme, Step, plan
 from rig.sequencer import Sequencer, State, Stop, change_rows, largest_block
 
+BATCH_SAMPLES = 8192  # of a simulated rig that are written together
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
 
@@ -153,6 +154,7 @@ class _Run:
         self._progress, self._request = progress, stop_request
         self._obeyed: Stop | None = None
         self._recording = True
+        self._pending: list[Block] = []
         self._device_lost = False
         self._heard = self._lost = self._short = 0
         self._losses: list[tuple[int, int]] = []
@@ -173,6 +175,7 @@ class _Run:
                 self._progress(self._status())
         finally:
             self._land()
+            self.flush()
 
     def summary(self, wall_s: float) -> RunSummary:
         """What came of it."""
@@ -183,6 +186,7 @@ class _Run:
     def _land(self) -> None:
         """Whatever happened: bring the drive softly to zero while the device answers, and note where the step ended."""
         if self._device_lost:
+            self.flush()
             step = self._sequencer.step
             played = self._heard + self._lost - step.first_sample
             self._mark(replace(step, n_samples=min(step.n_samples, played)))
@@ -266,10 +270,18 @@ class _Run:
         return played - lost
 
     def _record(self, block: Block) -> None:
-        """Keep the block; a disk that refuses stops the run, softly."""
-        if self._recording and len(block.codes):
+        """Keep the block: at once where it was measured, in batches where it can be simulated again."""
+        if len(block.codes):
+            self._pending.append(block)
+        if not self._backend.simulated or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what waits to the recorder; a disk that refuses stops the run, softly."""
+        pending, self._pending = self._pending, []
+        if self._recording and pending:
             try:
-                self._writer.append(block)
+                self._writer.append(*pending)
             except OSError as error:
                 self._disk_failed(error)
 
@@ -277,6 +289,8 @@ class _Run:
         """Write the rows of steps that began or ended in this block, and of the changes of the drive."""
         marks, self._sequencer.marks = self._sequencer.marks, []
         fades, self._sequencer.fades = self._sequencer.fades, []
+        if marks or fades:
+            self.flush()
         if not self._recording:
             return
         try:

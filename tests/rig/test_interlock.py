@@ -19,8 +19,8 @@ class Tape:
     def __init__(self) -> None:
         self.n_samples, self.how, self.why, self.steps = 0, "", "", {}
 
-    def append(self, block) -> None:
-        self.n_samples += len(block.codes)
+    def append(self, *blocks) -> None:
+        self.n_samples += sum(len(block.codes) for block in blocks)
 
     def mark_step(self, step) -> None:
         self.steps[step["first_sample"]] = step

@@ -93,12 +93,13 @@ def test_a_full_disk_stops_the_drive_softly(make_profile, fake_rig, recording_pa
     """A disk that refuses ends the run softly; the blocks before it are kept."""
     profile = make_profile()
     rig = fake_rig(profile)
+    rig.simulated = False  # each block is written as it comes
     append = RecordingWriter.append
 
-    def refuse(self, block) -> None:
-        if block.first_sample > 800:
+    def refuse(self, *blocks) -> None:
+        if blocks[-1].first_sample > 800:
             raise OSError("no space left on device")
-        append(self, block)
+        append(self, *blocks)
 
     monkeypatch.setattr(RecordingWriter, "append", refuse)
     summary = record(profile, rig, recording_path)
