@@ -266,13 +266,13 @@ def _hidden(
         fitted = plate.steps[k] if 0 <= k < len(plate.steps) else None
         if fitted is None:
             continue
-        motion = fitted.plate()
+        motion = fitted.forcing()
         index = np.flatnonzero(rest & (step == k))
         start = plate.true_time_s(takeoff[index])[:, None]
-        since = np.linspace(0.0, 1.0, 65)[None, 1:] * (landing - takeoff)[index, None]
+        since = np.linspace(0.0, 1.0, 33)[None, 1:] * (landing - takeoff)[index, None]
         moved = motion.position_at(start + since) - motion.position_at(start)
         height = motion.velocity_at(start) * since - 0.5 * g * since**2 - moved
-        early = height[:, :55]
+        early = height[:, :27]
         suspicious = early.min(axis=1) < -HIDDEN * np.maximum(np.abs(height).max(axis=1), 1e-6)
         out[index[suspicious]] |= int(FlightFlag.UNSURE)
     return out

@@ -18,7 +18,7 @@ from analysis.waveform import ECHO, FINE, LEAD, LENGTH, SHORTEST_MASK_S, Wavefor
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-TILE = 1024  # outputs of the filter that stay in the fastest cache
+TILE = 64  # outputs of the filter computed together
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # part of the score by which the learnt shape disturbs the timing
 ECHO_ERROR = 0.03  # of it that disturbs the timing of the next
@@ -109,13 +109,13 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
     length = taps.shape[0]
     for start in range(0, count, TILE):
         stop = min(start + TILE, count)
-        for i in range(start, stop):
-            out[i] = 0.0
+        total = out[start:stop]
+        total[:] = np.float32(0.0)
         for k in range(length):
             tap = taps[k]
-            shift = pad - LEAD + k
-            for i in range(start, stop):
-                out[i] += tap * x[i + shift]
+            own = x[start + pad - LEAD + k : stop + pad - LEAD + k]
+            for i in range(stop - start):
+                total[i] += tap * own[i]
     n = 0
     last = -length
     for i in range(count):

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from analysis.apart import Sides
 from daq.tones import ToneFit
 from model.tones import Plate
 
@@ -104,8 +105,6 @@ class StepPlate:
         m/s^2, masked after impacts.
     drive : ToneFit or None
         V, looped back; None where it was not recorded.
-    contact, flight : ToneFit or None
-        The forcing's tones and the offset in contact and in flight, from one joint fit, all else in common.
     gamma, gamma_uncertainty : float
         ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
     gamma_peak : float
@@ -130,8 +129,7 @@ class StepPlate:
     multiples: tuple[int, ...]
     acceleration: ToneFit
     drive: ToneFit | None
-    contact: ToneFit | None
-    flight: ToneFit | None
+    sides: Sides
     gamma: float
     gamma_uncertainty: float
     gamma_peak: float
@@ -140,6 +138,20 @@ class StepPlate:
     masked: float
     windows: Windows
     slow: SlowMotion
+
+    @cached_property
+    def _apart(self) -> tuple[ToneFit | None, ToneFit | None]:
+        return self.sides.solve()
+
+    @property
+    def contact(self) -> ToneFit | None:
+        """The forcing's tones and the offset in contact, m/s^2; None where there is too little of either side."""
+        return self._apart[0]
+
+    @property
+    def flight(self) -> ToneFit | None:
+        """The same in flight."""
+        return self._apart[1]
 
     @cached_property
     def lines(self) -> tuple[Line, ...]:
@@ -216,14 +228,19 @@ class PlateMotion:
         return np.asarray(omega[np.where((k >= 0) & (k < len(self.steps)), k, -1)] / TWO_PI)
 
     def acceleration_mps2(self, time_s: Floats, step: npt.NDArray[np.int64]) -> Floats:
-        """Plate acceleration at times within steps (fitted tones), m/s^2; NaN where the step was not fitted."""
-        out = np.full(time_s.shape, np.nan)
-        t = self.true_time_s(time_s)
-        for k in np.unique(step):
-            fitted = self.steps[k] if 0 <= k < len(self.steps) else None
+        """Plate acceleration at times within steps (the forcing's tones), m/s^2; NaN where the step was not fitted."""
+        omega, z = np.full((2, len(self.steps) + 1), np.nan), np.zeros((2, len(self.steps) + 1), dtype=np.complex128)
+        for k, fitted in enumerate(self.steps):
             if fitted is not None:
-                out[step == k] = fitted.plate().acceleration_at(t[step == k])
-        return out
+                for row, multiple in enumerate(fitted.forcing_multiples):
+                    at = fitted.multiples.index(multiple)
+                    omega[row, k] = TWO_PI * fitted.acceleration.frequencies_hz[at]
+                    z[row, k] = fitted.acceleration.amplitudes[at]
+                if len(fitted.forcing_multiples) == 1:
+                    omega[1, k] = 0.0
+        k = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
+        t = self.true_time_s(time_s)
+        return np.asarray((z[:, k] * np.exp(1j * omega[:, k] * t)).real.sum(axis=0))
 
     def _table(self) -> tuple[Floats, Floats]:
         omega = np.array([np.nan if s is None else s.omega_radps for s in self.steps])

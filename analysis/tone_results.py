@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis import fold_kernel
+from analysis.apart import Sides, scaled
 from analysis.plate_motion import SlowMotion, StepPlate, Windows
 from daq.recording import Recording
 from daq.setup import Setup
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
-LEAST_APART = 60  # block means on each side that contact and flight are told apart by
 WINDOW_CYCLES = 2.0
 LEAST_DRIFT = 1e-4  # radians over the step that a wrong frequency must make to be corrected
 SLOW_PER_CYCLE = 4.0  # values of the slow series per period of the forcing
@@ -35,7 +35,7 @@ class Look:
     """What a second look at a chapter gave, in volts.
 
     ``slow`` at ``slow_s``; per window of a few cycles its middle ``time_s``, amplitudes (w, tones, channels) and the
-    relative spread (w, tones) that times the rms of a channel is an amplitude's uncertainty; the rms of each channel.
+    relative spread (w, tones) that times the rms of a channel is an amplitude's uncertainty; the fit of each channel.
     """
 
     slow_s: Floats
@@ -43,7 +43,7 @@ class Look:
     time_s: Floats
     amplitudes: Complexes
     spread: Floats
-    rms: Floats
+    fits: tuple[ToneFit, ToneFit]
 
 
 def second_look(fold: StepFold, rate_hz: float) -> Look | None:
@@ -53,7 +53,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
         return None
     clear = folded.part(fold.clear_sorts())
     try:
-        fits = [clear.solve(c) for c in (0, 1)]
+        fits = clear.solve(0), clear.solve(1)
     except ValueError:
         return None
     amplitudes, offsets = np.array([f.amplitudes for f in fits]), np.array([f.offset for f in fits])
@@ -82,7 +82,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
     solution = inverse @ side
     z = amplitudes[:, rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
     spread = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(-1, rows.size, 2).mean(axis=2))
-    return Look(slow_s, slow, time_s, z, spread, np.array([f.rms for f in fits]))
+    return Look(slow_s, slow, time_s, z, spread, fits)
 
 
 def folding_bands(folded: LockIn) -> int:
@@ -102,62 +102,17 @@ def refined_hz(fold: StepFold, look: Look, has_drive: bool) -> tuple[float, floa
     multiples = np.array([fold.multiples[r] for r in fold.rows])
     strongest = int(np.argmax(np.abs(look.amplitudes[:, :, channel]).mean(axis=0) * multiples))
     z = look.amplitudes[:, strongest, channel]
-    sigma = look.rms[channel] * look.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
+    sigma = look.fits[channel].rms * look.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
     if np.median(sigma) > 0.3:
         return None
-    time_s = look.time_s - look.time_s.mean()
-    coefficients, covariance = np.polyfit(time_s, np.unwrap(np.angle(z)), 1, w=1.0 / np.maximum(sigma, 1e-9), cov="unscaled")
+    weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
+    time_s = look.time_s - np.average(look.time_s, weights=weight)
+    bend = float(np.sum(weight * time_s**2))
     scale = 2.0 * np.pi * float(multiples[strongest])
-    error = float(np.sqrt(covariance[0, 0])) / scale
-    away = float(coefficients[0]) / scale
+    away = float(np.sum(weight * time_s * np.unwrap(np.angle(z)))) / bend / scale
+    error = 1.0 / np.sqrt(bend) / scale
     changed = abs(away) > 4.0 * error and abs(away) * 2.0 * np.pi * fold.hold_s > LEAST_DRIFT
     return (fold.nominal_hz + away, error, True) if changed else (fold.nominal_hz, error, False)
-
-
-def _scaled(fit: ToneFit, factor: float, offset: float) -> ToneFit:
-    """The fit times ``factor`` (volts to m/s^2), its offset first shifted by ``-offset`` volts."""
-    return ToneFit(
-        fit.frequencies_hz,
-        fit.amplitudes * factor,
-        fit.covariance * factor**2,
-        fit.rms * abs(factor),
-        (fit.offset - offset) * factor,
-        fit.offset_uncertainty * abs(factor),
-        fit.n,
-    )
-
-
-def _apart(contact: LockIn | None, total: LockIn, rms: float, rows: list[int]) -> tuple[ToneFit | None, ToneFit | None]:
-    """The tones ``rows`` and the offset in contact and in flight: one joint fit in which contact has an extra of each.
-
-    The harmonics are common to both, so what the ball's weight on the table changes is not put into them.
-    """
-    if contact is None or min(contact.n, total.n - contact.n) < LEAST_APART:
-        return None, None
-    columns = [0, *(c for r in rows for c in (2 * r + 1, 2 * r + 2))]
-    beside = contact.gram[:, columns]
-    gram = np.block([[total.gram, beside], [beside.T, contact.gram[np.ix_(columns, columns)]]])
-    scale = 1.0 / np.sqrt(np.diag(gram))
-    scaled = gram * np.outer(scale, scale)
-    if np.linalg.cond(scaled) > 1e6:
-        return None, None
-    inverse = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale), dtype=np.float64)
-    solution = inverse @ np.concatenate([total.rhs[:, 0], contact.rhs[columns, 0]])
-    p = total.gram.shape[0]
-    pick = np.zeros((2, len(columns), gram.shape[0]))
-    for k, c in enumerate(columns):
-        pick[:, k, c] = 1.0
-        pick[0, k, p + k] = 1.0
-    fits = []
-    for part, n in zip(pick, (contact.n, total.n - contact.n), strict=True):
-        own, covariance = part @ solution, part @ inverse @ part.T * rms**2
-        fits.append(
-            ToneFit(
-                total.frequencies_hz[rows], own[1::2] + 1j * own[2::2], covariance[1:, 1:], rms,
-                float(own[0]), float(np.sqrt(covariance[0, 0])), n,
-            )
-        )
-    return fits[0], fits[1]
 
 
 def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ratio: int) -> float:
@@ -174,7 +129,7 @@ def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ra
 
 def gamma_peak_of(plate: Plate, frequency_hz: float, g_mps2: float) -> float:
     """``max(-a_p) / g`` over one period of the forcing."""
-    t = np.linspace(0.0, 1.0 / frequency_hz, 721)
+    t = np.linspace(0.0, 1.0 / frequency_hz, 361)
     return float(np.max(-plate.acceleration_at(t))) / g_mps2
 
 
@@ -183,19 +138,19 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
     if fold.folded is None:
         return None
     total = fold.folded.part(fold.clear_sorts())
+    fits = fold.looks[0].fits if len(fold.looks) == 1 else None
     try:
-        volts = total.solve(0)
-        drive = total.solve(1) if "drive" in recording.channels else None
+        volts = fits[0] if fits is not None else total.solve(0)
+        drive = None if "drive" not in recording.channels else fits[1] if fits is not None else total.solve(1)
     except ValueError:
         return None
     setup = recording.setup
     channel = setup.channels.accelerometer
     factor = 1.0 / channel.volts_per_mps2
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
-    acceleration = _scaled(volts, factor, zero_v)
+    acceleration = scaled(volts, factor, zero_v)
     rows, multiples = fold.rows, fold.multiples
-    apart = _apart(fold.folded.part(fold.clear_sorts((0,))), total, volts.rms, rows)
-    contact, flight = (None if part is None else _scaled(part, factor, zero_v) for part in apart)
+    sides = Sides(fold.folded.part(fold.clear_sorts((0,))), total, tuple(rows), volts.rms, factor, zero_v)
     gamma = gamma_of(acceleration.amplitudes, multiples, setup, fold.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
     forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], acceleration.amplitudes[rows])
@@ -203,7 +158,7 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
         step=fold.step, first_sample=fold.first_sample, last_sample=fold.last_sample,
         frequency_hz=fold.frequency_hz, frequency_uncertainty_hz=fold.frequency_uncertainty_hz,
         nominal_hz=fold.nominal_hz, ratio=fold.ratio, multiples=multiples,
-        acceleration=acceleration, drive=drive, contact=contact, flight=flight,
+        acceleration=acceleration, drive=drive, sides=sides,
         gamma=gamma, gamma_uncertainty=gamma * relative,
         gamma_peak=gamma_peak_of(forcing, fold.frequency_hz, setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, fold.ratio),
@@ -226,7 +181,7 @@ def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
     if not fold.looks:
         return Windows(np.zeros(0), np.zeros((0, tones), np.complex128), np.zeros((0, tones)))
     scaled = np.asarray(np.concatenate([k.amplitudes[:, :, 0] for k in fold.looks]) * factor, dtype=np.complex128)
-    sigma = np.concatenate([k.rms[0] * k.spread for k in fold.looks]) * abs(factor)
+    sigma = np.concatenate([k.fits[0].rms * k.spread for k in fold.looks]) * abs(factor)
     return Windows(np.concatenate([k.time_s for k in fold.looks]), scaled, sigma)
 
 
