@@ -135,8 +135,8 @@ def evidence_of(
     return parts[0] if len(parts) == 1 else join(parts)
 
 
-def _named(progress: Callable[[str, float], None], name: str) -> Callable[[int, int], None]:
-    return lambda done, total: progress(name, done / max(total, 1))
+def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float], None]:
+    return lambda part: progress(name, part)
 
 
 def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:

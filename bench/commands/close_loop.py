@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +34,7 @@ def command(
     """
     from analysis.close_loop import as_json, close_loop
     from bench.console import EXIT_USAGE, fail, write_json
-    from bench.profiles import load_setup
+    from bench.profiles import load_measuring
     from daq.errors import InputError
 
     quiet = json == "-"
@@ -40,8 +42,9 @@ def command(
         for path in recordings:
             if not path.is_file():
                 raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
-        setup = None if profile is None else load_setup(profile)
-        loop = close_loop(recordings, setup=setup, progress=None if quiet else _bar())
+        setup = None if profile is None else load_measuring(profile)[0]
+        with progress_bar(quiet) as say:
+            loop = close_loop(recordings, setup=setup, progress=say)
         write_json(as_json(loop), json)
         if report is not None:
             from analysis.loop_report import write_report
@@ -63,20 +66,16 @@ def command(
         fail(f"{error}; name a file that can be read or written", EXIT_USAGE)
 
 
-def _bar():  # type: ignore[no-untyped-def]
-    """A progress bar that follows ``(what, fraction)``."""
+@contextmanager
+def progress_bar(quiet: bool = False) -> Iterator[Callable[[str, float], None]]:
+    """A bar on standard error that follows ``(what, fraction)``."""
+    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    bar = Progress(TextColumn("{task.description:<32}"), BarColumn(), TimeElapsedColumn(), transient=True)
-    task = bar.add_task("reading", total=1.0)
-    bar.start()
-
-    def say(what: str, part: float) -> None:
-        bar.update(task, description=what, completed=part)
-        if part >= 0.97:
-            bar.stop()
-
-    return say
+    columns = (TextColumn("{task.description:<34}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda what, part: bar.update(task, description=what, completed=part)
 
 
 def show(loop: Loop) -> None:
