@@ -88,6 +88,7 @@ def edges(forcing: Forcing, gamma: float) -> tuple[Floats, int]:
 
 
 def _check_gamma(gamma: ArrayLike) -> None:
+    """Refuse amplitudes without meaning."""
     if not (np.all(np.isfinite(gamma)) and np.all(np.asarray(gamma) >= 0)):
         raise ValueError(f"gamma must be finite and not negative, not {gamma!r}")
 

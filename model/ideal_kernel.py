@@ -65,10 +65,7 @@ def land(
         return _land_below_threshold(tones, gamma, stage)
     safe_from, safe_to = surely_above(tones, gamma, stage)
     i = branch_of(edge, n_windows, phi0)
-    turns = 0.0
-    lo = phi0
-    slope_lo = v0
-    flag = 0
+    turns, lo, slope_lo, flag = 0.0, phi0, v0, 0
     if i % 2 == 0:  # lifted through the rest of the window
         lo = edge[i + 1]
         tau = lo - phi0

@@ -73,6 +73,7 @@ def halley_round(gammas: Floats, work: Floats, n: int) -> None:
 
 @compiled
 def _set_bracket(work: Floats, lane: int, lo: float, hi: float, turns: float, guess: float, stops: float) -> bool:
+    """Write a lane's bracket and first guess; always plain."""
     work[LO, lane], work[HI, lane], work[TURNS, lane], work[X, lane] = lo, hi, turns, guess
     work[STOPS, lane] = stops
     return True
