@@ -66,6 +66,7 @@ class Interlock:
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window_asked = self._window_moved = 0.0
         self._window_n = self._still = self._last_code = 0
+        self._was_open = False
         self.limit_in_use = 0.0
         self.contact_age_cycles = 0.0
 
@@ -98,6 +99,16 @@ class Interlock:
             self._contact(drive_v, codes, motion),
         )
         return next((reason for reason in reasons if reason), None)
+
+    def landed(self, codes: NDArray[np.int16]) -> NDArray[np.bool_] | None:
+        """Where in a block (n, channels) the contact circuit closed; None without one."""
+        if self._threshold is None:
+            return None
+        is_open = (codes[:, self._column["continuity"]] > self._threshold[0]) == self._threshold[1]
+        before = np.concatenate([[self._was_open], is_open[:-1]])[: len(is_open)]
+        self._was_open = bool(is_open[-1]) if len(is_open) else self._was_open
+        closed: NDArray[np.bool_] = before & ~is_open
+        return closed
 
     def late(self, waited_s: float, n_samples: int) -> str | None:
         """Why the run must stop when a device took ``waited_s`` to exchange ``n_samples``, or None."""

@@ -74,18 +74,22 @@ class MotionWatch:
         self._eighth = max(2, round(rate_hz / first_hz / 8))
         self._state = np.zeros(_FIELDS)
         self._started = False
-        # Compiled before anything moves.
-        _follow(np.zeros(1, np.int16), 1.0, self._constants, np.zeros(_FIELDS), np.ones(1, np.bool_))
+        nothing, nowhere = np.zeros(1, np.int16), np.zeros(1, np.bool_)
+        _follow(nothing, 1.0, nowhere, self._constants, np.zeros(_FIELDS), nowhere.copy())  # compiled before all moves
 
-    def update(self, codes: NDArray[np.int16]) -> Motion:
-        """The plate over the block with these accelerometer ``codes`` (n,)."""
+    def update(self, codes: NDArray[np.int16], landed: Mask | None = None) -> Motion:
+        """The plate over the block with these accelerometer ``codes`` (n,).
+
+        ``landed`` (n,) says where the contact circuit closed: such an impact may ring too softly to be heard.
+        """
         codes = np.ascontiguousarray(codes)
+        landed = np.zeros(codes.size, np.bool_) if landed is None else landed
         if not self._started and codes.size >= 2:
             self._started = True
             self._start(np.asarray(codes[: self._eighth], np.float64) * self._scale)
         quiet = np.ones(codes.size, np.bool_)
-        a, v, x, squares = _follow(codes, self._scale, self._constants, self._state, quiet)
-        return Motion(a, v, x, squares, int(self._state[7]), quiet)
+        a, v, x, squares = _follow(codes, self._scale, landed, self._constants, self._state, quiet)
+        return Motion(a, v, x, squares, max(0, int(self._state[7])), quiet)
 
     def _start(self, a_mps2: Floats) -> None:
         """Rest is where the run starts: an offset, or gravity, is not motion."""
@@ -98,7 +102,7 @@ class MotionWatch:
 
 @numba.njit(cache=True)
 def _follow(
-    codes: NDArray[np.int16], scale: float, constants: Floats, state: Floats, quiet: Mask
+    codes: NDArray[np.int16], scale: float, landed: Mask, constants: Floats, state: Floats, quiet: Mask
 ) -> tuple[float, float, float, float]:
     """Peaks of acceleration, velocity, displacement, and the sum of squares; marks ``quiet``.
 
@@ -122,7 +126,9 @@ def _follow(
         jump = (a - last - slope) * (a - last - slope)
         since = 0.0 if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual else since + 1.0
         present += fast * (jump - present)
-        loud = since == 0.0 or present > RINGING_SQUARES * usual
+        if landed[i]:
+            since = -ringing  # unheard, it is waited for twice as long
+        loud = since <= 0.0 or present > RINGING_SQUARES * usual
         calm = 0.0 if loud else calm + 1.0
         quiet[i] = since >= ringing and calm >= rise
         if calm == 0.0:  # what rang until it was heard

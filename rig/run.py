@@ -216,7 +216,7 @@ class _Run:
         self.played_samples += len(drive)
         block = self._with_losses(block, len(drive))
         self._record(block)
-        self._motion = self._watch.update(block.codes[:, self._accelerometer])
+        self._motion = self._watch.update(block.codes[:, self._accelerometer], self._interlock.landed(block.codes))
         self._measure(block)
         self._note_marks()
         trip = self._interlock.inspect(drive, block, self._motion)

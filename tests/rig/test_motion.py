@@ -65,3 +65,12 @@ def test_blocks_do_not_show(make_profile) -> None:
     pieces = [other.update(piece) for piece in np.split(signal, [100, 350, 9000, 25000])]
     assert max(p.acceleration_mps2 for p in pieces) == pytest.approx(whole.acceleration_mps2, rel=1e-3)
     assert pieces[-1].since_impact == whole.since_impact
+
+
+def test_a_landing_too_soft_to_hear_is_marked_by_the_contact(make_profile) -> None:
+    """Where the contact circuit closed, two milliseconds are marked although nothing rings."""
+    landed = np.zeros(40000, bool)
+    landed[25000] = True
+    motion = watch(make_profile).update(codes(), landed)
+    assert not motion.quiet[25000:25040].any() and motion.quiet[25045]
+    assert 40000 - 25000 - 60 < motion.since_impact <= 40000 - 25000
