@@ -32,6 +32,7 @@ CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles h
 BESIDE = 8  # doubles beyond an edge at which the other side is looked at
 BESIDE_CYCLE = 0.1  # how near to a cycle a landing must pass on either side of an accumulation
 FALLS = 1e-6  # how near to a cycle a landing must come at an accumulation: rounding, stretched on the way
+LAST_COMMON = 6  # landings before the orbits part, of which one is asked whether it falls on a cycle
 ACCUMULATES = 4  # flights of the longest unstable cycle on which an accumulation is looked for
 
 Floats = NDArray[np.float64]
@@ -245,7 +246,7 @@ def _falls_on_cycle(ball: Map, low: float, high: float, n: int) -> float | None:
     m = min(below.index.size, above.index.size)
     differ = np.flatnonzero(below.index[:m] != above.index[:m])
     common = int(differ[0]) if differ.size else m
-    for k in range(common - 1, -1, -1):
+    for k in range(common - 1, max(common - 1 - LAST_COMMON, -1), -1):
         if below.index[k] % 2 == 1:
             return None
 

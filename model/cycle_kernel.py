@@ -25,7 +25,7 @@ FLIGHTS = 0  # flights of the cycle; 0 at rest, -1 when no threshold repeated
 RESETS = 1  # flights of the cycle that start at a threshold; without a cycle: resets in all flights flown
 PERIOD = 2  # forcing periods of the cycle
 CODE = 3  # hash of the cycle's landing indices, from its lowest threshold on
-ENTRY = 4  # flights before the cycle
+ENTRY = 4  # hash of the way into the cycle; 0 when it begins at once
 SIGNATURE_SIZE = 5
 
 
@@ -85,12 +85,18 @@ def fly_until_closed(
 
 
 @compiled
-def hash_of(landing_index: Integers, threshold: Integers, first: int, stop: int) -> np.int64:
-    """A whole number that tells cycles apart, the same wherever the cycle was entered."""
+def lowest_start(threshold: Integers, first: int, stop: int) -> int:
+    """The flight of a cycle that starts at its lowest threshold: the same wherever the cycle was entered."""
     start = first
     for k in range(first, stop):
         if threshold[k] >= 0 and threshold[k] < threshold[start]:
             start = k
+    return start
+
+
+@compiled
+def hash_of(landing_index: Integers, threshold: Integers, first: int, stop: int, start: int) -> np.int64:
+    """A whole number that tells the itineraries of flights ``first .. stop - 1`` apart, read round from ``start``."""
     code = np.int64(threshold[start] + 1)
     for k in range(stop - first):
         j = start + k
@@ -125,9 +131,10 @@ def signatures(
             out[row, RESETS] += threshold[k] >= 0
         out[row, FLIGHTS] = stop - first if closed else -1
         out[row, PERIOD] = periods
-        out[row, ENTRY] = first if closed else stop
         if closed:
-            out[row, CODE] = hash_of(index, threshold, first, stop)
+            out[row, CODE] = hash_of(index, threshold, first, stop, lowest_start(threshold, first, stop))
+        if first > 0:
+            out[row, ENTRY] = hash_of(index, threshold, 0, first, 0)
 
 
 @compiled

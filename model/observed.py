@@ -12,20 +12,24 @@ from itertools import pairwise
 
 import numpy as np
 
-from model.bifurcation import Bifurcation, Side
+from model.bifurcation import LONGEST, Bifurcation, Side
 from model.continuation import doubling_near
 from model.orbit import AT_REST, Attractor, Ball, State, attractor
+from model.rolled_ball import RolledBall
 
 STEPS = 600  # of a sweep
 CHANGES_A_STEP = 8  # bisected in one step at most
 MOST_FLIGHTS = 2048
 SHARP = 1e-12  # gamma
+ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
+COARSER = 4  # times fewer steps for an integrated ball, each of whose orbits costs an integration
 
 
 @dataclass(frozen=True)
 class _Sweep:
     ball: Ball
     carry: bool
+    exact: bool
 
     def look(self, gamma: float, start: State) -> Attractor:
         return attractor(self.ball, gamma, start if self.carry else AT_REST, MOST_FLIGHTS)
@@ -54,8 +58,9 @@ def observed(
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
         raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
     ends = (high, low) if sweep == "down" else (low, high)
-    walk = _Sweep(ball, sweep is not None)
-    grid = np.linspace(*ends, steps + 1)
+    exact = not isinstance(ball, RolledBall)
+    walk = _Sweep(ball, sweep is not None, exact)
+    grid = np.linspace(*ends, (steps if exact else steps // COARSER) + 1)
     here = walk.look(float(grid[0]), AT_REST)
     out: list[Bifurcation] = []
     for a, b in pairwise(grid):
@@ -65,8 +70,12 @@ def observed(
             if key(end) == key(at):
                 break
             gamma, beside, left, right = _bisect(walk, start, float(b), at)
-            out.append(_typed(ball, gamma, left, right))
-            start, at = beside, right
+            # what comes and goes within the narrowest window counts as one change
+            ahead = beside + math.copysign(min(narrowest, abs(b - beside)), b - a)
+            after = walk.look(ahead, right.last)
+            if key(after) != key(at):
+                out.append(_typed(ball, gamma, left, after))
+            start, at = ahead, after
             if abs(b - start) <= narrowest:
                 break
         here = walk.look(float(b), at.last)
@@ -75,8 +84,8 @@ def observed(
 
 def key(found: Attractor) -> tuple[object, ...]:
     """What makes two attractors look different; of a chatter not how many of its bounces were flown one by one."""
-    if found.kind == "chaotic":
-        return ("chaotic",)
+    if _irregular(found):
+        return ("irregular",)
     flights = found.flights if found.kind == "periodic" else 0
     return found.kind, found.period, found.resets, found.locked, flights
 
@@ -84,7 +93,7 @@ def key(found: Attractor) -> tuple[object, ...]:
 def _bisect(walk: _Sweep, a: float, b: float, at: Attractor) -> tuple[float, float, Attractor, Attractor]:
     """The first change met from ``a`` towards ``b``: gamma, the first gamma beyond, and both attractors."""
     left, right = at, walk.look(b, at.last)
-    while abs(b - a) > SHARP:
+    while abs(b - a) > (SHARP if walk.exact else ROUGHLY):
         middle = 0.5 * (a + b)
         found = walk.look(middle, left.last)
         if key(found) == key(at):
@@ -107,7 +116,7 @@ def _typed(ball: Ball, gamma: float, left: Attractor, right: Attractor) -> Bifur
         return Bifurcation(gamma, "lock" if left.flights == right.flights else "stick lost", before, after)
     if left.locked and right.resets:
         return Bifurcation(gamma, "stick gained", before, after)
-    if left.resets != right.resets and "chaotic" not in (left.kind, right.kind):
+    if left.resets != right.resets and not (_irregular(left) or _irregular(right)):
         return Bifurcation(gamma, "stick lost" if left.resets > right.resets else "stick gained", before, after)
     if abs(left.flights - right.flights) == 1 and left.period == right.period:
         return Bifurcation(gamma, "flight lost" if left.flights > right.flights else "flight gained", before, after)
@@ -118,7 +127,12 @@ def _ratio(one: Attractor, other: Attractor) -> float:
     return other.flights / one.flights
 
 
+def _irregular(found: Attractor) -> bool:
+    """Chaotic, or a cycle so long that no bench tells it from chaos."""
+    return found.kind == "chaotic" or found.flights > LONGEST
+
+
 def _side(found: Attractor) -> Side:
-    if found.kind == "chaotic":
+    if _irregular(found):
         return Side()
     return Side(found.period, found.flights, found.resets)

@@ -21,6 +21,8 @@ MAX_FLIGHTS = 4096
 LONGEST_LOCKED = 64  # flights of the longest cycle without a reset that is looked for
 NEAR = 0.2  # how closely the tail of an orbit repeats before Newton is tried, in phase
 ARRIVED = 1e-6  # distance from a locked cycle at which an orbit has reached it
+JUST_DOUBLED = -1.1  # a multiplier at which an orbit may still be on its way from a cycle to its double
+HALVINGS = 24  # of the distance to that cycle, at which the double is looked for
 SLOW = 0.97  # a multiplier beyond which an orbit may still be on its way after `MAX_FLIGHTS`
 CHAOS_SHOWN = 64  # flights shown of an orbit that never closes
 
@@ -194,13 +196,34 @@ def _locked(ball: Ball, gamma: float, path: Path) -> LockedCycle | None:
         middle = phase.size // 2
         apart = _apart(phase[-1 - n], phase[-1]) + abs(speed[-1] - speed[-1 - n])
         earlier = _apart(phase[middle - n], phase[middle]) + abs(speed[middle] - speed[middle - n])
-        if apart > NEAR or apart > max(earlier, ARRIVED):
+        if apart > NEAR:
             continue
-        cycle = ball.close(gamma, path.last, n)
+        cycle = ball.close(gamma, path.last, n) if apart <= max(earlier, ARRIVED) else None
+        cycle = cycle or _just_doubled(ball, gamma, path.last, n)
         if cycle is None or not abs(cycle.multiplier) < 1.0:
             continue
         off = min(_apart(p, phase[-1]) for p in cycle.phase)
         if off < ARRIVED or (abs(cycle.multiplier) > SLOW and off < NEAR):
+            return cycle
+    return None
+
+
+def _just_doubled(ball: Ball, gamma: float, last: State, n: int) -> LockedCycle | None:
+    """The cycle of ``n`` flights that has just parted from one of half as many.
+
+    There an orbit comes or goes for longer than it is flown, and Newton falls back onto the unstable half: so the
+    double is looked for at ever smaller and larger parts of the orbit's distance from the half.
+    """
+    half = ball.close(gamma, last, n // 2) if n % 2 == 0 else None
+    if half is None or not JUST_DOUBLED < half.multiplier < -1.0:
+        return None
+    nearest = int(np.argmin([_apart(p, last.phase) for p in half.phase]))
+    phase, speed = float(half.phase[nearest]), float(half.start[nearest])
+    off = math.remainder(last.phase - phase, TWO_PI), last.speed - speed
+    most = NEAR / max(abs(off[0]) + abs(off[1]), 1e-9)
+    for part in most * 0.5 ** np.arange(HALVINGS):
+        cycle = ball.close(gamma, State(phase + part * off[0], max(speed + part * off[1], 0.0)), n)
+        if cycle is not None and abs(cycle.multiplier) < 1.0:
             return cycle
     return None
 

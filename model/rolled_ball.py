@@ -19,7 +19,7 @@ from model.orbit import LockedCycle, Path, State
 from model.tones import Forcing, Plate
 
 REPEATS = 1e-6  # phase
-MOST_FLIGHTS = 600  # flown, whatever is asked for: each costs an integration
+MOST_FLIGHTS = 300  # flown, whatever is asked for: each costs an integration
 TANGENT = 1e-5  # shift of phase and speed by which the Jacobian is measured
 NEWTON = 12
 
@@ -97,9 +97,10 @@ class RolledBall:
             for j in range(size):
                 shift = TANGENT * np.eye(2)[j]
                 ahead, behind = self._after(gamma, x + shift, n), self._after(gamma, x - shift, n)
-                if ahead is None or behind is None:
+                if ahead is None:
                     return None
-                jacobian[:, j] = _difference(ahead, behind)[:size] / (2.0 * TANGENT)
+                wide = behind is not None  # just beyond a threshold a ball shifted back would rest
+                jacobian[:, j] = _difference(ahead, behind if wide else here)[:size] / (TANGENT * (2.0 if wide else 1.0))
             miss = _difference(here, x)[:size]
             step = np.linalg.solve(np.eye(size) - jacobian, miss)
             x[:size] += step

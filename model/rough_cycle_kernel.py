@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from model.branches import TWO_PI, branch_of, fold
 from model.chatter import tail_of_chatter
 from model.compiled import Floats, compiled
-from model.cycle_kernel import CODE, ENTRY, FLIGHTS, PERIOD, RESETS
+from model.cycle_kernel import CODE, ENTRY, FLIGHTS, PERIOD, RESETS, lowest_start
 from model.friction_kernel import Rough, fall, fill_rough_edges, hang, rebound, rise, rough_land, rough_take_off
 from model.ideal_kernel import RESTS
 from model.stage import motion, stage_from
@@ -94,12 +94,10 @@ def fly_rough_until_closed(
 
 
 @compiled
-def rough_hash(landing_index: Integers, threshold: Integers, mark: Integers, first: int, stop: int) -> tuple[int, int]:
-    """``(code, flights)`` of a cycle; a completed chatter's small bounces are left out of both."""
-    start = first
-    for k in range(first, stop):
-        if threshold[k] >= 0 and threshold[k] < threshold[start]:
-            start = k
+def rough_hash(
+    landing_index: Integers, threshold: Integers, mark: Integers, first: int, stop: int, start: int
+) -> tuple[int, int]:
+    """``(code, flights)`` as `model.cycle_kernel.hash_of`; a completed chatter's small bounces are left out of both."""
     code = threshold[start] + 1
     flights = 0
     pending = 0  # small bounces so far that will be left out if they end in a completed chatter
@@ -149,9 +147,11 @@ def rough_signatures(
             out[row, RESETS] += threshold[k] >= 0
         out[row, FLIGHTS] = -1
         out[row, PERIOD] = periods
-        out[row, ENTRY] = first if closed else stop
         if closed:
-            out[row, CODE], out[row, FLIGHTS] = rough_hash(index, threshold, mark, first, stop)
+            start = lowest_start(threshold, first, stop)
+            out[row, CODE], out[row, FLIGHTS] = rough_hash(index, threshold, mark, first, stop, start)
+        if first > 0:
+            out[row, ENTRY] = rough_hash(index, threshold, mark, 0, first, 0)[0]
 
 
 @compiled

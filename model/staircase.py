@@ -20,6 +20,7 @@ Integers = NDArray[np.int64]
 Signatures = Callable[[Floats], Integers]
 """Maps gammas (m,) to (m, SIGNATURE_SIZE) whole numbers, see `model.cycle_kernel`."""
 
+DIGITS = 11  # of gamma, to which the same edge found twice is the same
 DOUBLES_APART = 2  # an edge is known when its bracket is this many units in the last place wide
 
 
@@ -69,17 +70,19 @@ def windows(
         Width in gamma, and spacing of the search that goes everywhere: what begins and ends between two of its gammas,
         with the same cycle on both sides, is not seen.
     """
-    sticking: dict[tuple[int, float], Window] = {}
+    pieces: list[Window] = []
+    asked: set[tuple[float, float]] = set()
     locked: list[Window] = []
     found: list[Window] = []
     stretches = [(low, high)] if low < high else []
     for spacing in [s for s in (100.0 * coarse, coarse, coarse / 10.0) if s > narrowest] + [0.9 * narrowest]:
-        for window in _windows_of(signatures, _grid(stretches, spacing), narrowest, longest):
-            key = window.code, round(window.low, 12)
-            if window.width > narrowest and key not in sticking:
-                sticking[key] = window
+        pieces = _joined(pieces + _windows_of(signatures, _grid(stretches, spacing), narrowest, longest))
+        closed = [w for w in pieces if w.width > narrowest]
+        for window in closed:
+            edges = round(window.low, DIGITS), round(window.high, DIGITS)
+            if edges not in asked:
+                asked.add(edges)
                 locked += [w for w in locked_beside(window) if w.width > narrowest]
-        closed = _joined(list(sticking.values()))
         open_ = _between(_reached(locked, closed, low, high), low, high, narrowest)
         locked += [w for w in locked_within(open_, spacing) if w.width > narrowest]
         found = _reached(locked, closed, low, high)
@@ -88,7 +91,7 @@ def windows(
 
 
 def _joined(found: list[Window]) -> list[Window]:
-    """In order, pieces of one window joined (a search cut it where it began)."""
+    """In order, pieces of one window joined: a search cut it where it began, or only the way into the cycle changed."""
     out: list[Window] = []
     for window in sorted(found, key=lambda w: w.low):
         if out and out[-1].code == window.code and window.low <= out[-1].high + 8 * np.spacing(max(window.low, 1.0)):
@@ -109,8 +112,8 @@ def _reached(locked: list[Window], sticking: list[Window], lowest: float, highes
         while low < top:
             other = sticking[first] if first < len(sticking) else None
             high = top if other is None else min(top, other.low)
-            if high - low > 8 * np.spacing(high) and low not in seen:
-                seen.add(low)
+            if high - low > 8 * np.spacing(high) and round(low, DIGITS) not in seen:
+                seen.add(round(low, DIGITS))
                 out.append(_part(window, low, high))
             low = top if other is None else max(low, other.high)
             first += 1
@@ -137,15 +140,18 @@ def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, l
     """Windows met by the samples of each grid, their edges bisected between neighbouring samples that differ."""
     left: list[float] = []
     right: list[float] = []
-    ends: list[tuple[float, Integers, float, float]] = []
+    ends: list[tuple[float, Integers, float, float, bool]] = []
     for grid in grids:
         rows = signatures(grid)
-        change = np.flatnonzero(np.any(rows[1:, :CODE + 1] != rows[:-1, :CODE + 1], axis=1))
+        change = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))
         first = np.concatenate([[0], change + 1])
         last = np.concatenate([change, [grid.size - 1]])
         for i, j in zip(first, last, strict=True):
             if 1 <= rows[i, FLIGHTS] <= longest:
-                ends.append((grid[i], rows[i], grid[max(i - 1, 0)], grid[min(j + 1, grid.size - 1)]))
+                before, after = max(i - 1, 0), min(j + 1, grid.size - 1)
+                # beside the same cycle, entered otherwise, even a narrow piece belongs to a window that may be wide
+                kin_beside = any(k != m and rows[k, CODE] == rows[m, CODE] for k, m in ((before, i), (after, j)))
+                ends.append((grid[i], rows[i], grid[before], grid[after], kin_beside))
                 left.append(grid[i])
                 right.append(grid[j])
     if not ends:
@@ -153,10 +159,12 @@ def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, l
     rows = np.array([e[1] for e in ends])
     low, below = np.array(left), np.array([e[2] for e in ends])
     high, above = np.array(right), np.array([e[3] for e in ends])
+    kin = np.array([e[4] for e in ends])
     for tolerance in (0.02 * narrowest, 0.0):
         low, below = bisect(signatures, low, below, rows, tolerance)
         high, above = bisect(signatures, high, above, rows, tolerance)
-        wide = high - low > 0.9 * narrowest
+        wide = (high - low > 0.9 * narrowest) | kin
+        kin = kin[wide]
         rows, low, below, high, above = rows[wide], low[wide], below[wide], high[wide], above[wide]
     return [
         Window(float(a), float(b), int(r[FLIGHTS]), int(r[RESETS]), int(r[PERIOD]), int(r[CODE]))
@@ -174,7 +182,7 @@ def bisect(
     inside, outside = inside.copy(), outside.copy()
     if inside.size == 0:
         return inside, outside
-    known = np.all(signatures(outside)[:, :CODE + 1] == rows[:, :CODE + 1], axis=1)
+    known = np.all(signatures(outside) == rows, axis=1)
     inside[known] = outside[known]
     while True:
         smallest = DOUBLES_APART * np.spacing(np.maximum(np.abs(inside), 1.0))
@@ -182,6 +190,6 @@ def bisect(
         if not open_.any():
             return inside, outside
         middle = 0.5 * (inside[open_] + outside[open_])
-        same = np.all(signatures(middle)[:, :CODE + 1] == rows[open_, :CODE + 1], axis=1)
+        same = np.all(signatures(middle) == rows[open_], axis=1)
         inside[open_] = np.where(same, middle, inside[open_])
         outside[open_] = np.where(same, outside[open_], middle)
