@@ -48,9 +48,31 @@ def find_profile(name_or_path: str | Path) -> Path:
 
 def load(name_or_path: str | Path) -> tuple[Profile, str]:
     """A whole profile and its text, by path or shipped name (raises `InputError`)."""
-    return load_profile(find_profile(name_or_path))
+    path = find_profile(name_or_path)
+    profile, text = load_profile(path)
+    _check_declared(profile, path)
+    return profile, text
 
 
 def load_measuring(name_or_path: str | Path) -> tuple[Setup, str]:
     """The measuring part of a profile and its text, by path or shipped name (raises `InputError`)."""
-    return load_setup(find_profile(name_or_path))
+    path = find_profile(name_or_path)
+    setup, text = load_setup(path)
+    _check_declared(setup, path)
+    return setup, text
+
+
+def _check_declared(setup: Setup, path: Path) -> None:
+    """Refuse declared effects that the model does not know; only this room knows both profile and model."""
+    if not setup.declared:
+        return
+    from model.effects import resolve
+
+    faults = []
+    for name, values in setup.declared_values().items():
+        try:
+            resolve({name: values})
+        except ValueError as error:
+            faults.append(f"  declared.{name}: {error}")
+    if faults:
+        raise InputError("\n".join([f"{path}: declared effects that do not fit", *faults]))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.profiles import find_profile, load_measuring, shipped_folder, shipped_names
+from bench.profiles import find_profile, load, load_measuring, shipped_folder, shipped_names
 from daq.errors import InputError
 from daq.setup import Setup
 from rig.profile import json_schema, load_profile, load_setup, parse_profile
@@ -156,3 +156,19 @@ def test_unknown_name_is_answered_with_a_near_one() -> None:
     """A misspelt shipped profile is answered with the right name."""
     with pytest.raises(InputError, match=r"did you mean simulated\?"):
         find_profile("simulatd")
+
+
+def test_declared_effects_are_checked_by_name_and_parameter(tmp_path: Path) -> None:
+    """A declared effect or parameter that nobody knows is refused with its key; a known one is taken."""
+    path = tmp_path / "rig.toml"
+    good = "\n[declared.coulomb_friction]\nmu_up = 0.3\nmu_down = 0.3\n"
+    path.write_text(GOOD + good, encoding="utf-8")
+    assert load(path)[0].declared_values() == {"coulomb_friction": {"mu_up": 0.3, "mu_down": 0.3}}
+    bad = "\n[declared.coulomb_frction]\nmu_up = 0.3\n[declared.restitution]\ne = 0.5\n"
+    path.write_text(GOOD + bad, encoding="utf-8")
+    for reader in (load, load_measuring):
+        with pytest.raises(InputError) as caught:
+            reader(path)
+        message = str(caught.value)
+        assert "declared.coulomb_frction" in message and "did you mean coulomb_friction?" in message
+        assert "declared.restitution" in message
