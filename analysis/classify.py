@@ -91,7 +91,8 @@ def _classify_step(flights: Flights, step: int) -> StepClass:
     nan = float("nan")
     kind: Literal["rest", "cycle", "irregular", "undecided"] = "undecided"
     if tau.size == 0:
-        kind = "rest" if fitted is not None and not _in_air(flights, fitted) else "undecided"
+        seen = fitted is not None and flights.edges.levels is not None
+        kind = "rest" if seen and fitted is not None and not _in_air(flights, fitted) else "undecided"
         return StepClass(step, kind, 0, False, 0, doubles, nan, nan, nan, 0, nan)
     own = float(np.median(sigma))
     pairs = np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)]

@@ -12,7 +12,9 @@ RESYNC = 512  # means between exact restarts of the rotating phasors
 
 
 @njit(cache=True, error_model="numpy")
-def second_look(x, keep, first, cycles, response, amplitudes, offsets, rows, group, slow, seen, length, gram, side, used):  # type: ignore[no-untyped-def]
+def second_look(  # type: ignore[no-untyped-def]
+    x, keep, first, cycles, response, amplitudes, offsets, rows, group, slow, seen, length, gram, side, used
+):
     """Residuals of ``x`` (n, channels) against the fit ``amplitudes`` (channels, k) and ``offsets`` (channels,).
 
     ``slow`` and ``seen`` (n // group,) gather the first channel's kept residuals; ``gram`` (w, q, q), ``side``

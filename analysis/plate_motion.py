@@ -238,9 +238,9 @@ class PlateMotion:
                     z[row, k] = fitted.acceleration.amplitudes[at]
                 if len(fitted.forcing_multiples) == 1:
                     omega[1, k] = 0.0
-        k = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
-        t = self.true_time_s(time_s)
-        return np.asarray((z[:, k] * np.exp(1j * omega[:, k] * t)).real.sum(axis=0))
+        row_of = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
+        turned = np.exp(1j * omega[:, row_of] * self.true_time_s(time_s))
+        return np.asarray((z[:, row_of] * turned).real.sum(axis=0))
 
     def _table(self) -> tuple[Floats, Floats]:
         omega = np.array([np.nan if s is None else s.omega_radps for s in self.steps])

@@ -47,7 +47,7 @@ class Look:
 
 
 def second_look(fold: StepFold, rate_hz: float) -> Look | None:
-    """Slow motion, and the forcing's tones a few cycles at a time, in the spans; None where the tones cannot be fitted."""
+    """Slow motion, and the forcing's tones a few cycles at a time; None where the tones cannot be fitted."""
     folded = fold.folded
     if folded is None:
         return None
@@ -72,8 +72,8 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
             folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
             gram, side, used,
         )
-        slow_s = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
-        time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
+        slow_s: Floats = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
+        time_s: Floats = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
         enough = used >= max(0.4 * length, 2 * q)
         slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
         parts.append((slow_s, slow, time_s[enough], gram[enough], side[enough]))
@@ -82,7 +82,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
     solution = inverse @ side
     z = amplitudes[:, rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
     spread = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(-1, rows.size, 2).mean(axis=2))
-    return Look(slow_s, slow, time_s, z, spread, fits)
+    return Look(np.asarray(slow_s, float), slow, np.asarray(time_s, float), z, spread, fits)
 
 
 def folding_bands(folded: LockIn) -> int:

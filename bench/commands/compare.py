@@ -129,7 +129,7 @@ def lines(held: Comparison) -> list[str]:
     out = [f"model with {effects}"]
     if held.short_by == held.short_by:
         size, way = abs(100 * held.short_by), "shorter" if held.short_by >= 0 else "longer"
-        out.append(f"measured flights are {size:.2f} % {way} than the model's (median over steps with cycles, bounces apart)")
+        out.append(f"measured flights are {size:.2f} % {way} than the model's (median over cycles, bounces apart)")
     if held.periodic_flights:
         share = 100 * held.within_sample
         out.append(f"periodic windows: {share:.1f} % of {held.periodic_flights} flights within one sample of the model")

@@ -167,7 +167,9 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
     counts = ", ".join(f"{f.name} {int(table.has(f).sum())}" for f in FlightFlag if table.has(f).any())
     console.print(f"{len(table)} intervals in the air; flags: {counts or 'none'}", soft_wrap=True, highlight=False)
     witness = table.edges.witness
-    if witness is None:
+    if table.edges.levels is None:
+        console.print("no continuity channel: only the plate was analysed")
+    elif witness is None:
         console.print("the accelerometer shows no impacts: landings that relaunch at once may hide", soft_wrap=True)
     elif witness.uncertainty_s < 1.0:
         console.print(
