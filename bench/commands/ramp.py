@@ -144,12 +144,14 @@ def record(
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[Status], None]]:
-    """A bar on standard error: step, gamma, plate."""
+    """A bar on standard error: step, gamma, the gamma last achieved, the largest part of a limit in use, cycles since
+    the ball last touched the plate, samples lost.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     text = TextColumn("{task.description}")
-    columns = (TextColumn("ramp"), BarColumn(), TaskProgressColumn(), text, TimeRemainingColumn())
+    columns = (BarColumn(bar_width=10), TaskProgressColumn(), text, TimeRemainingColumn(compact=True))
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
         task = bar.add_task("", total=None)
 
@@ -159,8 +161,8 @@ def _progress(quiet: bool) -> Iterator[Callable[[Status], None]]:
                 total=status.n_samples,
                 completed=min(status.sample, status.n_samples),
                 description=f"{status.step.index + 1}/{status.n_steps} γ {status.step.gamma:.4g} {status.state.value}, "
-                f"last achieved {status.achieved_gamma:.4g}, limits {status.limit_in_use:.0%}, "
-                f"contact {status.contact_age_cycles:.0f} cycles ago, lost {status.lost_samples}",
+                f"last {status.achieved_gamma:.4g}, limit {status.limit_in_use:.0%}, "
+                f"ball {status.contact_age_cycles:.0f} cyc, lost {status.lost_samples}",
             )
 
         yield show
