@@ -93,7 +93,7 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> tuple[Array, Arr
     Raises
     ------
     InputError
-        Silence.
+        Silence, or nothing that stands out.
     """
     x = np.atleast_2d(np.asarray(samples, dtype=np.float64).T).T
     x = x[:, np.ptp(x, axis=0) > 0.0]
@@ -107,6 +107,8 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> tuple[Array, Arr
         rise, height=centre + _LEAST_RISE * width, distance=max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
     )
     strongest = np.sort(peaks[np.argsort(found["peak_heights"])[::-1][:_MOST_CANDIDATES]])
+    if not len(strongest):
+        raise InputError(f"{where}: no sound in it stands out from the rest as an impact would")
     onsets = np.array([_refine(filtered, int(p) * hop, rate_hz) for p in strongest])
     times, first = np.unique(onsets / rate_hz, return_index=True)
     return times, _strength(filtered, onsets[first], rate_hz)

@@ -29,6 +29,7 @@ _CHANGED_LEVELS = 20.0
 _CUT_SHARE = 0.2
 _MOST_SAMPLES = 31
 _LEAST_FRAMES = 12
+_LIVELY_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -205,6 +206,7 @@ def _clean_frames(stack: NDArray[np.float32], film: Film) -> set[int]:
         raise InputError(f"{film.path}: no motion: {len(stack)} frames show the same still scene")
     motion = np.append(step, step[-1])
     calm = np.flatnonzero(changed < max(0.06, float(np.percentile(changed, 25))))
-    busy = calm[motion[calm] >= np.percentile(motion[calm], 40)]
+    still, lively = np.percentile(motion[calm], [5, 95])
+    busy = calm[motion[calm] >= still + _LIVELY_SHARE * (lively - still)]  # not the ball's rest: it would stay behind
     pick = busy if len(busy) >= 9 else calm
     return {int(pick[i]) for i in np.linspace(0, len(pick) - 1, min(_MOST_SAMPLES, len(pick))).astype(int)}
