@@ -130,7 +130,7 @@ def import_recording(
         intake = _take_in(source, columns, channels, writer, progress)
         base = _timebase(source, writer, intake, "time" in columns, rate)
         setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
-        steps = _find(writer, scales, setup, base, intake, progress)
+        steps, from_drive = _find(writer, scales, setup, base, intake, progress)
         late = _late_attributes(source, columns, setup, base, intake, extra)
         writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
@@ -138,7 +138,7 @@ def import_recording(
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    return ImportSummary(out, writer.n_samples, base, steps, named, _remarks(base, steps, channels))
+    return ImportSummary(out, writer.n_samples, base, steps, named, _remarks(base, steps, channels, from_drive))
 
 
 def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[float, float]:
@@ -263,18 +263,35 @@ def _timebase(source: Source, writer: ColumnWriter, intake: _Intake, timed: bool
 def _find(
     writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], setup: Setup, base: Timebase, intake: _Intake,
     progress: Progress | None,
-) -> NDArray[np.void]:
-    """Step table: from the set values where there are some, else from the drive, else from the accelerometer."""
+) -> tuple[NDArray[np.void], bool]:
+    """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
 
     def volts(role: str) -> Callable[[int, int], Floats]:
         factor, offset = scales[role]
         return lambda a, b: np.asarray(writer.read(role, a, b) * factor + offset, np.float64)
 
-    from_drive = "drive" in scales
-    read = volts("drive" if from_drive else "accelerometer")
+    found: list[FoundStep] = []
+    for role in ("drive", "accelerometer"):
+        if role in scales and not found:
+            from_drive = role == "drive"
+            found = _found(volts(role), writer.n_samples, setup, base, intake, progress)
+    achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
+    g_per_volt = setup.drive.g_per_volt
+    if from_drive and g_per_volt is not None:
+        gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
+    else:
+        gammas = achieved[:, 0]
+    return step_table(found, setup.forcing, base.rate_hz, gammas, achieved), from_drive
+
+
+def _found(
+    read: Callable[[int, int], Floats], n_samples: int, setup: Setup, base: Timebase, intake: _Intake,
+    progress: Progress | None,
+) -> list[FoundStep]:
+    """Steps of one channel: cut where the file says that something was set, else where the channel changes."""
     set_hz = dict(intake.set_values.get("frequency", []))
     changes = {row for values in intake.set_values.values() for row, _ in values}
-    cuts = sorted({0, writer.n_samples, *changes, *(int(g) for g in base.gaps[:, 0])})
+    cuts = sorted({0, n_samples, *changes, *(int(g) for g in base.gaps[:, 0])})
     found: list[FoundStep] = []
     near_hz = setup.forcing.frequency_hz
     for a, b in pairwise(cuts):
@@ -285,13 +302,7 @@ def _find(
             found += find_steps(read, a, b, base.rate_hz, setup.forcing)
         if progress is not None:
             progress("finding steps", b)
-    achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
-    g_per_volt = setup.drive.g_per_volt
-    if from_drive and g_per_volt is not None:
-        gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
-    else:
-        gammas = achieved[:, 0]
-    return step_table(found, setup.forcing, base.rate_hz, gammas, achieved)
+    return found
 
 
 def _achieved(read: Callable[[int, int], Floats], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
@@ -345,12 +356,13 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _remarks(base: Timebase, steps: NDArray[np.void], channels: list[str]) -> list[str]:
+def _remarks(base: Timebase, steps: NDArray[np.void], channels: list[str], from_drive: bool) -> list[str]:
     remarks = []
     if "continuity" not in channels:
         remarks.append("no continuity: only the plate can be analysed")
-    if "drive" not in channels:
-        remarks.append("no drive: steps were found from the accelerometer")
+    if not from_drive:
+        which = "no drive" if "drive" not in channels else "no steps in the drive"
+        remarks.append(f"{which}: steps were looked for in the accelerometer, and gamma is the plate's")
     if not base.uniform and base.jitter_s * base.rate_hz > JITTER_SHARE:
         remarks.append(
             f"times are not even and are kept as they came; the analysis counts samples at {base.rate_hz:.6g} "
@@ -359,5 +371,5 @@ def _remarks(base: Timebase, steps: NDArray[np.void], channels: list[str]) -> li
     for first, lost, sigma in base.gaps:
         remarks.append(f"a pause before sample {first}: {lost} samples missing (+-{sigma})")
     if not len(steps):
-        remarks.append("no steps were found: nothing in the drive holds still near the profile's frequency")
+        remarks.append("no steps were found: nothing holds still within a factor of 8 of the profile's frequency")
     return remarks

@@ -29,6 +29,7 @@ PENALTY = 30.0
 _WINDOW_POINTS = 16
 _PIECES = 40
 _DEEPEST = 6
+_LOOKED_AT = 16  # windows from which the noise's colour is taken
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,9 @@ def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing,
     settled = replace(region, frequency_hz=region.frequency_hz + own)
     if depth >= _DEEPEST or spread < 5.0 * SAME_ADVANCE:
         return [settled]
-    sigma = np.full((len(smooth), 1), max(0.1 * spread, _noise(track.advance[:, None])[:, 0].mean()))
+    relative = track.floor[track.loud, 0] / track.amplitude[track.loud, track.main]
+    noise = max(float(_noise(track.advance[:, None]).mean()), float(np.median(relative)))
+    sigma = np.full((len(smooth), 1), max(0.1 * spread, noise))
     cuts = segments(smooth[:, None], sigma, np.array([SAME_ADVANCE]), PENALTY)
     cuts = _absorbed(cuts)
     if len(cuts) == 1:
@@ -147,7 +150,7 @@ def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) ->
     found: list[Still] = []
     fade_from = None
     for (a, b), take in zip(parts, steady, strict=True):
-        if not track.loud[a:b].any():
+        if track.loud[a:b].mean() < 0.5:
             fade_from = None
         elif not take:
             fade_from = a if fade_from is None else fade_from
@@ -200,13 +203,32 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     fits = [fit(read, a, b, rate_hz, region.frequency_hz, forcing) for a, b in pairwise(edges)]
     z = np.array([one.amplitudes for one in fits])
     amplitude = np.abs(z)
-    floor = np.array([one.rms * np.sqrt(2.0 / one.n) for one in fits])[:, None]
-    loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * floor[:, 0])
+    rms, n = np.array([one.rms for one in fits]), np.array([one.n for one in fits])
+    share = _independent_share(read, edges, fits, rate_hz)
+    usual = _running(rms[:, None], 25, 0.8)  # a fade leaves much over, but that is short and no noise
+    floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], (rms * np.sqrt(2.0 / n))[:, None])
+    loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * rms * np.sqrt(2.0 / n))
     main = int(np.argmax(np.median(amplitude, axis=0)))
     advance = np.zeros(len(fits))
     advance[1:] = np.angle(z[1:, main] * np.conj(z[:-1, main]))
     advance[1:][~(loud[1:] & loud[:-1])] = 0.0
     return _Track(edges, amplitude, floor, advance, main, loud)
+
+
+def _independent_share(read: Read, edges: NDArray[np.int64], fits: list[ToneFit], rate_hz: float) -> float:
+    """Share of the samples that count as independent noise: hum or ringing repeats itself, white noise does not.
+
+    From the median lag-one correlation r of what the fits leave over, ``(1 - r) / (1 + r)``.
+    """
+    correlations = []
+    for k in np.unique(np.linspace(0, len(fits) - 1, _LOOKED_AT).astype(np.int64)):
+        x, one = read(int(edges[k]), int(edges[k + 1])), fits[k]
+        turns = np.outer(one.frequencies_hz / rate_hz, np.arange(edges[k], edges[k + 1]))
+        rest = x - one.offset - (one.amplitudes[:, None] * np.exp(2j * np.pi * turns)).sum(axis=0).real
+        power = float(rest @ rest)
+        correlations.append(float(rest[1:] @ rest[:-1]) / power if power > 0 else 0.0)
+    r = min(max(float(np.median(correlations)), 0.0), 0.999)
+    return (1.0 - r) / (1.0 + r)
 
 
 def _features(track: _Track) -> tuple[Floats, Floats, Floats]:
@@ -234,11 +256,16 @@ def _noise(x: Floats) -> Floats:
 
 
 def _running_median(x: Floats, width: int) -> Floats:
-    """Median over a sliding window along the first axis; the ends are mirrored."""
+    return _running(x, width, 0.5)
+
+
+def _running(x: Floats, width: int, quantile: float) -> Floats:
+    """Quantile over a sliding window along the first axis; the ends are mirrored."""
     half = min(width, len(x) - 1) // 2
     padded = np.pad(x, ((half, half), (0, 0)), mode="reflect")
-    median: Floats = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), axis=-1)
-    return median
+    view = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    found: Floats = np.median(view, axis=-1) if quantile == 0.5 else np.quantile(view, quantile, axis=-1)
+    return found
 
 
 def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:

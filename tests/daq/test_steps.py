@@ -124,3 +124,15 @@ def test_a_given_step_keeps_its_edges(ramp: Ramp) -> None:
     assert (step.start, step.hold, step.stop) == (600, 600, 1900)
     assert step.frequency_hz == pytest.approx(25.37, rel=1e-5)
     assert given_step(lambda a, b: x[a:b], 600, 700, RATE_HZ, Forcing(frequency_hz=10.0), 25.3) == []
+
+
+def test_hum_and_impacts_are_not_steps(ramp: Ramp) -> None:
+    """Noise that repeats itself (hum beating with the tones, ringing after impacts) does not cut a step in pieces."""
+    rng = np.random.default_rng(6)
+    x = ramp([0.3, 0.6], [25.3] * 2)
+    hum = 0.05 * np.sin(2 * np.pi * 50.0 * np.arange(len(x)) / RATE_HZ)
+    hits = np.convolve((rng.random(len(x)) < 0.01) * rng.normal(0, 1, len(x)), np.exp(-np.arange(30) / 5))[: len(x)]
+    for disturbance in (hum, 0.3 * hits):
+        found = steps_in(x + disturbance, Forcing(frequency_hz=25.0))
+        assert [abs(s.tones.amplitudes[0]) for s in found] == pytest.approx([0.3, 0.6], rel=0.05)
+        assert [s.frequency_hz for s in found] == pytest.approx([25.3] * 2, rel=2e-3)
