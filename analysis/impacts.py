@@ -154,7 +154,7 @@ def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # typ
             if lag > ECHO:
                 break
             _echo(lag, out[back, 1], fine, echo)
-        loud = np.sqrt(np.sum((projector @ echo) ** 2))
+        loud = np.sqrt(np.sum((projector @ echo) ** 2)) if n > 0 and index + offset - out[n - 1, 0] <= ECHO else 0.0
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
         score = bank @ own

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from analysis.impacts import ImpactScan
 from analysis.stream import PAD, Piece
@@ -32,13 +33,15 @@ def learn(looked: list[Piece], noise_v: float, steps: npt.NDArray[np.void], rate
     known = [_without_motion(piece, np.zeros(0), steps, rate_hz) for piece in looked]
     places = [_onsets(volts, fitted, noise_v) for volts, fitted in known]
     waveform = None
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         rows = [_snippets(volts, fitted, own) for (volts, fitted), own in zip(known, places, strict=True)]
         snippets, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
         strong = np.argsort(-np.abs(snippets).max(axis=1))[:MOST] if len(snippets) else np.zeros(0, np.int64)
         waveform = learn_waveform(snippets[strong], fractions[strong], noise_v, rate_hz, few)
         if waveform is None:
             return None
+        if turn == ROUNDS - 1:
+            break
         places = []
         for k, piece in enumerate(looked):
             witness = ImpactScan(waveform, rate_hz)
@@ -95,8 +98,22 @@ def _without_motion(
             fit = fit_tones(volts[own], start, rate_hz, tones_hz, quiet[own])
         except ValueError:  # too little is quiet in this piece of the step
             continue
-        turns = np.outer(fit.frequencies_hz / rate_hz, np.arange(start, stop)) % 1.0
-        volts[own] -= fit.offset + (fit.amplitudes[:, None] * np.exp(2j * np.pi * turns)).real.sum(axis=0)
+        volts[own] -= fit.offset
+        _subtract_tones(volts[own], start, fit.frequencies_hz / rate_hz, fit.amplitudes)
         fitted[own] = True
     return volts, fitted
 
+
+@njit(cache=True, error_model="numpy")
+def _subtract_tones(x, first, cycles, amplitudes):  # type: ignore[no-untyped-def]
+    """Take tones out of ``x``, whose first sample is sample ``first``, in place."""
+    phasor = amplitudes.copy()
+    step = np.exp(2j * np.pi * cycles)
+    for i in range(x.shape[0]):
+        if i % 512 == 0:
+            for j in range(cycles.shape[0]):
+                phase = cycles[j] * (first + i)
+                phasor[j] = amplitudes[j] * np.exp(2j * np.pi * (phase - np.floor(phase)))
+        for j in range(cycles.shape[0]):
+            x[i] -= phasor[j].real
+            phasor[j] *= step[j]

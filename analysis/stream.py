@@ -15,7 +15,8 @@ from numba import njit
 
 from daq.recording import Recording
 
-PIECE = 1 << 16
+PIECE = 1 << 18
+SURVEY_PIECE = 1 << 16
 PAD = 128  # samples of neighbours on both sides of a piece
 SURVEY_PIECES = 5
 
@@ -66,11 +67,12 @@ def pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
 def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
     """A few pieces spread over the recording (all of it where it is short)."""
     n = recording.n_samples
-    if n <= SURVEY_PIECES * PIECE:
-        yield from pieces(recording, channels)
+    if n <= SURVEY_PIECES * SURVEY_PIECE:
+        for first in range(0, n, SURVEY_PIECE):
+            yield read_piece(recording, channels, first, min(SURVEY_PIECE, n - first))
         return
     for k in range(SURVEY_PIECES):
-        yield read_piece(recording, channels, (n - PIECE) * k // (SURVEY_PIECES - 1), PIECE)
+        yield read_piece(recording, channels, (n - SURVEY_PIECE) * k // (SURVEY_PIECES - 1), SURVEY_PIECE)
 
 
 def block_means(x: Volts, width: int, skip: int = 0) -> npt.NDArray[np.float32]:

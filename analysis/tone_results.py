@@ -72,17 +72,17 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
             folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
             gram, side, used,
         )
-        slow_s: Floats = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
-        time_s: Floats = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
+        slow_s = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
+        time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
         enough = used >= max(0.4 * length, 2 * q)
         slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
         parts.append((slow_s, slow, time_s[enough], gram[enough], side[enough]))
-    slow_s, slow, time_s, gram, side = (np.concatenate(column) for column in zip(*parts, strict=True))
-    inverse = np.linalg.pinv(gram, hermitian=True)
+    slow_s, slow, time_s, gram, side = (np.concatenate(column).astype(float) for column in zip(*parts, strict=True))
+    inverse = np.linalg.inv(gram + 1e-9 * np.eye(q))  # every window holds enough; the ridge is for the odd one
     solution = inverse @ side
     z = amplitudes[:, rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
     spread = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(-1, rows.size, 2).mean(axis=2))
-    return Look(np.asarray(slow_s, float), slow, np.asarray(time_s, float), z, spread, fits)
+    return Look(slow_s, slow, time_s, z, spread, fits)
 
 
 def folding_bands(folded: LockIn) -> int:
