@@ -25,7 +25,7 @@ from analysis.remainder import Remainder, remainder
 from analysis.thresholds import FROZEN, Thresholds
 from daq.errors import InputError
 from daq.setup import Setup
-from model.effects import effect, resolve
+from model.effects import effect, registry, resolve
 
 Progress = Callable[[str, float], None]
 Verdict = Literal["explained", "unexplained", "nothing_missing"]
@@ -131,7 +131,7 @@ def close_loop(
     found = discover(world, fitter, best, train) if _lacking(left, limits) else None
     say("held-out steps", 0.97)
     rows, out = judged_rows(world, best.fitted.values, ~train)
-    detection, blind = detection_limits(attribution)
+    detection, blind = detection_limits(attribution, limits)
     return Loop(
         _verdict(attribution, left, limits),
         tuple(_found(best)),
@@ -183,12 +183,30 @@ def _found(best: Explanation) -> list[Found]:
     return [Found(name, table) for name, table in tables.items()]
 
 
-def detection_limits(attribution: Attribution) -> tuple[dict[str, float], tuple[str, ...]]:
-    """By ``effect.parameter``, the smallest size the run could have shown (its 12 nats), and what it could never show."""
-    limits: dict[str, float] = {}
-    for names, _ in attribution.tried:
-        limits.update(attribution.sensitivity.get(names, {}) if hasattr(attribution, "sensitivity") else {})
-    return limits, ()
+def detection_limits(attribution: Attribution, limits: Thresholds) -> tuple[dict[str, float], tuple[str, ...]]:
+    """By ``effect.parameter``, the size below which this run could not have shown it, and what it could show at no size.
+
+    From the derivatives at the best explanation, calibrations and nuisances free: the size whose gain is the threshold's.
+    """
+    best = attribution.best.fitted
+    sizes: dict[str, float] = {}
+    blind: list[str] = []
+    for entry in registry():
+        e = entry.effect
+        if e.nuisance or not e.library or not entry.hooks:
+            continue
+        shown = []
+        for q in e.parameters:
+            key = (e.name, q.name)
+            if q.shape or key in best.free:
+                continue
+            size = best.fitter.detectable(best, key, limits.gain_nats)
+            if size < q.high - q.low:
+                shown.append(q.name)
+                sizes[f"{e.name}.{q.name}"] = size
+        if not shown and not any(k[0] == e.name for k in best.free):
+            blind.append(e.name)
+    return sizes, tuple(blind)
 
 
 def _notes(evidence: Evidence, attribution: Attribution) -> tuple[str, ...]:
@@ -206,8 +224,8 @@ def _notes(evidence: Evidence, attribution: Attribution) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def as_json(loop: Loop) -> dict[str, Any]:
-    """The verdict for a machine; what does not exist is null."""
+def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, Any]:
+    """The verdict for a machine; what does not exist is null. ``next_run`` as `analysis.next_run.as_json` gives it."""
 
     def plain(errors: Errors) -> dict[str, Any]:
         return {k: _finite(v) for k, v in dataclasses.asdict(errors).items()}
@@ -236,7 +254,9 @@ def as_json(loop: Loop) -> dict[str, Any]:
             "ratio": _finite(loop.remainder.ratio),
             "plate_ratio": _finite(loop.remainder.plate_ratio),
         },
-        "next_run": None,
+        "next_run": next_run,
+        "detection_limits": {k: _finite(v) for k, v in loop.detection.items()},
+        "not_identifiable": list(loop.not_identifiable),
         "candidates": [
             {"names": list(names), "gain_nats": _finite(c.gain), "standard_error": _finite(c.error)}
             for names, c in sorted(loop.attribution.tried, key=lambda t: -t[1].gain)

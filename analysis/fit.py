@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.likelihood import DRIFT, Key, Whitener, World, robust_loss, robust_weight, step_losses
+from analysis.likelihood import DRIFT, Key, Whitener, World, step_losses
+from analysis.robust import robust_loss, robust_weight
 from daq.setup import Setup
 from model.effects import Parameter, effect, registry
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 
 RELATIVE_STEP = 0.02  # of a parameter's typical size, for finite differences
 MOST_ITERATIONS = 12
+LEAP_S = 1e-3  # a prediction that moves by more within such a difference has met another event
 ENOUGH = 0.02  # nats: a step that gains less ends the fit
 FOLDS = 3
 
@@ -154,7 +156,7 @@ class Fitter:
         for i in range(MOST_ITERATIONS):
             if i > 0:
                 state.fill(bare, x, raw, range(len(free)))
-            normal, gradient = state.normal(whitener.white_all(bare), whitener.white_all(raw), x, state.mask)
+            normal, gradient = state.normal(bare, raw, x, state.mask)
             gained = 0.0
             for _ in range(6):
                 trial = x + _solve(normal, gradient, damping, state.low - x, state.high - x)
@@ -177,10 +179,29 @@ class Fitter:
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
         state.fill(bare, x, best.raw, range(len(free)))
-        white = best.state.whitener.white_all
-        normal, gradient = state.normal(white(bare), white(best.raw), x, state.mask)
+        normal, gradient = state.normal(bare, best.raw, x, state.mask)
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
         return float(step @ gradient - 0.5 * step @ normal @ step)
+
+    def detectable(self, best: Fitted, key: Key, nats: float) -> float:
+        """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.
+
+        The derivative is taken a typical size away from where the effect is absent; what is known of the parameter
+        beforehand is left out, everything else stays free.
+        """
+        keys = [key, *(k for k in best.keys if k != key)]
+        q = parameter_of(key)
+        at = {**best.values, key: min(max(best.values.get(key, q.absent) + q.typical, q.low), q.high)}
+        x = np.array([self._to_x(k, at.get(k, parameter_of(k).absent)) for k in keys])
+        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
+        bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
+        state.fill(bare, x, state.raw(x), (0,))
+        normal, _ = state.normal(bare, best.raw, x, state.mask)
+        others = normal[1:, 1:] + 1e-12 * np.eye(len(keys) - 1)
+        information = float(normal[0, 0] - normal[0, 1:] @ np.linalg.lstsq(others, normal[1:, 0], rcond=None)[0])
+        if information <= 1e-9:
+            return math.inf
+        return float((math.sqrt(2.0 * nats / information) * self._scale(key)) ** q.power)
 
 
 class _State:
@@ -204,7 +225,7 @@ class _State:
     def loss(self, raw: Array, x: Array) -> float:
         """Robust loss of the training steps, priors included."""
         z = self.whitener.white_all(raw)
-        return float(np.sum(robust_loss(z[self.mask]))) + 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
+        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
     def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
         """Finite differences of the bare residuals, one column a parameter."""
@@ -212,11 +233,15 @@ class _State:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             moved = x.copy()
             moved[j] += h
-            bare[:, j] = (self.raw(moved) - raw) / h
+            change = self.raw(moved) - raw
+            n = len(self.whitener.step)
+            change[:n][np.abs(change[:n]) > LEAP_S] = 0.0  # another event was met: no slope
+            bare[:, j] = change / h
 
-    def normal(self, jacobian: Array, z: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Normal equations of the weighted step, priors included."""
-        weight = np.where(mask, robust_weight(z), 0.0)
+    def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
+        z, jacobian = self.whitener.white_all(raw), self.whitener.white_slopes(slopes, raw)
+        weight = np.where(mask, robust_weight(z, self.whitener.odds), 0.0)
         weighted = jacobian * weight[:, None]
         pull = self.inverse**2
         return weighted.T @ jacobian + np.diag(pull), -(weighted.T @ z) - pull * (x - self.mean)
@@ -258,8 +283,7 @@ class Fitted:
         return {k: self.bare[:, j] for j, k in enumerate(self.keys)}
 
     def _normal(self, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
-        white = self.state.whitener.white_all
-        return self.state.normal(white(self.bare), white(self.raw), self.x, mask)
+        return self.state.normal(self.bare, self.raw, self.x, mask)
 
     @property
     def values(self) -> dict[Key, float]:

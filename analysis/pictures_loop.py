@@ -94,7 +94,9 @@ def draw_residuals(loop: Loop, folder: Path, badge: str) -> None:
             if loop.best is not loop.attribution.before:
                 ax.plot(x, np.clip(before, -LARGEST_US, LARGEST_US), ".", ms=3.5, color=BEFORE, label="before")
             ax.plot(x, np.clip(after, -LARGEST_US, LARGEST_US), ".", ms=3.5, color=AFTER, label="after")
-            ax.set_yscale("symlog", linthresh=scale)
+            ax.set_yscale("symlog", linthresh=scale, linscale=0.8)
+            decades = [d for d in (1e2, 1e3, 1e4, 1e5) if d > 1.5 * scale]
+            ax.set_yticks([-d for d in decades[::-1]] + [0.0] + decades)
             ax.set_xlabel(name)
         for ax in axes[:, 0]:
             ax.set_ylabel(r"landing, measured $-$ predicted, $\mu$s")
@@ -135,4 +137,5 @@ def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
         ax.set_yticks(at, [name.replace("_", " ") for name, _ in rows])
         ax.set_xscale("symlog", linthresh=10.0)
         ax.set_xlim(left=0.0)
-        ax.set_xlabel("gain on steps that were not fitted, nats (one effect added to the declared model)")
+        ax.set_xlabel("gain on steps that were not fitted, nats")
+        ax.set_title("one effect added to the declared model", fontsize=9, loc="left")
