@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,7 @@ def covariates(world: World, values: Values) -> dict[str, Array]:
     events, step = ev.measured, ev.measured.step
     shift = world.per_step(values, "shift_s", 0.0)[step]
     reading = world.per_step(values, "reading", 1.0)
-    plate = PlateSteps(ev.steps.plate.omega_radps, ev.steps.plate.acceleration_mps2 / reading[:, None], ev.steps.plate.period_s)
+    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / reading[:, None])
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked
     land, opening = events.landing_s - shift, events.opening_s - shift

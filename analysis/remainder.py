@@ -19,11 +19,12 @@ from scipy import stats
 from analysis.attribution import Explanation
 from analysis.covariates import covariates
 from analysis.likelihood import EDGE_STEP_S, Uncertainty, Values, World
+from analysis.robust import LEAST_EXCESS_S
 from analysis.thresholds import FROZEN
 
 Array = NDArray[np.float64]
 
-LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
+SHARED_S = 1e-6  # by which all edges of one kind in a step may be off together: the circuit's own physics
 FARTHEST = 6.0  # a residual beyond so many of its own uncertainties counts as one at this distance
 CLIPPED = 4.0  # the same for independent residuals: a rare graze must not look like a law
 SCALE_KNOWN = 0.12  # relative: how well jitter found from some dozens of edges is known
@@ -95,13 +96,14 @@ def remainder(world: World, explanation: Explanation) -> Remainder:
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
     between, scatter, serial = _p_between(found), _p_scatter(found.z), _p_serial(found)
     return Remainder(
-        min(1.0, 4.0 * min(p_first, between, scatter, serial)), ratio_of(world, values, u), plate_ratio_of(world, values),
-        first if p_first < FROZEN.lack_p else None, {k: math.exp(v) for k, v in logs.items()}, between, scatter, serial,
+        min(1.0, 4.0 * min(p_first, between, scatter, serial)), ratio_of(world, values, u),
+        plate_ratio_of(world, values), first if p_first < FROZEN.lack_p else None,
+        {k: math.exp(v) for k, v in logs.items()}, between, scatter, serial,
     )
 
 
 def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
-    """Root mean square of residuals over uncertainty; the greater of openings and landings, each beyond `FARTHEST` cut."""
+    """Root mean square of residuals over uncertainty, cut at `FARTHEST`; of openings or landings, the greater."""
     r = world.residuals(values)
     out = [0.0]
     for residual, sigma, rows in (
@@ -122,12 +124,12 @@ def plate_ratio_of(world: World, values: Values) -> float:
 
 def _unit(residual: Array, sigma: Array) -> Array:
     """Residuals over uncertainty, cut; where nothing was predicted, the farthest."""
-    sigma = np.hypot(sigma, LEAST_EXCESS_S)
+    sigma = np.hypot(sigma, SHARED_S)
     return np.clip(np.where(np.isfinite(residual), residual / sigma, FARTHEST), -FARTHEST, FARTHEST)
 
 
 def innovations(world: World, values: Values, u: Uncertainty) -> Innovations:
-    """Residuals of each step, each less what the earlier ones of the step say of it, over what then remains uncertain."""
+    """Residuals of each step, each less what the earlier ones say of it, over what then remains uncertain."""
     ev = world.evidence
     r = world.residuals(values)
     carried = _carried(world, values)
@@ -141,7 +143,7 @@ def innovations(world: World, values: Values, u: Uncertainty) -> Innovations:
         order = np.lexsort((landing, event))
         event, landing = event[order], landing[order]
         total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
-        bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, LEAST_EXCESS_S)
+        bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, SHARED_S)
         noise = _noise(world, u, carried, event, landing)
         z = np.linalg.solve(np.linalg.cholesky(noise), bare)
         parts.append((z, event, landing, np.full(len(z), s)))
@@ -161,7 +163,8 @@ def _carried(world: World, values: Values) -> tuple[Array, Array]:
         moved = world.predict(values, landing_shift_s=np.where(index % 3 == colour, EDGE_STEP_S, 0.0))
         for back in (1, 2):
             rows = (index >= back) & ((index - back) % 3 == colour)
-            for out, change in ((opening, moved.opening_s - base.opening_s), (landing, moved.landing_s - base.landing_s)):
+            both = ((opening, moved.opening_s - base.opening_s), (landing, moved.landing_s - base.landing_s))
+            for out, change in both:
                 out[rows, back - 1] = np.clip(np.nan_to_num(change[rows]) / EDGE_STEP_S, -30.0, 30.0)
     return opening, landing
 
@@ -183,7 +186,8 @@ def _noise(
     tones = np.where(landing[:, None], u.landing_by_tone[event], u.opening_by_tone[event])
     edge = slope * ev.landing_sigma_s[edges]
     own = np.where(landing, 0.0, ev.opening_sigma_s[event]) ** 2 + LEAST_EXCESS_S**2
-    return np.asarray(edge @ edge.T + tones @ tones.T + np.diag(own))
+    together = SHARED_S**2 * (landing[:, None] == landing[None, :])
+    return np.asarray(edge @ edge.T + tones @ tones.T + together + np.diag(own))
 
 
 def _log_f(between: float, groups: int, within: float, freedom: int) -> float:

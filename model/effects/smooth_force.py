@@ -4,18 +4,24 @@ The rule kept here: piecewise linear between knots, constant beyond them; never 
 
 from __future__ import annotations
 
+import math
+
 from numba import njit
 
 from model.effects.base import Effect, Parameter
 
 KNOTS = 8
-HEIGHT, VELOCITY, ABSOLUTE_VELOCITY, SINCE_TAKEOFF = 1.0, 2.0, 3.0, 4.0
+HEIGHT, VELOCITY, ABSOLUTE_VELOCITY, SINCE_TAKEOFF, SINCE_IMPACT = 1.0, 2.0, 3.0, 4.0, 5.0
+TURNS_MPS = 0.01  # speed over which a force against the motion changes its sign, so that the integrator can follow
 
 EFFECT = Effect(
     name="smooth_force",
     summary="a force as a smooth function of one quantity of the flight",
     parameters=(
-        Parameter("of", "1", 0.0, 4.0, 1.0, shape=True, meaning="0 none, 1 height, 2 velocity, 3 absolute, 4 time"),
+        Parameter("of", "1", 0.0, 5.0, 1.0, shape=True,
+                  meaning="0 none, 1 height, 2 velocity, 3 absolute velocity, 4 time since take-off, 5 since impact"),
+        Parameter("against", "1", 0.0, 1.0, 1.0, shape=True, meaning="1: against the motion, as friction is"),
+        Parameter("lag_s", "s", 0.0, 1e3, 1e-2, shape=True, meaning="from impact to take-off"),
         Parameter("start", "1", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
         Parameter("spacing", "1", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
         *(Parameter(f"c{i}", "m/s^2", -1e3, 1e3, 0.1, meaning="force at the knot") for i in range(KNOTS)),
@@ -32,8 +38,13 @@ def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: 
     of = p[k]
     if of == 0.0:
         return 0.0
-    x = h if of == 1.0 else v if of == 2.0 else u if of == 3.0 else s
-    place = min(max((x - p[k + 1]) / p[k + 2], 0.0), KNOTS - 1.0)
+    x = h if of == 1.0 else v if of == 2.0 else u if of == 3.0 else s if of == 4.0 else s + p[k + 2]
+    place = min(max((x - p[k + 3]) / p[k + 4], 0.0), KNOTS - 1.0)
     i = min(int(place), KNOTS - 2)
     part = place - i
-    return p[k + 3 + i] * (1.0 - part) + p[k + 4 + i] * part
+    size = p[k + 5 + i] * (1.0 - part) + p[k + 6 + i] * part
+    if p[k + 1] == 0.0:
+        return size
+    if h <= 0.0 and v == 0.0:  # at rest on the plate it holds the ball down
+        return -size
+    return -size * v / math.hypot(v, TURNS_MPS)

@@ -1,0 +1,38 @@
+"""Dry friction that is a smooth function of height or of speed: the missing term itself, where no cause is named.
+The rule kept here: piecewise linear between knots, constant beyond them, never negative; not part of the named library.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+KNOTS = 8
+HEIGHT, SPEED = 1.0, 2.0
+
+EFFECT = Effect(
+    name="smooth_friction",
+    summary="dry friction as a smooth function of height or speed",
+    parameters=(
+        Parameter("of", "1", 0.0, 2.0, 1.0, shape=True, meaning="0 none, 1 height, 2 speed relative to the plate"),
+        Parameter("start", "1", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
+        Parameter("spacing", "1", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
+        *(Parameter(f"c{i}", "g", 0.0, 3.0, 0.02, meaning="friction over weight at the knot") for i in range(KNOTS)),
+    ),
+    seen_in=("takeoff", "landing", "bounce"),
+    reference="penalised regression spline",
+    library=False,
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Friction as an acceleration, m/s^2."""
+    if p[k] == 0.0:
+        return 0.0
+    x = h if p[k] == 1.0 else speed
+    place = min(max((x - p[k + 1]) / p[k + 2], 0.0), KNOTS - 1.0)
+    i = min(int(place), KNOTS - 2)
+    part = place - i
+    return p[-1] * max(p[k + 3 + i] * (1.0 - part) + p[k + 4 + i] * part, 0.0)
