@@ -122,10 +122,8 @@ def import_recording(
         )
     setup = _adapted(setup, columns, channels)
     attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=note)
-    attributes |= {"channels": channels, "started": "", "ended": "complete", "why": "", "ended_at": ""}
     scales = {role: _scale(source, columns[role], role, setup) for role in channels}
-    dtypes = {role: source.dtype(columns[role].name) for role in channels}
-    writer = ColumnWriter(out, setup, dtypes, scales, attributes)
+    writer = _begun(source, columns, out, setup, scales, attributes)
     try:
         intake = _take_in(source, columns, channels, writer, progress)
         base = _timebase(source, writer, intake, "time" in columns, rate)
@@ -139,6 +137,16 @@ def import_recording(
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
     return ImportSummary(out, writer.n_samples, base, steps, named, _remarks(base, steps, channels, from_drive))
+
+
+def _begun(
+    source: Source, columns: Mapping[str, Column], out: Path, setup: Setup, scales: Mapping[str, tuple[float, float]],
+    attributes: Mapping[str, Any],
+) -> ColumnWriter:
+    """The column file, empty; each channel in the type that its column has."""
+    dtypes = {role: source.dtype(columns[role].name) for role in scales}
+    ending = {"channels": list(scales), "started": "", "ended": "complete", "why": "", "ended_at": ""}
+    return ColumnWriter(out, setup, dtypes, scales, {**attributes, **ending})
 
 
 def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[float, float]:
