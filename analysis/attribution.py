@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fit import Fitted, Fitter, parameter_of
-from analysis.likelihood import DRIFT, Key, Whitener, World
+from analysis.likelihood import DRIFT, Key, Whitener, World, plate_effects
+from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects import registry
 
@@ -24,8 +25,9 @@ Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 THREADS = 2
-LOST = 20.0  # excess of landings over their uncertainty beyond which several starts are followed
-STARTS = 3
+LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
+MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and from there by a full fit
+NEAR_NATS, NEAR_PART = 30.0, 0.2  # of the best one's gain: an option farther behind it is left
 
 
 @dataclass(frozen=True)
@@ -200,16 +202,53 @@ class Attributor:
     def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
         """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
         done = 0
+        lost = self._lost(best)
+        near = [c for c in options if not lost or set(c.names) <= plate_effects() | {"parameter_drift"}]
+        far = [c for c in options if c not in near]
+        share = 1.0 / max(len(near) + 2 * len(far), 1)
+
+        def told(candidate: Candidate) -> None:
+            nonlocal done
+            done += 1
+            self.progress(" + ".join(candidate.names), (depth + done * share) / self.limits.most_effects)
 
         def one(candidate: Candidate) -> Explanation | None:
-            nonlocal done
             found = self.add(best, candidate)
-            done += 1
-            self.progress(" + ".join(candidate.names), (depth + done / len(options)) / self.limits.most_effects)
+            told(candidate)
             return found
 
         with ThreadPoolExecutor(THREADS) as pool:
-            return [x for x in pool.map(one, options) if x is not None]
+            found = [x for x in pool.map(one, near) if x is not None]
+            return found + (self._searched(best, far, pool, told) if far else [])
+
+    def _searched(
+        self, best: Explanation, options: Sequence[Candidate], pool: ThreadPoolExecutor, told: Callable[[Candidate], None]
+    ) -> list[Explanation]:
+        """The most promising options where landings are missed by far, each from the best place on its landscape."""
+        values = best.fitted.values
+        land = Landscape(thinned(self.world, self.train), values, self.train)
+
+        def look(candidate: Candidate) -> tuple[float, Point, Candidate]:
+            free = tuple(k for k in candidate.free if k not in best.free)
+            loss, point = land.lowest(joint_points(candidate.starts, free, best.free), 1)[0]
+            told(candidate)
+            return loss, {**{k: values[k] for k in best.free}, **point}, Candidate(candidate.names, free)
+
+        def descend(seen: tuple[float, Point, Candidate]) -> tuple[float, Point, Candidate]:
+            loss, point = land.descend(seen[1], (*seen[2].free, *best.free))
+            told(seen[2])
+            return loss, point, seen[2]
+
+        seen = sorted((x for x in pool.map(look, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
+        below = sorted(pool.map(descend, seen), key=lambda x: x[0])
+        enough = below[0][0] + max(NEAR_NATS, NEAR_PART * (land.loss({}) - below[0][0]))
+        taken = [x for x in below if x[0] <= enough][:MOST_FITS]
+        return list(pool.map(lambda x: self._fitted_from(best, x[1], x[2]), taken))
+
+    def _fitted_from(self, best: Explanation, point: Point, candidate: Candidate) -> Explanation:
+        start = {**best.fitted.values, **point}
+        fitted = self.fitter.fit(Whitener.of(self.world, start), (*best.free, *candidate.free), start)
+        return self._judged((*best.candidates, candidate), self._settled(fitted))
 
     def add(self, best: Explanation, candidate: Candidate) -> Explanation | None:
         """Fit the best explanation with one candidate more; None where the candidate could change nothing here."""
@@ -218,18 +257,16 @@ class Attributor:
         if not free:
             return None
         starts = self._starts(best, candidate, free)
-        level = self._quick(best.whitener, best.fitted.values)
-        ahead = level - starts[0][0]
+        ahead = self._quick(best.whitener, best.fitted.values) - starts[0][0]
         added = (*best.candidates, Candidate(candidate.names, free))
-        if ahead < HOPELESS_NATS and self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS and not self._lost(best):
+        if ahead >= HOPELESS_NATS:
+            return self._judged(added, self._from(best, (*best.free, *free), starts[0][1]))
+        if self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS:
             return None
-        if ahead < HOPELESS_NATS and not self._lost(best):
-            fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
-            if best.fitted.loss - fitted.loss < HOPELESS_NATS:
-                return Explanation(added, fitted, best.whitener, fitted.held_out(best.whitener))
-            return self._judged(added, self._settled(fitted))
-        tried = [self._from(best, (*best.free, *free), point) for _, point in starts[: STARTS if self._lost(best) else 1]]
-        return self._judged(added, min(tried, key=lambda f: self._quick(best.whitener, f.values)))
+        fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
+        if best.fitted.loss - fitted.loss < HOPELESS_NATS:
+            return Explanation(added, fitted, best.whitener, fitted.held_out(best.whitener))
+        return self._judged(added, self._settled(fitted))
 
     def _lost(self, best: Explanation) -> bool:
         """Whether landings miss by so much that a fit may begin on the wrong branch."""

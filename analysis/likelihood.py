@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
 from analysis.platedata import PlateData, expected
+from analysis.robust import NEVER, excess_of, log_odds, robust_loss
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -25,9 +26,8 @@ Key = tuple[str, str]
 Values = Mapping[Key, float]
 
 DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
-FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
-LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
+CLIP = 6.0  # a residual beyond so many sigmas does not speak for what its step has in common
 EDGE_STEP_S = 2e-6
 
 
@@ -77,7 +77,7 @@ class World:
     """
 
     def __init__(self, evidence: Evidence, base: Mapping[str, Mapping[str, float]]) -> None:
-        self.evidence = evidence
+        self.evidence, self.declared = evidence, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
         self.gravity = evidence.setup.g_mps2.value
         self._nothing = row({}, self.gravity)
@@ -159,11 +159,12 @@ class World:
         ev = self.evidence
         if rows is None:
             flying = tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
-            if flying not in self._cache:
+            found = self._cache.get(flying)
+            if found is None:
                 if len(self._cache) > 64:
                     self._cache.clear()
-                self._cache[flying] = self.predict(values)
-            p = self._cache[flying]
+                found = self._cache[flying] = self.predict(values)
+            p = found
         else:
             p = self.predict(values, rows=rows)
         opening = np.where(self.opens, ev.measured.opening_s - p.opening_s, np.nan)
@@ -233,8 +234,9 @@ class Whitener:
     sd: Array
     shared: Array  # directions in which a step's residuals err together, orthonormal in each block
     shrink: Array
-    cap: Array
+    period_s: Array  # of the stacked events, before they are ordered by step
     log_sigma: Array  # of each whitened residual
+    odds: Array  # of each event being another than predicted, and of no plate datum
     plate_sigma: Array
     plate_log: Array
     excess_s: tuple[float, float]
@@ -246,62 +248,60 @@ class Whitener:
         ev = world.evidence
         u, r = world.uncertainty(values), world.residuals(values)
         opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
-        period = ev.steps.plate.period_s[ev.measured.step]
-        cap_o, cap_l = FARTHEST_PERIODS * period[opening], FARTHEST_PERIODS * period[landing]
-        excess = (
-            _excess(_capped(r.opening_s[opening], cap_o), u.opening_total_s[opening]),
-            _excess(_capped(r.landing_s[landing], cap_l), u.landing_total_s[landing]),
-        )
         step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
-        variance = np.concatenate([
-            u.opening_sigma_s[opening] ** 2 + excess[0] ** 2, u.landing_sigma_s[landing] ** 2 + excess[1] ** 2
-        ])
+        period = ev.steps.plate.period_s[step]
+        first = np.arange(len(step)) < len(opening)
+        bare = _capped(np.concatenate([r.opening_s[opening], r.landing_s[landing]]), FARTHEST_PERIODS * period)
+        total = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
+        excess = (excess_of(bare[first], total[first], period[first])[0], excess_of(bare[~first], total[~first], period[~first])[0])
+        edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
-        sd = np.sqrt(variance[order])
-        shared = np.ascontiguousarray(tones[order] / sd[:, None])
-        logs, shrink = np.log(sd), np.zeros((len(bounds) - 1, shared.shape[1]))
-        for i in range(len(bounds) - 1):
-            rows = slice(bounds[i], bounds[i + 1])
-            vectors, sizes, _ = np.linalg.svd(shared[rows], full_matrices=False)
-            shared[rows] = 0.0
-            shared[rows, : len(sizes)] = vectors
-            shrink[i, : len(sizes)] = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
-            logs[rows] += 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
+        sd = np.hypot(edges, np.where(first, *excess))[order]
+        shared, shrink, logs = _shared(tones[order] / sd[:, None], bounds)
+        logs += np.log(sd)
         sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
-        return cls(
-            opening, landing, step[order], order, bounds, sd, shared, shrink, np.concatenate([cap_o, cap_l]), logs, sigma, log, excess,
-            np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]]),
-        )
+        odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
+        return cls(opening, landing, step[order], order, bounds, sd, shared, shrink, period, logs, odds, sigma, log, excess, total)
 
     def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
         """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
         step = np.empty_like(self.step)
         step[self.order] = self.step
-        events = _capped(np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]]), self.cap)
+        events = self._events(r)
         channel = np.arange(len(events)) < len(self.opening)
         total = 0.0
         for rows in (channel & train[step], ~channel & train[step]):
-            sigma = np.hypot(self.total_s[rows], _excess(events[rows], self.total_s[rows]))
-            total += float(np.sum(robust_loss(events[rows] / sigma) + np.log(sigma)))
+            total += excess_of(events[rows], self.total_s[rows], self.period_s[rows])[1]
         rows = train[plate.step]
         sigma, log = _plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
         return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
 
+    def _events(self, r: Residuals) -> Array:
+        both = np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]])
+        return _capped(both, FARTHEST_PERIODS * self.period_s)
+
     def stacked(self, r: Residuals) -> Array:
         """Bare residuals in one column: events in the order of ``step``, then plate data."""
-        events = _capped(np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]]), self.cap)
-        return np.concatenate([events[self.order], r.plate])
+        return np.concatenate([self._events(r)[self.order], r.plate])
 
     def white_all(self, bare: Array) -> Array:
-        """Whitened residuals, or columns of derivatives, from bare ones."""
-        out = np.empty_like(bare)
+        """Whitened residuals, from bare ones."""
         n = len(self.step)
-        events = np.ascontiguousarray((bare[:n].T / self.sd).T.reshape(n, -1))
-        _unshare(events, self.bounds, self.shared, self.shrink)
-        out[:n] = events.reshape(bare[:n].shape)
-        out[n:] = (bare[n:].T / self.plate_sigma).T
+        unit = bare[:n] / self.sd
+        return np.concatenate([self._unshared(unit[:, None], np.clip(unit, -CLIP, CLIP)[:, None])[:, 0], bare[n:] / self.plate_sigma])
+
+    def white_slopes(self, slopes: Array, bare: Array) -> Array:
+        """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
+        n = len(self.step)
+        unit = slopes[:n] / self.sd[:, None]
+        speaks = np.abs(bare[:n] / self.sd) < CLIP
+        return np.concatenate([self._unshared(unit, unit * speaks[:, None]), slopes[n:] / self.plate_sigma[:, None]])
+
+    def _unshared(self, y: Array, heard: Array) -> Array:
+        out = np.ascontiguousarray(y)
+        _unshare(out, np.ascontiguousarray(heard), self.bounds, self.shared, self.shrink)
         return out
 
     def white(self, r: Residuals) -> tuple[Array, Array]:
@@ -310,9 +310,22 @@ class Whitener:
         return both[: len(self.step)], both[len(self.step) :]
 
 
+def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Orthonormal directions in which each block errs together, their shrinkage, and its share of each log sigma."""
+    shared = np.zeros_like(tones)
+    logs, shrink = np.zeros(len(tones)), np.zeros((len(bounds) - 1, tones.shape[1]))
+    for i in range(len(bounds) - 1):
+        rows = slice(bounds[i], bounds[i + 1])
+        vectors, sizes, _ = np.linalg.svd(tones[rows], full_matrices=False)
+        shared[rows, : len(sizes)] = vectors
+        shrink[i, : len(sizes)] = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+        logs[rows] = 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
+    return shared, shrink, logs
+
+
 @njit(cache=True)  # type: ignore[misc]
-def _unshare(y: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
-    """Take from each block what its residuals have in common: ``y += U shrink U^T y``, in place, (n, columns)."""
+def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
+    """Take from each block what its residuals have in common: ``y += U shrink U^T heard``, in place, (n, columns)."""
     for i in range(len(bounds) - 1):
         for q in range(shared.shape[1]):
             if shrink[i, q] == 0.0:
@@ -320,20 +333,10 @@ def _unshare(y: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) 
             for c in range(y.shape[1]):
                 total = 0.0
                 for j in range(bounds[i], bounds[i + 1]):
-                    total += shared[j, q] * y[j, c]
+                    total += shared[j, q] * heard[j, c]
                 total *= shrink[i, q]
                 for j in range(bounds[i], bounds[i + 1]):
                     y[j, c] += total * shared[j, q]
-
-
-def _excess(residual: Array, sigma: Array) -> float:
-    """Scatter beyond the uncertainty, by maximum likelihood on a grid, robust."""
-    if len(residual) == 0:
-        return LEAST_EXCESS_S
-    grid = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, 2e-2, 45)])
-    total = np.sqrt(sigma[None, :] ** 2 + grid[:, None] ** 2)
-    loss = robust_loss(residual[None, :] / total) + np.log(total)
-    return float(grid[np.argmin(loss.sum(axis=1))])
 
 
 def _plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
@@ -348,22 +351,12 @@ def _plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tupl
     return out, np.log(out / sigma)
 
 
-def robust_loss(z: Array) -> Array:
-    """Negative log of Student's t density of unit residuals, up to a constant."""
-    return np.asarray(0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM))
-
-
-def robust_weight(z: Array) -> Array:
-    """Weight of each residual in the least-squares step that lowers the robust loss."""
-    return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z))
-
-
 def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Array]:
     """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
-    m = len(world.evidence.steps)
+    m, n = len(world.evidence.steps), len(whitener.step)
     events, plate = whitener.white(r)
     return {
-        "events": np.bincount(whitener.step, robust_loss(events) + whitener.log_sigma, minlength=m),
+        "events": np.bincount(whitener.step, robust_loss(events, whitener.odds[:n]) + whitener.log_sigma, minlength=m),
         "plate": np.bincount(world.evidence.plate.step, robust_loss(plate) + whitener.plate_log, minlength=m),
     }
 
