@@ -35,6 +35,7 @@ CAMERA_LADDER: tuple[tuple[BounceModel, str, bool], ...] = (
 _DRAWS = 300
 _IMPACT_FRAMES = 0.8
 _LEAST_CLEAR = 4
+_MOST_WORTH = 0.3  # a tracker errs alike over several frames (the same pixels, the same edge), seen or not
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     shapes = {name: replace(s, covariance=s.covariance / worth) for name, s in shapes.items()}
     values, impacts, falls = {}, {}, {}
     for name, shape in shapes.items():
-        values[name], at, top = draws_of(shape, rng, _DRAWS)
+        values[name], at, top = draws_of(shape, rng, _DRAWS, worth)
         impacts[name], falls[name] = impacts_of(shape, flights, values[name], at, top)
     scores = {name: _position_scores(shape, flights, noise, worth) for name, shape in shapes.items()}
     for name, shape in shapes.items():
@@ -160,7 +161,7 @@ def _worth(shape: Shape, flights: Sequence[Flight]) -> float:
         product += float((residual[1:] * residual[:-1]).sum())
         square += float((residual**2).sum())
     rho = min(max(product / max(square, 1e-300), 0.0), 0.95)
-    return (1.0 - rho) / (1.0 + rho)
+    return min((1.0 - rho) / (1.0 + rho), _MOST_WORTH)
 
 
 def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: float) -> Array:

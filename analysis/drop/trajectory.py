@@ -199,14 +199,15 @@ def _at_apex(shape: Shape, flight: Flight, noise: float) -> Block:
     return block
 
 
-def draws_of(shape: Shape, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 1.0) -> tuple[Array, Array, Array]:
     """Draws of (values, apex frames, apex heights), shapes (count, p), (count, flights), (count, flights).
 
-    The shape's draws have the wider of the fit's covariance and a bootstrap over flights.
+    The shape's draws have the wider of the fit's covariance and a bootstrap over flights; ``worth`` is how many
+    independent samples a sample is worth.
     """
     p, n = len(shape.values), len(shape.blocks)
     parts = [_schur(b, p) for b in shape.blocks]
-    spread = max(shape.sigma, 1e-12) ** 2 / max(_noise_unit(shape), 1e-300)
+    spread = max(shape.sigma, 1e-12) ** 2 / max(_noise_unit(shape), 1e-300) / worth
     boot = np.empty((count, p))
     for b in range(count):
         weight = np.bincount(rng.integers(n, size=n), minlength=n)
