@@ -15,55 +15,72 @@ if TYPE_CHECKING:
 
 def command(
     recordings: list[Path] = typer.Argument(help="Recordings of one rig; their steps are judged together."),
-    profile: Path | None = typer.Option(
-        None, "--profile", help="A profile that replaces the one stored in the recordings."
-    ),
+    profile: Path | None = typer.Option(None, "--profile", help="A profile that replaces the recordings' own."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The verdict for a machine; - prints it."),
-    report: Path | None = typer.Option(
-        None, "--report", metavar="FOLDER", help="Write the report with its pictures there."
+    report: Path | None = typer.Option(None, "--report", metavar="FOLDER", help="Write the report with its pictures."),
+    improved: Path | None = typer.Option(None, "--improved", metavar="PROFILE", help="Write the improved profile."),
+    next_run: Path | None = typer.Option(
+        None, "--next-run", metavar="PROFILE", help="Write the best next run's profile."
     ),
-    improved: Path | None = typer.Option(
-        None, "--improved", metavar="PROFILE", help="Write the profile with the effects found."
-    ),
+    until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
+    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What that rig hides."),
+    seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
 ) -> None:
     """Find where measurement and model part, name the missing effect, and report the error before and after.
 
     Example: bench close-loop run.h5 --report report --improved better.toml
 
-    Exits 0 whatever the verdict; 2 when the call or a file was wrong.
+    Exits 0 whatever the verdict; 1 when a run made by --until-clear failed; 2 when the call or a file was wrong.
     """
     from analysis.close_loop import as_json, close_loop
+    from analysis.next_run import as_json as runs_as_json
     from bench.console import EXIT_USAGE, fail, write_json
+    from bench.next_profile import possible_runs, write_next
     from bench.profiles import load_measuring
+    from bench.until_clear import until_clear as repeat
     from daq.errors import InputError
 
     quiet = json == "-"
+    say = (lambda line: None) if quiet else typer.echo
     try:
         for path in recordings:
             if not path.is_file():
                 raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
-        setup = None if profile is None else load_measuring(profile)[0]
-        with progress_bar(quiet) as say:
-            loop = close_loop(recordings, setup=setup, progress=say)
-        write_json(as_json(loop), json)
-        if report is not None:
-            from analysis.loop_report import write_report
-
-            page = write_report(loop, recordings, report)
-            if not quiet:
-                typer.echo(f"report: {page}")
-        if improved is not None:
-            from bench.improved import write_improved
-
-            write_improved(loop, recordings[0], improved)
-            if not quiet:
-                typer.echo(f"improved profile: {improved}")
+        if until_clear:
+            loop, recordings = repeat(recordings, scenario, seed, say=say, quiet=quiet)
+        else:
+            setup = None if profile is None else load_measuring(profile)[0]
+            with progress_bar(quiet) as bar:
+                loop = close_loop(recordings, setup=setup, progress=bar)
+        ranked = possible_runs(loop, recordings[0])
+        write_json(as_json(loop, runs_as_json(ranked)), json)
+        if next_run is not None and ranked:
+            write_next(ranked, recordings[0], next_run)
+            say(f"next run: {next_run} ({ranked[0].design.words})")
+        _keep(loop, recordings, report, improved, say)
         if not quiet:
             show(loop)
+            for run in ranked[:3]:
+                say(f"  a next run worth {run.nats:.0f} nats: {run.design.words}")
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; name a file that can be read or written", EXIT_USAGE)
+
+
+def _keep(
+    loop: Loop, recordings: list[Path], report: Path | None, improved: Path | None, say: Callable[[str], None]
+) -> None:
+    """Write the report and the improved profile where they are asked for."""
+    if report is not None:
+        from analysis.loop_report import write_report
+
+        say(f"report: {write_report(loop, recordings, report)}")
+    if improved is not None:
+        from bench.improved import write_improved
+
+        write_improved(loop, recordings[0], improved)
+        say(f"improved profile: {improved}")
 
 
 @contextmanager
