@@ -19,6 +19,8 @@ Ints = npt.NDArray[np.int64]
 BEFORE, AFTER = 4, 8  # samples of continuity kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
 VISIBLE = 5.0  # standard deviations of noise from which a sample counts as moved
 FAR = 1 << 30  # samples: no neighbour
+AT_ONCE = 8192  # edges fitted at a time: memory stays bounded
+HURRIED = 64  # samples to the edge before within which the voltage may still be on its way
 ODD = 4.0  # times the usual misfit that makes an edge odd
 MIN_EDGES = 8  # edges needed to estimate a time constant
 
@@ -230,50 +232,39 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     room = np.append(np.diff(crossings.sample), FAR)  # samples until the next crossing
     gap = np.append(FAR, room[:-1])
     shapes: dict[int, EdgeShape] = {}
-    kinds = (OPENS, CLOSES)
-    height = {kind: _towards(crossings, kind) for kind in kinds}
-    for kind in kinds:
-        chosen = crossings.kind == kind
-        alone = (room[chosen] > AFTER) & (gap[chosen] > AFTER)
-        if alone.sum() < MIN_EDGES:
-            alone = (room[chosen] > 2) & (gap[chosen] > 2)
-        shapes[kind] = edge_shape(height[kind][alone], noise, rate_hz)
-    for missing in (False, True):
-        for kind in kinds:
-            chosen = crossings.kind == kind
-            y = height[kind]
-            if missing:
-                y = y + _still_missing(crossings, chosen, times, shapes[-kind].tau_s, rate_hz)
-            delay, sigma = fit_edges(
-                y, np.clip(room[chosen], 1, AFTER), np.minimum(gap[chosen], FAR), noise, shapes[kind], rate_hz
-            )
-            times[chosen] = crossings.sample[chosen] / rate_hz + delay
-            sigmas[chosen] = sigma
+    index = {kind: np.flatnonzero(crossings.kind == kind) for kind in (OPENS, CLOSES)}
+    for kind, own in index.items():
+        alone = own[(room[own] > AFTER) & (gap[own] > AFTER)]
+        if alone.size < MIN_EDGES:
+            alone = own[(room[own] > 2) & (gap[own] > 2)]
+        shapes[kind] = edge_shape(_towards(crossings, alone[: 2 * AT_ONCE], kind), noise, rate_hz)
+    for again in (False, True):
+        for kind, own in index.items():
+            todo = own[gap[own] < HURRIED] if again else own
+            for part in np.array_split(todo, todo.size // AT_ONCE + 1):
+                y = _towards(crossings, part, kind)
+                if again:
+                    y += _still_missing(crossings, part, times, shapes[-kind].tau_s, rate_hz)
+                own_room = np.clip(room[part], 1, AFTER)
+                delay, sigmas[part] = fit_edges(y, own_room, gap[part], noise, shapes[kind], rate_hz)
+                times[part] = crossings.sample[part] / rate_hz + delay
     dips = crossings.kind == DIP
     times[dips] = (crossings.sample[dips] - 0.5) / rate_hz
     sigmas[dips] = 1.0 / (rate_hz * np.sqrt(12.0))
     return Edges(times, sigmas, crossings.kind), shapes[OPENS], shapes[CLOSES]
 
 
-def _towards(crossings: Crossings, kind: int) -> Floats:
+def _towards(crossings: Crossings, index: Ints, kind: int) -> Floats:
     """Samples around edges of one kind as 1 before the edge, decaying to 0, shape (n, BEFORE + AFTER)."""
-    fraction: Floats = crossings.window[crossings.kind == kind].astype(np.float64)
+    fraction: Floats = crossings.window[index].astype(np.float64)
     return fraction if kind == CLOSES else 1.0 - fraction
 
 
-def _still_missing(
-    crossings: Crossings, chosen: npt.NDArray[np.bool_], times: Floats, tau_s: float, rate_hz: float
-) -> Floats:
-    """What the edge before each chosen one still lacks to its level, at every sample of the window."""
-    index = np.flatnonzero(chosen)
-    out = np.zeros((index.size, BEFORE + AFTER))
-    late = (index > 0) & (tau_s > 0.0)
-    if not late.any():
-        return out
+def _still_missing(crossings: Crossings, index: Ints, times: Floats, tau_s: float, rate_hz: float) -> Floats:
+    """What the edge before each of ``index`` still lacks to its level, at every sample of the window."""
     since = (crossings.sample[index][:, None] + np.arange(-BEFORE, AFTER)) / rate_hz - times[index - 1][:, None]
-    relax = np.where(since > 0, np.exp(-np.maximum(since, 0.0) / max(tau_s, 1e-12)), 0.0)
-    out[late] = relax[late]
-    return out
+    known = (since > 0) & (index > 0)[:, None] & (tau_s > 0.0)
+    return np.where(known, np.exp(-np.maximum(since, 0.0) / max(tau_s, 1e-12)), 0.0)
 
 
 def _first_moved(y: Floats, noise: float, gap: Ints | int = FAR) -> Ints:

@@ -15,7 +15,7 @@ from numba import njit
 
 from daq.recording import Recording
 
-PIECE = 1 << 18
+PIECE = 1 << 17
 SURVEY_PIECE = 1 << 16
 PAD = 128  # samples of neighbours on both sides of a piece
 SURVEY_PIECES = 5

@@ -77,7 +77,8 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
         enough = used >= max(0.4 * length, 2 * q)
         slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
         parts.append((slow_s, slow, time_s[enough], gram[enough], side[enough]))
-    slow_s, slow, time_s, gram, side = (np.concatenate(column).astype(float) for column in zip(*parts, strict=True))
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    slow_s, slow, time_s, gram, side = (np.asarray(column, dtype=np.float64) for column in columns)
     inverse = np.linalg.inv(gram + 1e-9 * np.eye(q))  # every window holds enough; the ridge is for the odd one
     solution = inverse @ side
     z = amplitudes[:, rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
