@@ -117,8 +117,8 @@ def close_loop(
     evidence = evidence_of(recordings, setup=setup, progress=lambda name, part: say(f"reading {name}", 0.15 * part))
     if len(evidence.steps) < 2 * limits.reserve or not len(evidence.plate):
         raise InputError(
-            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve} steps whose plate motion can be "
-            f"measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
+            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve} steps whose plate motion "
+            f"can be measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
         )
     world = World(evidence, resolve(evidence.setup.declared_values()))
     train = np.arange(len(evidence.steps)) % limits.reserve != limits.reserve // 2
@@ -184,9 +184,9 @@ def _found(best: Explanation) -> list[Found]:
 
 
 def detection_limits(attribution: Attribution, limits: Thresholds) -> tuple[dict[str, float], tuple[str, ...]]:
-    """By ``effect.parameter``, the size below which this run could not have shown it, and what it could show at no size.
+    """By ``effect.parameter``, the size below which this run could not have shown it; and what no size would show.
 
-    From the derivatives at the best explanation, calibrations and nuisances free: the size whose gain is the threshold's.
+    From the derivatives at the best explanation, calibrations and nuisances free: the size that gains the threshold.
     """
     best = attribution.best.fitted
     sizes: dict[str, float] = {}

@@ -29,10 +29,12 @@ from model.effects.base import COMPILED_HOOKS
 STYLE = """
 body{font:16px/1.5 Georgia,serif;max-width:52rem;margin:2rem auto;padding:0 1rem;color:#1d2630}
 h1{font-size:1.6rem;margin-bottom:.2rem} h2{font-size:1.15rem;margin-top:2rem;border-bottom:1px solid #ccd}
-table{border-collapse:collapse;margin:.6rem 0} td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #e3e7ee}
-th:first-child,td:first-child{text-align:left} img{width:100%;margin:.5rem 0} .verdict{font-size:1.25rem;padding:.6rem 1rem;
-border-left:6px solid var(--c);background:#f5f7fa} code{font-size:.9em} .badge{color:#fff;padding:.1rem .5rem;font-size:.8rem;
-border-radius:4px;background:#2d6a4f} .simulated{background:#a4161a}
+table{border-collapse:collapse;margin:.6rem 0}
+td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #e3e7ee}
+th:first-child,td:first-child{text-align:left} img{width:100%;margin:.5rem 0} code{font-size:.9em}
+.verdict{font-size:1.25rem;padding:.6rem 1rem;border-left:6px solid var(--c);background:#f5f7fa}
+.badge{color:#fff;padding:.1rem .5rem;font-size:.8rem;border-radius:4px;background:#2d6a4f}
+.simulated{background:#a4161a}
 """
 VERDICTS = {
     "explained": ("#2d6a4f", "Explained"),
@@ -119,7 +121,8 @@ def _page(
         else '<span class="badge">measured on a rig</span>'
     )
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Closed loop: {html.escape(recordings[0].name)}</title>",
+        "<!doctype html><html lang='en'><meta charset='utf-8'>",
+        f"<title>Closed loop: {html.escape(recordings[0].name)}</title>",
         f"<style>{STYLE}</style><h1>Closed loop</h1><p>{mark} {html.escape(', '.join(p.name for p in recordings))}</p>",
         f"<p class='verdict' style='--c:{colour}'><b>{words}</b>{': ' + named if named else ''}</p>",
         _errors_table(loop),
@@ -161,8 +164,8 @@ def _errors_table(loop: Loop) -> str:
     body = "".join(f"<tr><td>{n}</td><td>{x}</td><td>{y}</td><td>{z}</td></tr>" for n, x, y, z in rows)
     return (
         f"<table><tr><th>{a.flights} flights of {len(loop.held_out)} held-out steps</th><th>before</th><th>after</th>"
-        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; {100 * a.left_out:.1f} % of the flights "
-        "were left out because their landing (grazing) could not be predicted from what was measured.</p>"
+        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; {100 * a.left_out:.1f} % of "
+        "the flights were left out because their landing (grazing) could not be predicted from what was measured.</p>"
     )
 
 
@@ -188,7 +191,8 @@ def _bifurcation_words(first: dict[str, object] | None) -> str:
             return f"{x['type']} between gamma {x['gamma_low']:.4g} and {x['gamma_high']:.4g}"
         return f"{x['type']} at gamma {x['gamma']:.4g}" if x["gamma"] is not None else "none in the range"
 
-    return f"<p>First bifurcation: in the data {say(first['measured'])}; before: {say(first['before'])}; after: {say(first['after'])}.</p>"
+    measured, before, after = (say(first[k]) for k in ("measured", "before", "after"))
+    return f"<p>First bifurcation: in the data {measured}; before: {before}; after: {after}.</p>"
 
 
 def _reasoning(loop: Loop) -> str:
@@ -216,8 +220,8 @@ def _alternatives(loop: Loop) -> str:
 def _remains(loop: Loop) -> str:
     left = loop.remainder
     words = (
-        f"<p>Excess over the noise floor: {left.ratio:.2f} times (flights), {left.plate_ratio:.2f} times (plate); probability "
-        f"of so much lack of fit by chance: {left.p_lack_of_fit:.2g}.</p>"
+        f"<p>Excess over the noise floor: {left.ratio:.2f} times (flights), {left.plate_ratio:.2f} times (plate); "
+        f"probability of so much lack of fit by chance: {left.p_lack_of_fit:.2g}.</p>"
     )
     if left.covariate:
         words += f"<p>What is left goes with: {html.escape(left.covariate)}.</p>"

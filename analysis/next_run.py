@@ -151,20 +151,18 @@ def rehearse(design: Design, world: World, best: Explanation) -> Evidence:
     )
     measured = _flights(values, plate, part, setup.g_mps2.value)
     n = len(measured.landing_s)
-    judged = measured.wanted
-    edges = [np.full(n, float(np.median(x))) for x in (ev.opening_sigma_s, ev.landing_sigma_s)]
+    opening_sigma, landing_sigma = (np.full(n, float(np.median(x))) for x in (ev.opening_sigma_s, ev.landing_sigma_s))
     data = _plate_rows(ev.plate, steps, k)
-    made = Evidence(
-        measured,
-        *edges,
-        judged,
-        measured.landing_s,
-        np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
-        steps,
-        data,
-        setup,
-        ev.unseen_s,
-        ev.closed_s,
+    made = replace(
+        ev,
+        measured=measured,
+        opening_sigma_s=opening_sigma,
+        landing_sigma_s=landing_sigma,
+        judged=measured.wanted,
+        time_s=measured.landing_s,
+        weak_mps=np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
+        steps=steps,
+        plate=data,
     )
     truth = World(made, _base(world))
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(best.fitted.values))))
@@ -217,7 +215,7 @@ def _flights(values: Mapping[Key, float], plate: PlateSteps, part: Array, g_mps2
 
 
 def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
-    """The kinds of plate data that the present run gave, with their typical uncertainty, for every step of a new one."""
+    """The kinds of plate data that the present run gave, with their typical uncertainty, for each step of a new one."""
     m = len(steps)
     rows: list[tuple[float, ...]] = []
     for kind in np.unique(seen.kind):

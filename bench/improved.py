@@ -1,4 +1,4 @@
-"""The improved model as a profile: what was found is declared, with its value, uncertainty and the recording it is from.
+"""The improved model as a profile: what was found is declared, with value, uncertainty and the recording it is from.
 
 The rule kept here: the profile of the recording, every line of it, plus the declarations; never written over a file.
 """

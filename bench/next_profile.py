@@ -1,7 +1,7 @@
 """The profile of the next run: the recording's own, with another ratio, other gammas or another order of steps.
 
-The rule kept here: only lines of ``[forcing]`` and ``[ramp]`` change, the result is parsed and checked against the rig's
-limits, and a design that a limit forbids is passed over.
+The rule kept here: only lines of ``[forcing]`` and ``[ramp]`` change, the result is parsed and checked against the
+rig's limits, and a design that a limit forbids is passed over.
 """
 
 from __future__ import annotations

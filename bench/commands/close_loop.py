@@ -41,7 +41,7 @@ def command(
     from daq.errors import InputError
 
     quiet = json == "-"
-    say = (lambda line: None) if quiet else typer.echo
+    say: Callable[[str], None] = _nothing if quiet else typer.echo
     try:
         for path in recordings:
             if not path.is_file():
@@ -66,6 +66,10 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; name a file that can be read or written", EXIT_USAGE)
+
+
+def _nothing(line: str) -> None:
+    """Say nothing: standard output belongs to the JSON."""
 
 
 def _keep(

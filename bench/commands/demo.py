@@ -23,7 +23,7 @@ def command(
 
     Example: bench demo --seed 7
 
-    What the rig hides is drawn by chance and written to a sealed file, which is opened only after the report is written.
+    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written.
     """
     import datetime
     import time
@@ -82,7 +82,7 @@ def _drive(profile: str, folder: Path, sealed: Path, seed: int) -> Path:
         raise InputError(refusal(profile, faults))
     recording = folder / "recording.h5"
     typer.echo(
-        f"1/4  ramp: {checked.name}, c = {checked.forcing.ratio}, {checked.forcing.frequency_hz:g} Hz, on a simulated rig"
+        f"1/4  ramp: {checked.name}, c = {checked.forcing.ratio}, {checked.forcing.frequency_hz:g} Hz, simulated rig"
     )
     summary = record(checked, text, make_backend(checked, scenario=sealed, seed=seed), recording)
     if summary.how != "complete":

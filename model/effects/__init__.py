@@ -39,9 +39,7 @@ def registry() -> tuple[Registered, ...]:
 @functools.cache
 def offsets() -> dict[tuple[str, str], int]:
     """Place of every parameter in the row, by ``(effect, parameter)``."""
-    return {
-        (r.effect.name, q.name): r.offset + i for r in registry() for i, q in enumerate(r.effect.parameters)
-    }
+    return {(r.effect.name, q.name): r.offset + i for r in registry() for i, q in enumerate(r.effect.parameters)}
 
 
 def effect(name: str) -> Registered:

@@ -8,15 +8,23 @@ import math
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="adhesion",
     summary="the ball sticks to the plate and leaves late",
     parameters=(
         Parameter("a_mps2", "m/s^2", 0.0, 30.0, 0.2, scan=(1.0,), meaning="pull-off force over mass"),
-        Parameter("dwell_s", "s", 0.0, 1.0, 0.01, shape=True, scan=(0.01,),
-                  meaning="contact time over which it builds up; 0 at once"),
+        Parameter(
+            "dwell_s",
+            "s",
+            0.0,
+            1.0,
+            0.01,
+            shape=True,
+            scan=(0.01,),
+            meaning="contact time over which it builds up; 0 at once",
+        ),
     ),
     variants=(("a_mps2",), ("a_mps2", "dwell_s")),
     seen_in=("takeoff", "landing"),
@@ -25,9 +33,9 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def hold(dwell_s: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def hold(dwell_s: float, p: Row, k: int) -> float:
     """Acceleration to be overcome at take-off, m/s^2."""
     if p[k] <= 0.0 or p[k + 1] <= 0.0:
-        return p[k]
-    return p[k] * (1.0 - math.exp(-dwell_s / p[k + 1]))
+        return float(p[k])
+    return float(p[k] * (1.0 - math.exp(-dwell_s / p[k + 1])))

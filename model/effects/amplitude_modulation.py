@@ -11,7 +11,11 @@ from model.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="amplitude_modulation",
     summary="the plate's amplitude swells and sinks within a step",
-    parameters=(Parameter("depth", "1", 0.0, 0.9, 0.003, calibration=2e-4, power=0.5, meaning="relative amplitude of the swell"),),
+    parameters=(
+        Parameter(
+            "depth", "1", 0.0, 0.9, 0.003, calibration=2e-4, power=0.5, meaning="relative amplitude of the swell"
+        ),
+    ),
     seen_in=("plate",),
     confused_with={"parameter_drift": "several periods within the run", "mains_hum": "the line's frequency"},
     reference="beating supplies, a hunting amplitude loop",

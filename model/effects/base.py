@@ -1,7 +1,7 @@
 """What an effect is: a named cause with parameters, bounds and hooks into the ball's equation.
 
 The rule kept here: an effect is one file. Its module holds ``EFFECT`` and any of these hooks, compiled with numba,
-where ``p`` is the row of all parameters (its last element is the local g) and ``k`` the place of the effect's first one:
+where ``p`` is the row of all parameters, the local g last, and ``k`` the place of the effect's first one:
 
 ====================================== =========================================================================
 ``force(s, h, v, u, p, k)``            acceleration of the ball in m/s^2, positive up; `s` seconds since take-off, `h`
@@ -38,10 +38,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+Row = NDArray[np.float64]
+"""The row of all parameters, the local g last."""
+
 COMPILED_HOOKS = ("force", "dry", "hold", "rebound", "mode")
 PLAIN_HOOKS = (
-    "transfer", "reading", "shift_s", "harmonics", "hum_mps2", "modulation", "gate", "offset_mps2", "time_scale",
-    "gap_m", "closure_s",
+    "transfer",
+    "reading",
+    "shift_s",
+    "harmonics",
+    "hum_mps2",
+    "modulation",
+    "gate",
+    "offset_mps2",
+    "time_scale",
+    "gap_m",
+    "closure_s",
 )
 
 Channel = Literal["plate", "takeoff", "landing", "bounce"]

@@ -11,7 +11,9 @@ from model.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="clock_error",
     summary="the recorder's clock differs from the one that made the drive",
-    parameters=(Parameter("relative", "1", -0.05, 0.05, 1e-4, calibration=3e-5, meaning="recorded over true time, minus 1"),),
+    parameters=(
+        Parameter("relative", "1", -0.05, 0.05, 1e-4, calibration=3e-5, meaning="recorded over true time, minus 1"),
+    ),
     seen_in=("plate",),
     confused_with={"local_gravity": "the drive's frequency"},
     reference="quartz: 50 ppm; a wrong rate in a file: anything",

@@ -1,4 +1,4 @@
-"""Coulomb friction of the rod, ``-mu g sign(v)`` against the motion relative to the plate; holds in mid-air when it can.
+"""Coulomb friction of the rod, ``-mu g sign(v)`` against the motion relative to the plate, held in mid-air when it can.
 The rule kept here: static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
 """
 
@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="coulomb_friction",
@@ -25,7 +25,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
-    return p[-1] * (p[k] if direction > 0.0 else p[k + 1])
+    return float(p[-1] * (p[k] if direction > 0.0 else p[k + 1]))

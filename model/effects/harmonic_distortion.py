@@ -15,7 +15,9 @@ EFFECT = Effect(
     name="harmonic_distortion",
     summary="the plate also moves at multiples of the forcing frequency",
     parameters=(
-        Parameter("second", "1", 0.0, 1.0, 0.005, calibration=1e-4, power=0.5, meaning="second harmonic over first tone"),
+        Parameter(
+            "second", "1", 0.0, 1.0, 0.005, calibration=1e-4, power=0.5, meaning="second harmonic over first tone"
+        ),
         Parameter("third", "1", 0.0, 1.0, 0.005, calibration=1e-4, power=0.5, meaning="third harmonic over first tone"),
     ),
     variants=(("second", "third"),),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="local_gravity",
@@ -14,14 +14,14 @@ EFFECT = Effect(
     parameters=(Parameter("excess_mps2", "m/s^2", -3.0, 3.0, 0.02, calibration=1e-3, meaning="true minus declared"),),
     seen_in=("takeoff", "landing", "bounce"),
     confused_with={
-        "accelerometer_gain": "together with drive_gain it is the same: only an absolute scale (flip test) separates them",
+        "accelerometer_gain": "the same together with drive_gain: only an absolute scale (flip test) tells",
         "coulomb_friction": "drops up and down",
     },
     reference="g varies by 0.5 % over the Earth; more is an inclined rod or a wrong profile",
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
-    return -p[k]
+    return float(-p[k])

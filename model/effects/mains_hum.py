@@ -11,7 +11,9 @@ from model.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="mains_hum",
     summary="the plate also moves at the mains frequency",
-    parameters=(Parameter("amplitude_mps2", "m/s^2", 0.0, 50.0, 0.05, calibration=0.002, power=0.5, meaning="at 50 or 60 Hz"),),
+    parameters=(
+        Parameter("amplitude_mps2", "m/s^2", 0.0, 50.0, 0.05, calibration=0.002, power=0.5, meaning="at 50 or 60 Hz"),
+    ),
     seen_in=("plate",),
     confused_with={"harmonic_distortion": "a forcing that does not divide the mains frequency"},
     reference="ground loops in the amplifier",

@@ -12,7 +12,9 @@ EFFECT = Effect(
     name="mass_loading",
     summary="the ball's weight loads the shaker: the plate moves more while the ball is in the air",
     parameters=(
-        Parameter("relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, meaning="amplitude in flight over contact, minus 1"),
+        Parameter(
+            "relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, meaning="amplitude in flight over contact, minus 1"
+        ),
     ),
     seen_in=("plate",),
     confused_with={"harmonic_distortion": "steps without flights"},

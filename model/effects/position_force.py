@@ -8,7 +8,7 @@ import math
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="position_force",
@@ -16,8 +16,17 @@ EFFECT = Effect(
     parameters=(
         Parameter("spring_per_s2", "1/s^2", -5000.0, 5000.0, 10.0, scan=(-50.0, 50.0), meaning="stiffness over mass"),
         Parameter("magnet_mps2", "m/s^2", -50.0, 50.0, 0.2, scan=(-1.0, 1.0), meaning="pull at the plate"),
-        Parameter("range_m", "m", 1e-4, 0.1, 1e-3, absent=2e-3, scan=(1e-3, 4e-3), shape=True,
-                  meaning="height over which the magnet's pull falls by e"),
+        Parameter(
+            "range_m",
+            "m",
+            1e-4,
+            0.1,
+            1e-3,
+            absent=2e-3,
+            scan=(1e-3, 4e-3),
+            shape=True,
+            meaning="height over which the magnet's pull falls by e",
+        ),
     ),
     variants=(("spring_per_s2",), ("magnet_mps2", "range_m")),
     seen_in=("takeoff", "landing", "bounce"),
@@ -26,10 +35,10 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     pull = p[k] * h
     if p[k + 1] != 0.0:
         pull += p[k + 1] * math.exp(-h / p[k + 2])
-    return -pull
+    return float(-pull)

@@ -6,14 +6,21 @@ from __future__ import annotations
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="restitution",
     summary="the ball rebounds: its impacts are not completely inelastic",
     parameters=(
-        Parameter("e0", "1", 0.0, 0.95, 0.02, scan=(0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8),
-                  meaning="coefficient of restitution of a slow impact"),
+        Parameter(
+            "e0",
+            "1",
+            0.0,
+            0.95,
+            0.02,
+            scan=(0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8),
+            meaning="coefficient of restitution of a slow impact",
+        ),
         Parameter("e1_s_per_m", "s/m", -1.0, 2.0, 0.05, meaning="loss of restitution with impact speed"),
     ),
     variants=(("e0",), ("e0", "e1_s_per_m")),
@@ -23,7 +30,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def rebound(v: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def rebound(v: float, p: Row, k: int) -> float:
     """Contribution to the coefficient of restitution."""
-    return max(p[k] - p[k + 1] * v, 0.0) if p[k] > 0.0 else 0.0
+    return float(max(p[k] - p[k + 1] * v, 0.0) if p[k] > 0.0 else 0.0)

@@ -8,7 +8,7 @@ import math
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="stribeck_friction",
@@ -16,8 +16,17 @@ EFFECT = Effect(
     parameters=(
         Parameter("mu_kinetic", "g", 0.0, 3.0, 0.02, scan=(0.1, 0.3), meaning="friction over weight at high speed"),
         Parameter("mu_extra", "g", 0.0, 3.0, 0.03, scan=(0.1,), meaning="what is added at standstill"),
-        Parameter("v_s_mps", "m/s", 1e-3, 2.0, 0.05, absent=0.1, scan=(0.03, 0.1, 0.3), shape=True,
-                  meaning="speed over which it weakens"),
+        Parameter(
+            "v_s_mps",
+            "m/s",
+            1e-3,
+            2.0,
+            0.05,
+            absent=0.1,
+            scan=(0.03, 0.1, 0.3),
+            shape=True,
+            meaning="speed over which it weakens",
+        ),
     ),
     seen_in=("takeoff", "landing", "bounce"),
     confused_with={"coulomb_friction": "slow and fast passages", "adhesion": "landing times of fast flights"},
@@ -25,8 +34,10 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
+    if p[k + 1] == 0.0:
+        return float(p[-1] * p[k])
     ratio = speed / p[k + 2]
-    return p[-1] * (p[k] + p[k + 1] * math.exp(-ratio * ratio))
+    return float(p[-1] * (p[k] + p[k + 1] * math.exp(-ratio * ratio)))

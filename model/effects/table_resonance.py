@@ -8,17 +8,27 @@ import math
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="table_resonance",
     summary="the table rings at a low frequency after each impact",
     parameters=(
         Parameter("mass_ratio", "1", 0.0, 1.0, 0.01, scan=(0.05,), meaning="ball over moving mass of the mode"),
-        Parameter("frequency_hz", "Hz", 1.0, 500.0, 0.3, absent=8.0, scan=(4.0, 6.0, 8.0, 11.0, 15.0), shape=True,
-                  meaning="of the mode"),
-        Parameter("damping", "1", 0.0, 0.9, 0.02, absent=0.05, scan=(0.03, 0.1), shape=True,
-                  meaning="damping over critical"),
+        Parameter(
+            "frequency_hz",
+            "Hz",
+            1.0,
+            500.0,
+            0.3,
+            absent=8.0,
+            scan=(4.0, 6.0, 8.0, 11.0, 15.0),
+            shape=True,
+            meaning="of the mode",
+        ),
+        Parameter(
+            "damping", "1", 0.0, 0.9, 0.02, absent=0.05, scan=(0.03, 0.1), shape=True, meaning="damping over critical"
+        ),
     ),
     seen_in=("plate", "takeoff", "landing"),
     confused_with={"amplitude_modulation": "the low-frequency line of the accelerometer"},
@@ -26,7 +36,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def mode(p, k: int) -> tuple[float, float, float]:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def mode(p: Row, k: int) -> tuple[float, float, float]:
     """``(omega_radps, damping_ratio, mass_ratio)``."""
     return 2.0 * math.pi * p[k + 1], p[k + 2], p[k]

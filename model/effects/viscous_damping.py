@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="viscous_damping",
@@ -18,7 +18,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
-    return -p[k] * v
+    return float(-p[k] * v)
