@@ -49,8 +49,10 @@ def mode(p):
 
 
 # ---- kernel ----
-STEPS_PER_PERIOD = 32
+STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
+MINOR = 1e-3  # a tone of less than this part of the largest displacement needs no finer steps
 FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
+WAIT_PARTS = 3  # a ball at rest is looked at so many times more often: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0
 TAIL_PART = 2e-3  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
@@ -69,6 +71,19 @@ def plate(t, w, ar, ai):
         v += (ai[k] * c + ar[k] * s) / w[k]
         x -= acc / (w[k] * w[k])
     return x, v, a
+
+
+@njit(cache=True, error_model="numpy")
+def pace(period, w, ar, ai):
+    """Integration step: a fixed part of the period of the fastest tone that matters."""
+    largest = 0.0
+    for k in range(w.shape[0]):
+        largest = max(largest, math.hypot(ar[k], ai[k]) / (w[k] * w[k]))
+    fastest = 2.0 * math.pi / period
+    for k in range(w.shape[0]):
+        if math.hypot(ar[k], ai[k]) / (w[k] * w[k]) > MINOR * largest:
+            fastest = max(fastest, w[k])
+    return 2.0 * math.pi / (fastest * STEPS_PER_PERIOD)
 
 
 @njit(cache=True, error_model="numpy")
@@ -126,19 +141,12 @@ def crossing(level, lo, hi, d, h0, v0, a0, h1, v1, a1):
 
 
 @njit(cache=True, error_model="numpy")
-def standstill(d, v0, a0, v1, a1):
-    """Where in [0, 1] the cubic through velocities and accelerations of a step d vanishes; signs differ at the ends."""
+def standstill(d, h0, v0, a0, h1, v1, a1):
+    """Where in [0, 1] the quintic's velocity vanishes in a step d; the velocities at the ends differ in sign."""
     lo, hi = 0.0, 1.0
-    for _ in range(50):
+    for _ in range(44):
         z = 0.5 * (lo + hi)
-        z2, z3 = z * z, z * z * z
-        f = (
-            (2.0 * z3 - 3.0 * z2 + 1.0) * v0
-            + (z3 - 2.0 * z2 + z) * a0 * d
-            + (-2.0 * z3 + 3.0 * z2) * v1
-            + (z3 - z2) * a1 * d
-        )
-        if (f > 0.0) == (v1 > 0.0):
+        if (hermite5(z, d, h0, v0, a0, h1, v1, a1)[1] > 0.0) == (v1 > 0.0):
             hi = z
         else:
             lo = z
@@ -156,7 +164,7 @@ def first_touch(d, h0, v0, a0, h1, v1, a1):
                 lo *= 0.5
         return crossing(0.0, lo, 1.0, d, h0, v0, a0, h1, v1, a1)
     if v0 < 0.0 < v1:
-        z = standstill(d, v0, a0, v1, a1)
+        z = standstill(d, h0, v0, a0, h1, v1, a1)
         if hermite5(z, d, h0, v0, a0, h1, v1, a1)[0] < 0.0:
             return crossing(0.0, 0.0, z, d, h0, v0, a0, h1, v1, a1)
     return -1.0
@@ -180,9 +188,10 @@ def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     up = dry(h, 0.0, 1.0, p)
     down = dry(h, 0.0, -1.0, p)
     last = 0.0
-    n = int(LONGEST_PERIODS * STEPS_PER_PERIOD)
+    fine = dt / WAIT_PARTS
+    n = int(LONGEST_PERIODS * STEPS_PER_PERIOD * WAIT_PARTS)
     for i in range(n):
-        s = i * dt
+        s = i * fine
         f = pull(t0 + s, s0 + s, h, 0.0, q, qd, om, ze, w, ar, ai, p)
         over = f - up - (hold(dwell0 + s, p) if h == 0.0 else 0.0)
         direction = 1.0 if over > 0.0 else (-1.0 if h > 0.0 and f < -down else 0.0)
@@ -216,6 +225,7 @@ def segment(t0, s0, h0, v0, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, 
     dev, devd = 0.0, 0.0
     h, v, up = h0, v0, vp0 + rv0
     fr = -direction * dry(h, abs(v), direction, p) if rough else 0.0
+    steady = rough and fr == -direction * dry(1.0, 1.0, direction, p) and fr == -direction * dry(0.0, 0.1, direction, p)
     f0 = (force(s0, h, v, up, p) if forced else 0.0) + fr
     a = -g - acc0 - ra0 + f0
     opened = -1.0
@@ -230,7 +240,9 @@ def segment(t0, s0, h0, v0, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, 
         hb1 = h0 + v0 * se - 0.5 * g * se * se - (xe - x0 - vp0 * se) - (rxe - rx0 - rv0 * se)
         vb1 = v0 - g * se - (vpe - vp0) - (rve - rv0)
         f1 = 0.0
-        if forced or rough:
+        if rough and not forced and steady:  # constant friction: the deviation is known in closed form
+            dev, devd, f1 = 0.5 * fr * se * se, fr * se, fr
+        elif forced or rough:
             xm, vpm, _ = plate(t0 + sm, w, ar, ai)
             rxm, rvm, _ = ring(s0 + sm, q, qd, om, ze)
             hbm = h0 + v0 * sm - 0.5 * g * sm * sm - (xm - x0 - vp0 * sm) - (rxm - rx0 - rv0 * sm)
@@ -268,7 +280,7 @@ def segment(t0, s0, h0, v0, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, 
                 opened = s0 + s + step * crossing(gap, 0.0, 1.0, step, h, v, a, h1, v1, a1)
         touch = first_touch(step, h, v, a, h1, v1, a1)
         if rough and v1 * direction < 0.0:
-            z = standstill(step, v, a, v1, a1) if v * direction > 0.0 else 1.0
+            z = standstill(step, h, v, a, h1, v1, a1) if v * direction > 0.0 else 1.0
             if touch < 0.0 or z < touch:
                 hz = hermite5(z, step, h, v, a, h1, v1, a1)[0]
                 return 2, s0 + s + z * step, max(hz, 0.0), 0.0, opened
@@ -400,7 +412,7 @@ def weak_rebounds(
         if lasts < closed_s:
             break
         following = off + lasts
-        if abs(following - target) > abs(land - target) and (not rests or following > target + 16.0 * dt):
+        if abs(following - target) > abs(land - target) and (not rests or following > target + 0.5 * STEPS_PER_PERIOD * dt):
             break
         q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
         land, hit = following, v_next
@@ -456,7 +468,7 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     """The last moment before an opening at which a ball at rest is thrown: what the plate's motion says of it."""
     back = 0.5 * h_period
     level = dry(0.0, 0.0, 1.0, p) + hold(1e9, p)
-    n = int(back / dt) * 2
+    n = int(back / dt) * 4
     d = back / n
     later = t_open + 4.0 * d
     over_later = pull(later, s0 + later - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level
@@ -498,7 +510,7 @@ def one_ahead(
         m = step[i]
         pi = p[i]
         wi, ri, ii = w[m], ar[m], ai[m]
-        dt = period[m] / STEPS_PER_PERIOD
+        dt = pace(period[m], wi, ri, ii)
         om, ze, ratio = mode(pi)
         out[i, 6] = -1.0
         if not linked[i]:
@@ -555,7 +567,7 @@ def march(t, v_in, q, qd, period, w, ar, ai, p, forced, rough, gap, unseen_s, ou
 
     Columns: take-off, launch velocity, landing, impact speed, kind, flights passed over.
     """
-    dt = period / STEPS_PER_PERIOD
+    dt = pace(period, w, ar, ai)
     om, ze, ratio = mode(p)
     for i in range(out.shape[0]):
         off, v0, land, hit, _, hidden, kind, qt, qdt = next_flight(
