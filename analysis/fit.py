@@ -20,8 +20,8 @@ from model.effects import Parameter, effect, registry
 
 Array = NDArray[np.float64]
 
-RELATIVE_STEP = 0.02  # of a parameter's typical size, for finite differences
-MOST_ITERATIONS = 12
+RELATIVE_STEP = 0.004  # of a parameter's typical size, for finite differences
+MOST_ITERATIONS = 20
 LEAP_S = 1e-3  # a prediction that moves by more within such a difference has met another event
 ENOUGH = 0.02  # nats: a step that gains less ends the fit
 FOLDS = 3
