@@ -174,7 +174,7 @@ def _draw_flight(ax: Any, flights: Flights, i: int, begin: float, motion: Any, g
     start, stop = (float(motion.position_at(flights.plate.true_time_s(t))) for t in (a, b))
     speed = (stop - start) / (b - a) + 0.5 * g * (b - a)
     y = start + speed * s - 0.5 * g * s**2
-    label = "ball, measured take-off and landing" if first else None
+    label = "free fall through measured take-off and landing" if first else None
     ax.plot(1e3 * (a + s - begin), 1e3 * y, "-", lw=1.4, color=pictures.MEASURED, label=label)
     ax.plot(1e3 * (np.array([a, b]) - begin), [1e3 * start, 1e3 * stop], "o", ms=4, mew=0, color=pictures.MEASURED)
 
