@@ -143,13 +143,14 @@ def _zones(ax: Any, forcing: Forcing, low: float, high: float, scale: float, uni
             still.append(mine)
         done += growing
         growing = still
-    for i, zone in enumerate(done + growing):
+    seen = [zone for zone in done + growing if len(zone) > 3]
+    for i, zone in enumerate(seen):
         g, a, b = np.array(zone).T
         ax.fill_between(
             g * scale, a * unit, b * unit, color=ZONE, alpha=0.35, lw=0, label="forbidden" if i == 0 else None
         )
-    if done or growing:
-        ax.legend(loc="lower right", frameon=False, fontsize=9)
+    if seen:
+        ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
 
 
 def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> None:

@@ -13,9 +13,9 @@ from model.ensemble import Job, compute
 
 
 def on_cluster(
-    job: Job, todo: list[tuple[int, int]], workers: int, address: str
+    todo: list[tuple[int, int, tuple[Job, int, int]]], workers: int, address: str
 ) -> Iterator[tuple[int, int, Rows]]:
-    """Chunks of ``job`` as they come in, from the scheduler at ``address`` or, where that is ``"local"``, one here.
+    """Chunks (bounds, and the arguments of `compute`) as they come in, from the scheduler at ``address`` or, where that is ``"local"``, one here.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def on_cluster(
             client = stack.enter_context(Client(stack.enter_context(local)))
         else:
             client = stack.enter_context(Client(address))
-        waiting = {client.submit(compute, job, start, stop, pure=False): (start, stop) for start, stop in todo}
+        waiting = {client.submit(compute, *piece, pure=False): (start, stop) for start, stop, piece in todo}
         for future in as_completed(list(waiting)):
             start, stop = waiting.pop(future)
             yield start, stop, future.result()

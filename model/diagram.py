@@ -19,7 +19,7 @@ from model.orbit import AT_REST, Attractor, Ball, attractor, sweep
 from model.rough_ball import RoughBall
 
 KEEP = 64  # flight times kept of a row
-MOST_FLIGHTS = 1024  # before a row is left to `model.orbit`
+MOST_FLIGHTS = 256  # before a row is left to `model.orbit`
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
 HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
 

@@ -142,6 +142,13 @@ def compute(job: Job, start: int, stop: int) -> Rows:
     return rows
 
 
+def _piece(job: Job, start: int, stop: int) -> tuple[Job, int, int]:
+    """The same points as a job as small as can be: what is sent to a worker."""
+    if job.axes:
+        return job, start, stop
+    return replace(job, gammas=job.gammas[start:stop]), 0, stop - start
+
+
 def run(
     job: Job,
     path: Path,
@@ -190,7 +197,7 @@ def _computed(
     if cluster is not None:
         from model.cluster import on_cluster
 
-        yield from on_cluster(job, todo, workers, cluster)
+        yield from on_cluster([(start, stop, _piece(job, start, stop)) for start, stop in todo], workers, cluster)
     elif workers == 1:
         for start, stop in todo:
             yield start, stop, compute(job, start, stop)
@@ -199,7 +206,7 @@ def _computed(
         from multiprocessing import get_context
 
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            waiting = {pool.submit(compute, job, start, stop): (start, stop) for start, stop in todo}
+            waiting = {pool.submit(compute, *_piece(job, start, stop)): (start, stop) for start, stop in todo}
             for future in as_completed(waiting):
                 start, stop = waiting.pop(future)
                 yield start, stop, future.result()

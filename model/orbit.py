@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from model.branches import TWO_PI
 
 MAX_FLIGHTS = 4096
+FEW_FLIGHTS = 256  # tried first: most orbits have arrived by then
 LONGEST_LOCKED = 64  # flights of the longest cycle without a reset that is looked for
 NEAR = 0.2  # how closely the tail of an orbit repeats before Newton is tried, in phase
 ARRIVED = 1e-6  # distance from a locked cycle at which an orbit has reached it
@@ -155,13 +156,16 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
     """
     if not (math.isfinite(gamma) and gamma >= 0.0):
         raise ValueError(f"gamma must be finite and not negative, not {gamma}")
-    path = ball.fly(gamma, start, max_flights)
     none = np.empty(0)
-    if path.tau.size == 0:
-        return Attractor("periodic", 1, 0, 0, False, none, none, none, 0.0, None, path.last)
-    if path.first >= 0:
-        return _closed(path)
-    tail = _locked(ball, gamma, path)
+    for flights in sorted({min(FEW_FLIGHTS, max_flights), max_flights}):
+        path = ball.fly(gamma, start, flights)
+        if path.tau.size == 0:
+            return Attractor("periodic", 1, 0, 0, False, none, none, none, 0.0, None, path.last)
+        if path.first >= 0:
+            return _closed(path)
+        tail = _locked(ball, gamma, path)
+        if tail is not None:
+            break
     if tail is not None:
         n = tail.tau.size
         exponent = math.log(abs(tail.multiplier)) / n if tail.multiplier else None

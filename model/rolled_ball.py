@@ -99,8 +99,9 @@ class RolledBall:
                 ahead, behind = self._after(gamma, x + shift, n), self._after(gamma, x - shift, n)
                 if ahead is None:
                     return None
-                wide = behind is not None  # just beyond a threshold a ball shifted back would rest
-                jacobian[:, j] = _difference(ahead, behind if wide else here)[:size] / (TANGENT * (2.0 if wide else 1.0))
+                # just beyond a threshold a ball shifted back would rest: there one side has to do
+                span = TANGENT if behind is None else 2.0 * TANGENT
+                jacobian[:, j] = _difference(ahead, here if behind is None else behind)[:size] / span
             miss = _difference(here, x)[:size]
             step = np.linalg.solve(np.eye(size) - jacobian, miss)
             x[:size] += step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -107,7 +108,8 @@ def test_no_window_is_missed(c):
         inside = [w for w in windows if w.low <= gamma <= w.high]
         found = attractor(ball, float(gamma))
         if inside:
-            assert (found.flights, found.resets, found.period) == (inside[0].flights, inside[0].resets, inside[0].period)
+            window = inside[0]
+            assert (found.flights, found.resets, found.period) == (window.flights, window.resets, window.period)
             continue
         outside += 1
         near = [attractor(ball, float(gamma + d)) for d in np.linspace(-1e-4, 1e-4, 21)]
@@ -118,7 +120,7 @@ def test_no_window_is_missed(c):
 def test_windows_do_not_overlap():
     """Each gamma belongs to at most one window, and they come in order."""
     windows = cycle_windows(ONE_SINE, 3.5, 4.0, narrowest=1e-4)
-    for left, right in zip(windows, windows[1:], strict=False):
+    for left, right in pairwise(windows):
         assert left.high <= right.low + 1e-12
 
 

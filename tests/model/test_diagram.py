@@ -66,8 +66,8 @@ def test_an_adaptive_diagram_is_finer_where_something_happens():
 
 def job(**changes):
     """A small grid of gammas and frictions."""
-    values = {"ratio": 1, "gammas": tuple(np.linspace(0.4, 2.0, 30)), "axes": (Axis("coulomb_friction.mu", (0.0, 0.2)),)}
-    return Job(**{**values, **changes})
+    axes = (Axis("coulomb_friction.mu", (0.0, 0.2)),)
+    return Job(**{"ratio": 1, "gammas": tuple(np.linspace(0.4, 2.0, 30)), "axes": axes, **changes})
 
 
 def test_an_ensemble_left_unfinished_is_continued(tmp_path):

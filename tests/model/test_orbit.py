@@ -75,7 +75,9 @@ def test_the_papers_first_figure_is_a_three_cycle():
     np.testing.assert_allclose(found.tau, [7.053544, 2.506845, 2.758548], atol=6e-7)
 
 
-@pytest.mark.parametrize(("c", "gamma"), [(1, 2.6), (1, 3.7), (1, 5.2), (2, 0.5), (2, 1.45), (2, 2.3), (3, 0.3), (3, 0.9)])
+@pytest.mark.parametrize(
+    ("c", "gamma"), [(1, 2.6), (1, 3.7), (1, 5.2), (2, 0.5), (2, 1.45), (2, 2.3), (3, 0.3), (3, 0.9)]
+)
 def test_cycles_agree_with_a_slow_solver(c, gamma):
     """Values published nowhere agree with a march in small steps that shares no code with the kernels."""
     found = attractor(IdealBall(Forcing.superposition(c)), gamma)
@@ -157,7 +159,8 @@ def test_up_and_down_ramps_differ_where_attractors_coexist():
 
 def test_basins_tell_coexisting_attractors_apart():
     """Restitution 0.5 at gamma_peak 1.2: some starts are thrown on for ever, those put down at rest chatter."""
-    found = basins(RoughBall(Forcing.superposition(1), e0=0.5), 0.6, np.linspace(0, 6, 7), np.array([0.0, 1.0, 3.0, 6.0]))
+    ball = RoughBall(Forcing.superposition(1), e0=0.5)
+    found = basins(ball, 0.6, np.linspace(0, 6, 7), np.array([0.0, 1.0, 3.0, 6.0]))
     kinds = {a.kind for a in found.attractors}
     assert "chattering" in kinds
     assert len(found.attractors) >= 2
