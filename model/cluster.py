@@ -15,7 +15,9 @@ from model.ensemble import Job, compute
 def on_cluster(
     todo: list[tuple[int, int, tuple[Job, int, int]]], workers: int, address: str
 ) -> Iterator[tuple[int, int, Rows]]:
-    """Chunks (bounds, and the arguments of `compute`) as they come in, from the scheduler at ``address`` or, where that is ``"local"``, one here.
+    """Chunks as they come in, from the scheduler at ``address`` or, where that is ``"local"``, one here.
+
+    ``todo`` holds each chunk's bounds, and the arguments of `compute`.
 
     Raises
     ------
