@@ -145,9 +145,10 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
     """Time each candidate ``found`` (index into ``x``; ``x[0]`` is sample ``offset``); rows go to ``out[n:]``."""
-    own, echo = np.empty(LENGTH), np.empty(LENGTH)
+    own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
     shifts = bank.shape[0]
-    for index in found:
+    for c in range(found.shape[0]):
+        index = found[c]
         echo[:] = 0.0
         for back in range(n - 1, -1, -1):
             lag = index + offset - out[back, 0]
@@ -162,6 +163,21 @@ def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # typ
         left, middle, right = score[best - 1], score[best], score[best + 1]
         place = index + offset + (best - SHIFTS) / FINE
         if middle < max(limit, ECHO_MARGIN * loud) or (n > 0 and place - out[n - 1, 0] < 0.5 * LEAD):
+            continue
+        # a louder impact soon after looks like one before it, too: a period of its ringing earlier
+        heard = 0.0
+        for ahead in range(c + 1, found.shape[0]):
+            lag = found[ahead] - index
+            if lag > LENGTH - LEAD:
+                break
+            for k in range(LENGTH):
+                own[k] = x[found[ahead] - LEAD + k]
+            top = bank @ own
+            far = int(np.argmax(top))
+            later[:] = 0.0
+            _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
+            heard = max(heard, np.dot(bank[best], later))
+        if middle - heard < max(limit, ECHO_MARGIN * heard):
             continue
         bend = min(left - 2.0 * middle + right, -1e-300)
         vertex = min(max(0.5 * (left - right) / bend, -1.0), 1.0)
