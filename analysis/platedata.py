@@ -24,6 +24,7 @@ KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulatio
 UNITS = ("1", "rad", "1", "1", "m/s^2", "1", "1", "m/s^2", "1")
 SQUARED = (SECOND, THIRD, HUM, MODULATION)  # kept as unbiased squares: an amplitude without its sign
 CLOCK_LIMIT = 5e-3  # a larger difference is another frequency, not a clock
+REVERSED = 0.8 * np.pi  # a phase beyond is a matter of leads
 SYSTEMATIC = 2e-5  # relative: what the estimator itself leaves
 
 
@@ -68,39 +69,54 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
     """Plate data of the fitted steps, and notes for the person who reads the report."""
     rows: list[tuple[float, ...]] = []
     notes: list[str] = []
-    scale, turned = _drive_scale(fitted, setup, notes)
+    scale = _drive_scale(fitted, setup, notes)
+    power = _drive_form(fitted, notes)
     for i, s in enumerate(fitted):
         first = abs(s.tone(1)[0])
         asked = 0.0
         if s.drive is not None and scale is not None:
             volts = {m: s.drive.amplitudes[k] for k, m in enumerate(s.multiples) if k < len(s.drive.amplitudes)}
             asked = abs(volts[1] * scale) / setup.g_mps2.value
-            rows += _gain_rows(i, s, scale, turned, asked, first)
+            rows += _gain_rows(i, s, scale, power, asked, first)
         rows += _tone_rows(i, s, asked, first)
         rows += _instrument_rows(i, s, setup, asked, first)
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     return PlateData(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), *table[:, 2:].T), tuple(notes)
 
 
-def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> tuple[complex | None, float]:
-    """Plate acceleration in m/s^2 for a volt of drive, and the sign by which the drive is turned."""
-    ratios = [s.tone(1)[0] / s.drive.amplitudes[0] for s in fitted if s.drive is not None and abs(s.drive.amplitudes[0]) > 0]
-    if not ratios:
-        return None, 1.0
+def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> complex | None:
+    """Plate acceleration in m/s^2 for a volt of drive at the first tone; None without a drive."""
+    driven = [s for s in fitted if s.drive is not None and abs(s.drive.amplitudes[0]) > 0]
+    ratios = np.array([s.tone(1)[0] / s.drive.amplitudes[0] for s in driven if s.drive is not None])
+    if not len(ratios):
+        return None
     if setup.drive.g_per_volt is None:
         notes.append("the profile declares no [drive] g_per_volt: a wrong drive gain or lag cannot be seen on this rig")
-        size = complex(np.median(np.abs(ratios)) * np.exp(1j * np.angle(np.sum(np.array(ratios)))))
-        return size, 1.0
+        return complex(np.median(np.abs(ratios)) * np.exp(1j * np.angle(np.sum(ratios))))
     phase = np.exp(1j * np.radians(setup.drive.phase_deg.value))
     scale = complex(setup.drive.g_per_volt.value * setup.g_mps2.value * phase)
-    turn = np.angle(np.sum(np.array(ratios) / scale))
-    if abs(turn) > 0.8 * np.pi:
+    if abs(np.angle(np.sum(ratios / scale))) > REVERSED:
         notes.append("the plate moves against the declared sense of the drive: taken for reversed leads, not for a lag")
-        return -scale, -1.0
-    return scale, 1.0
+        return -scale
+    return scale
 
 
-def _gain_rows(i: int, s: StepPlate, scale: complex, turned: float, asked: float, first: float) -> list[tuple[float, ...]]:
+def _drive_form(fitted: Sequence[StepPlate], notes: list[str]) -> int:
+    """Power of a tone's multiple by which its scale exceeds the first's: 2 where the drive draws the displacement."""
+    apart = [
+        np.log(abs(s.tone(s.ratio)[0] / s.drive.amplitudes[s.multiples.index(s.ratio)] / s.tone(1)[0] * s.drive.amplitudes[0]))
+        / np.log(s.ratio)
+        for s in fitted
+        if s.drive is not None and s.ratio > 1 and np.all(np.abs(s.drive.amplitudes[: s.ratio]) > 0)
+    ]
+    if apart and abs(float(np.median(apart)) - 2.0) < 0.3:
+        notes.append("the drive draws the plate's displacement, not its acceleration: the second tone is scaled by c^2")
+        return 2
+    return 0
+
+
+def _gain_rows(i: int, s: StepPlate, scale: complex, power: int, asked: float, first: float) -> list[tuple[float, ...]]:
+    """Gain and phase of each forcing tone against what the drive asks for."""
     if s.drive is None:
         return []
     rows: list[tuple[float, ...]] = []
@@ -110,7 +126,7 @@ def _gain_rows(i: int, s: StepPlate, scale: complex, turned: float, asked: float
         z, v = s.acceleration.amplitudes[k], s.drive.amplitudes[k]
         if abs(v) < 20 * sig_v[k] or abs(z) < 20 * sig_a[k]:
             continue
-        ratio = z / (v * scale)
+        ratio = z / (v * scale * m**power)
         sigma = float(np.hypot(np.hypot(sig_a[k] / abs(z), sig_v[k] / abs(v)), SYSTEMATIC))
         omega = m * s.omega_radps
         rows.append((GAIN, i, float(np.log(abs(ratio))), sigma, omega, asked, first))
