@@ -27,6 +27,17 @@ SMALL = 2  # a bounce that lands in the branch in which it began
 
 
 @compiled
+def _rebound_or_rest(tones: Floats, gamma: float, rough: Rough, phi: float, speed: float) -> tuple[float, float]:
+    """Speed after an impact, and 0; where a chatter begins that can be summed, 0 and the time to its end."""
+    v = rebound(rough, speed)
+    if v > 0.0:
+        tail = tail_of_chatter(tones, gamma, rough, phi, v)
+        if tail >= 0.0:
+            return 0.0, tail
+    return v, 0.0
+
+
+@compiled
 def fly_rough_until_closed(
     tones: Floats,
     gamma: float,
@@ -81,15 +92,12 @@ def fly_rough_until_closed(
         landing_index[k] = 2 * n_up * turns + branch_of(up, n_up, phi)
         mark[k] = SMALL if branch % 2 == 1 and landing_index[k] == branch else 0
         turn += turns
-        v = rebound(rough, speed[k])
-        if v > 0.0:
-            tail = tail_of_chatter(tones, gamma, rough, phi, v)
-            if tail >= 0.0:
-                v = 0.0
-                mark[k] |= CHATTERS
-                turns = round((phi + tail - fold(phi + tail, up[0])) / TWO_PI)
-                phi = fold(phi + tail, up[0])
-                turn += turns
+        v, tail = _rebound_or_rest(tones, gamma, rough, phi, speed[k])
+        if tail > 0.0:
+            mark[k] |= CHATTERS
+            phi += tail
+            turn += round((phi - fold(phi, up[0])) / TWO_PI)
+            phi = fold(phi, up[0])
     return -1, tau.shape[0], 0, fold(phi, up[0]), v
 
 
