@@ -19,6 +19,7 @@ from analysis.close_loop import Loop, as_json, declared_after
 from analysis.compare import FirstBifurcation, compare
 from analysis.flights import flights_of
 from analysis.pictures import badge_of
+from analysis.pictures_beyond import draw_discovery
 from analysis.pictures_loop import draw_candidates, draw_errors, draw_residuals
 from analysis.thresholds import FROZEN
 from daq.errors import InputError
@@ -61,7 +62,7 @@ def write_report(loop: Loop, recordings: Sequence[Path], folder: Path) -> Path:
     draw_residuals(loop, folder, badge)
     draw_candidates(loop, folder, badge, FROZEN)
     if loop.discovered is not None:
-        loop.discovered.draw(folder / "discovered.png")
+        draw_discovery(loop.discovered, folder, badge)
     page = folder / "report.html"
     page.write_text(_page(loop, recordings, folder, first, simulated), encoding="utf-8")
     return page

@@ -1,0 +1,291 @@
+"""Beyond the library: the missing term itself, as a smooth function of one covariate, where no named effect suffices.
+
+The rule kept here: a term is fitted, chosen and judged like a named effect, one event ahead and on steps that the fit
+did not see, and must also beat its own constant; what it might be called is said beside it, never instead of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution import THREADS, Candidate, Compared, Explanation
+from analysis.beyond_words import in_words
+from analysis.covariates import covariates
+from analysis.fit import Fitter
+from analysis.likelihood import Key, Whitener, World, plate_effects, step_losses
+from analysis.robust import log_odds, robust_weight
+from analysis.splines import (
+    TAILS, Stack, Tried, constant_of, newton_step, slopes_of, stiffness_of, table_of, try_covariate, try_in_flight,
+)
+from analysis.terms import (
+    EVENT_GRIDS, IN_FLIGHT, Curve, Spliced, Term, event_term, event_terms, knots_of, penalty_of, ranges_of,
+    spoken,
+)
+from analysis.thresholds import FROZEN
+from model.effects import registry
+from model.roll import Predicted
+
+Array = NDArray[np.float64]
+
+FINALISTS = 3
+NEAR = 0.25  # of the best first look's gain: who is nearer is looked at again
+ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
+FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
+GOOD = 1.15  # held-out scatter over uncertainty below which no second base is tried
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """A missing term.
+
+    Attributes
+    ----------
+    term
+        ``force``, ``friction``, ``threshold`` or ``restitution``.
+    of, unit, scale
+        Its covariate in words, the unit in which a person reads it, and the factor to it from SI.
+    in_words
+        What the curve does.
+    knots, values, low, high
+        The curve with its pointwise 95 % band, (k,), SI.
+    term_unit
+        Unit of the values.
+    seen
+        Values of the covariate at the flights, for a rug; empty for a quantity within the flight.
+    gain, over_constant
+        Held-out gain over the best named explanation, and over the same term as a constant.
+    resembles
+        Named effects whose mark on the flights is alike, with the correlation.
+    rivals
+        Other covariates that do as well on held-out steps.
+    world, explanation
+        The world with the term in it, and the fit there: what `remainder` and error tables take.
+    """
+
+    term: str
+    of: str
+    unit: str
+    scale: float
+    in_words: str
+    knots: Array
+    values: Array
+    low: Array
+    high: Array
+    term_unit: str
+    seen: Array
+    gain: Compared
+    over_constant: Compared
+    resembles: tuple[tuple[str, float], ...]
+    rivals: tuple[str, ...]
+    world: Spliced
+    explanation: Explanation
+
+    def as_json(self) -> dict[str, object]:
+        """For the report."""
+        return {
+            "term": self.term, "of": self.of, "in_words": self.in_words, "unit": self.term_unit, "of_unit": self.unit,
+            "knots": (self.scale * self.knots).tolist(), "values": self.values.tolist(),
+            "low": self.low.tolist(), "high": self.high.tolist(),
+            "resembles": [name for name, _ in self.resembles], "rivals": list(self.rivals),
+        }
+
+
+@dataclass(frozen=True)
+class _Polished:
+    """A curve in its world, with the fit of everything else there and the held-out losses."""
+
+    curve: Curve
+    spread: Array
+    world: Spliced
+    explanation: Explanation
+
+    @property
+    def per_step(self) -> Array:
+        return self.explanation.per_step
+
+
+def discover(
+    world: World, fitter: Fitter, explanation: Explanation, train: NDArray[np.bool_]
+) -> Discovery | None:
+    """Look for a smooth term that explains what the named effects do not.
+
+    Parameters
+    ----------
+    world, fitter
+        The evidence and its fits.
+    explanation
+        The best of the named effects.
+    train
+        Steps that may be seen, shape (m,).
+
+    Returns
+    -------
+    Discovery or None
+        None where no term gains beyond doubt on held-out steps, over the named effects and over its own constant.
+    """
+    tables = covariates(world, explanation.fitted.values)
+    found: list[_Polished] = []
+    for kept in _bases(explanation):
+        search = _Search(world, fitter, explanation, kept, train, tables)
+        found += [search.polished(t.curve) for t in search.first_looks()]
+        best = min(found, key=lambda p: float(p.per_step[train].sum()))
+        if _scatter(best, train) < GOOD:
+            break
+    gain = Compared.of(explanation.per_step, best.per_step, train)
+    if gain.gain < max(FROZEN.gain_nats, FROZEN.gain_sigmas * gain.error):
+        return None
+    kept = best.explanation.candidates
+    flat = _Search(world, fitter, explanation, kept, train, tables).polished(_flat(best.curve, len(world.evidence)))
+    constant = Compared.of(flat.per_step, best.per_step, train)
+    if constant.gain < max(FROZEN.gain_nats, FROZEN.gain_sigmas * constant.error):
+        return None
+    rivals = [p for p in found if p is not best and _tied(p, best, train)]
+    return _told(world, best, gain, constant, rivals, tables)
+
+
+def _bases(explanation: Explanation) -> list[tuple[Candidate, ...]]:
+    """What stays of the named effects: those of the plate and the instruments first, then all of them."""
+    still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
+    return [still] if len(still) == len(explanation.candidates) else [still, explanation.candidates]
+
+
+def _scatter(p: _Polished, train: NDArray[np.bool_]) -> float:
+    """Root mean square of held-out landings over their uncertainty, robust against grazes."""
+    r, u = p.world.residuals(p.explanation.fitted.values), p.world.uncertainty(p.explanation.fitted.values)
+    z = (r.landing_s / np.hypot(u.landing_total_s, 1e-6))[p.world.evidence.judged]
+    return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=6.0), -6.0, 6.0) ** 2)))
+
+
+def _tied(p: _Polished, best: _Polished, train: NDArray[np.bool_]) -> bool:
+    lead = Compared.of(p.per_step, best.per_step, train)
+    return lead.gain < max(FROZEN.tie_nats, FROZEN.tie_sigmas * lead.error)
+
+
+def _flat(curve: Curve, n: int) -> Curve:
+    """The same term without its covariate."""
+    term = event_term(curve.term.name, curve.term.of)
+    middle = float(np.median(curve.values)) / (9.81 if curve.term.against_motion else 1.0)
+    sign = -1.0 if curve.term.name == "force" and not curve.term.columns else 1.0
+    return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((n, 1)))
+
+
+class _Search:
+    """The search for a term beside the named effects ``kept``."""
+
+    def __init__(
+        self, world: World, fitter: Fitter, explanation: Explanation, kept: tuple[Candidate, ...],
+        train: NDArray[np.bool_], tables: Mapping[str, Array],
+    ) -> None:
+        self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, train, tables, kept
+        self.free: tuple[Key, ...] = tuple(k for c in kept for k in c.free)
+        gone = set(explanation.free) - set(self.free)
+        self.values = {k: v for k, v in explanation.fitted.values.items() if k not in gone}
+        self.dwell = tables["dwell_s"]
+
+    def first_looks(self) -> list[Tried]:
+        """All terms on all covariates; those near the best."""
+        stack = Stack.of(self.world, self.values, self.train)
+        ahead = stack.loss(stack.residuals(self.world, self.values))
+        judged = self.world.evidence.judged
+        tried, constants, rebound = [], {}, None
+        for name in EVENT_GRIDS:
+            table = table_of(self.world, self.values, stack, name)
+            constants[name] = constant_of(table, stack, name)[0]
+            for term in event_terms(name):
+                x = self.tables[term.of]
+                one = try_covariate(table, stack, term, x, knots_of(x[judged]))
+                tried.append(one)
+                rebound = one.curve if term.name == "restitution" and term.of == "previous_impact_mps" else rebound
+        ranges = ranges_of(self.tables, judged)
+        with ThreadPoolExecutor(THREADS) as pool:
+            tried += pool.map(lambda t: self._within(stack, t, ranges[t.of], constants[t.name], rebound), IN_FLIGHT)
+        tried.sort(key=lambda t: t.loss)
+        return [t for t in tried if t.loss < tried[0].loss + NEAR * (ahead - tried[0].loss)][:FINALISTS]
+
+    def _within(
+        self, stack: Stack, term: Term, span: tuple[float, float], constant: float, rebound: Curve | None
+    ) -> Tried:
+        curve = Curve.even(term, span, len(self.world.evidence))
+        if term.name == "friction":
+            curve = curve.moved(np.full_like(curve.values, constant * (9.81 if term.against_motion else 1.0)))
+        elif term.name == "restitution" and rebound is not None:
+            curve = curve.moved(rebound.at(curve.knots))
+        return try_in_flight(self.world, self.values, stack, curve, self.dwell, TAILS[1:3])
+
+    def polished(self, curve: Curve) -> _Polished:
+        """Curve and everything else fitted in turn; judged on the steps that the curve did not see."""
+        values = dict(self.values)
+        for tails in (TAILS[3:5], TAILS[5:]):
+            stack = Stack.of(Spliced(self.world, [curve], self.dwell), values, self.train)
+            curve = try_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
+            spliced = Spliced(self.world, [curve], self.dwell)
+            twin = Fitter(spliced, self.fitter.priors, self.train)
+            fitted = twin.fit(Whitener.of(spliced, values), self.free, values)
+            values = fitted.values
+        whitener = Whitener.of(spliced, values)
+        stack = Stack.of(spliced, values, self.train)
+        r = stack.residuals(spliced, values)
+        jacobian = slopes_of(self.world, values, stack, curve, self.dwell, r)
+        losses: dict[str, Array] = {}
+        step_of = self.world.evidence.measured.step[stack.event]
+        for fold in self.fitter.folds:
+            seen = replace(stack, train=stack.train & ~fold[step_of])
+            moved = Spliced(self.world, [curve.moved(curve.values + newton_step(curve, seen, r, jacobian))], self.dwell)
+            for channel, loss in step_losses(moved, whitener, moved.residuals(values)).items():
+                losses[channel] = losses.get(channel, np.zeros_like(loss)) + np.where(fold, loss, 0.0)
+        explanation = Explanation(self.kept, fitted, whitener, losses)
+        return _Polished(curve, _spread(curve, stack, r, jacobian), spliced, explanation)
+
+
+def _spread(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
+    """Standard deviation of the curve at its knots."""
+    width = stack.widths(r)
+    weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
+    stiff = stiffness_of(curve.values, 10.0 * curve.term.nudge) * penalty_of(len(curve.values))
+    normal = (jacobian * weight[:, None]).T @ jacobian + stiff
+    return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, rcond=1e-14)), 0.0)))
+
+
+def _told(
+    world: World, best: _Polished, gain: Compared, constant: Compared, rivals: Sequence[_Polished], tables: Mapping[str, Array]
+) -> Discovery:
+    curve = best.curve
+    words, unit, scale = spoken(curve.term)
+    judged = world.evidence.judged
+    seen = tables[curve.term.of][judged] if curve.term.columns else np.zeros(0)
+    half = 1.96 * best.spread
+    names = dict.fromkeys(spoken(p.curve.term)[0] for p in rivals if p.curve.term.of != curve.term.of)
+    return Discovery(
+        curve.term.name, words, unit, scale, in_words(curve), curve.knots, curve.values,
+        np.clip(curve.values - half, curve.term.low, None), np.clip(curve.values + half, None, curve.term.high),
+        curve.term.unit, seen[np.isfinite(seen)], gain, constant, _resembling(best), tuple(names), best.world, best.explanation,
+    )
+
+
+def _resembling(best: _Polished) -> tuple[tuple[str, float], ...]:
+    """Named effects whose mark on landings and openings is like the term's, most alike first."""
+    values, plain = best.explanation.fitted.values, best.world.without
+    base = plain.predict(values)
+
+    def mark(p: Predicted) -> Array:
+        both = np.concatenate([
+            (p.landing_s - base.landing_s)[plain.evidence.judged], (p.opening_s - base.opening_s)[plain.opens]
+        ])
+        return np.asarray(np.where(np.abs(both) < FARTHEST_S, np.nan_to_num(both), 0.0))
+
+    ours, out = mark(best.world.predict(values)), dict[str, float]()
+    for entry in registry():
+        e = entry.effect
+        if not e.library or e.nuisance or e.name in plate_effects() or e.name in best.explanation.names:
+            continue
+        for q in (q for q in e.parameters if not q.shape):
+            theirs = mark(plain.predict({**values, (e.name, q.name): q.absent + 2.0 * q.typical}))
+            size = float(np.linalg.norm(ours) * np.linalg.norm(theirs))
+            alike = abs(float(ours @ theirs)) / size if size > 0.0 else 0.0
+            out[e.name] = max(out.get(e.name, 0.0), alike)
+    return tuple(sorted(((k, v) for k, v in out.items() if v > ALIKE), key=lambda pair: -pair[1]))

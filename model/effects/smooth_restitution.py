@@ -1,0 +1,33 @@
+"""Restitution that is a smooth function of the impact speed: the missing term itself, where no cause is named.
+The rule kept here: piecewise linear between knots, constant beyond them; never part of the named library.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from model.effects.base import Effect, Parameter
+
+KNOTS = 12
+
+EFFECT = Effect(
+    name="smooth_restitution",
+    summary="restitution as a smooth function of the impact speed",
+    parameters=(
+        Parameter("start", "m/s", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
+        Parameter("spacing", "m/s", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
+        *(Parameter(f"c{i}", "1", 0.0, 0.95, 0.02, meaning="restitution at the knot") for i in range(KNOTS)),
+    ),
+    seen_in=("landing", "bounce"),
+    reference="penalised regression spline",
+    library=False,
+)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def rebound(v: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+    """Contribution to the coefficient of restitution."""
+    place = min(max((v - p[k]) / p[k + 1], 0.0), KNOTS - 1.0)
+    i = min(int(place), KNOTS - 2)
+    part = place - i
+    return p[k + 2 + i] * (1.0 - part) + p[k + 3 + i] * part
