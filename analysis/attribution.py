@@ -165,7 +165,9 @@ class Attributor:
         Called with what is being tried and the fraction done.
     """
 
-    def __init__(self, world: World, fitter: Fitter, limits: Thresholds = FROZEN, progress: Progress | None = None) -> None:
+    def __init__(
+        self, world: World, fitter: Fitter, limits: Thresholds = FROZEN, progress: Progress | None = None
+    ) -> None:
         self.world, self.fitter, self.limits = world, fitter, limits
         self.progress = progress or (lambda what, part: None)
         self.train = fitter.train
@@ -187,7 +189,8 @@ class Attributor:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
                 break
             gain = Compared.of(best.per_step, accepted.per_step, self.train)
-            rounds.append(f"round {depth + 1}: {' + '.join(accepted.candidates[-1].names)} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
+            added = " + ".join(accepted.candidates[-1].names)
+            rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
             base, rivals = best, found
             best = self._step_back(accepted, rounds)
             if best is not accepted:
@@ -222,7 +225,11 @@ class Attributor:
             return found + (self._searched(best, far, pool, told) if far else [])
 
     def _searched(
-        self, best: Explanation, options: Sequence[Candidate], pool: ThreadPoolExecutor, told: Callable[[Candidate], None]
+        self,
+        best: Explanation,
+        options: Sequence[Candidate],
+        pool: ThreadPoolExecutor,
+        told: Callable[[Candidate], None],
     ) -> list[Explanation]:
         """The most promising options where landings are missed by far, each from the best place on its landscape."""
         values = best.fitted.values
@@ -288,7 +295,9 @@ class Attributor:
             fitted = self.fitter.fit(after, fitted.free, fitted.values)
         return fitted
 
-    def _starts(self, best: Explanation, candidate: Candidate, free: Sequence[Key]) -> list[tuple[float, dict[Key, float]]]:
+    def _starts(
+        self, best: Explanation, candidate: Candidate, free: Sequence[Key]
+    ) -> list[tuple[float, dict[Key, float]]]:
         """The candidate's starting points with the loss at each, lowest first."""
         values = best.fitted.values
         points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in candidate.starts or ({},)]
@@ -303,7 +312,9 @@ class Attributor:
     def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the simplest."""
         nats, sigmas = (
-            (self.limits.gain_nats, self.limits.gain_sigmas) if depth == 0 else (self.limits.again_nats, self.limits.again_sigmas)
+            (self.limits.gain_nats, self.limits.gain_sigmas)
+            if depth == 0
+            else (self.limits.again_nats, self.limits.again_sigmas)
         )
         passing = []
         for x in found:

@@ -20,10 +20,28 @@ from analysis.fit import Fitter
 from analysis.likelihood import Key, Whitener, World, plate_effects, step_losses
 from analysis.robust import log_odds, robust_weight
 from analysis.splines import (
-    TAILS, Stack, Tried, constant_of, newton_step, slopes_of, stiffness_of, table_of, try_covariate, try_in_flight,
+    TAILS,
+    Stack,
+    Tried,
+    constant_of,
+    newton_step,
+    slopes_of,
+    stiffness_of,
+    table_of,
+    try_covariate,
+    try_in_flight,
 )
 from analysis.terms import (
-    EVENT_GRIDS, IN_FLIGHT, Curve, Spliced, Term, event_term, event_terms, knots_of, penalty_of, ranges_of,
+    EVENT_GRIDS,
+    IN_FLIGHT,
+    Curve,
+    Spliced,
+    Term,
+    event_term,
+    event_terms,
+    knots_of,
+    penalty_of,
+    ranges_of,
     spoken,
 )
 from analysis.thresholds import FROZEN
@@ -88,10 +106,17 @@ class Discovery:
     def as_json(self) -> dict[str, object]:
         """For the report."""
         return {
-            "term": self.term, "of": self.of, "in_words": self.in_words, "unit": self.term_unit, "of_unit": self.unit,
-            "knots": (self.scale * self.knots).tolist(), "values": self.values.tolist(),
-            "low": self.low.tolist(), "high": self.high.tolist(),
-            "resembles": [name for name, _ in self.resembles], "rivals": list(self.rivals),
+            "term": self.term,
+            "of": self.of,
+            "in_words": self.in_words,
+            "unit": self.term_unit,
+            "of_unit": self.unit,
+            "knots": (self.scale * self.knots).tolist(),
+            "values": self.values.tolist(),
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
+            "resembles": [name for name, _ in self.resembles],
+            "rivals": list(self.rivals),
         }
 
 
@@ -109,9 +134,7 @@ class _Polished:
         return self.explanation.per_step
 
 
-def discover(
-    world: World, fitter: Fitter, explanation: Explanation, train: NDArray[np.bool_]
-) -> Discovery | None:
+def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDArray[np.bool_]) -> Discovery | None:
     """Look for a smooth term that explains what the named effects do not.
 
     Parameters
@@ -178,8 +201,13 @@ class _Search:
     """The search for a term beside the named effects ``kept``."""
 
     def __init__(
-        self, world: World, fitter: Fitter, explanation: Explanation, kept: tuple[Candidate, ...],
-        train: NDArray[np.bool_], tables: Mapping[str, Array],
+        self,
+        world: World,
+        fitter: Fitter,
+        explanation: Explanation,
+        kept: tuple[Candidate, ...],
+        train: NDArray[np.bool_],
+        tables: Mapping[str, Array],
     ) -> None:
         self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, train, tables, kept
         self.free: tuple[Key, ...] = tuple(k for c in kept for k in c.free)
@@ -252,7 +280,12 @@ def _spread(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
 
 
 def _told(
-    world: World, best: _Polished, gain: Compared, constant: Compared, rivals: Sequence[_Polished], tables: Mapping[str, Array]
+    world: World,
+    best: _Polished,
+    gain: Compared,
+    constant: Compared,
+    rivals: Sequence[_Polished],
+    tables: Mapping[str, Array],
 ) -> Discovery:
     curve = best.curve
     words, unit, scale = spoken(curve.term)
@@ -261,9 +294,23 @@ def _told(
     half = 1.96 * best.spread
     names = dict.fromkeys(spoken(p.curve.term)[0] for p in rivals if p.curve.term.of != curve.term.of)
     return Discovery(
-        curve.term.name, words, unit, scale, in_words(curve), curve.knots, curve.values,
-        np.clip(curve.values - half, curve.term.low, None), np.clip(curve.values + half, None, curve.term.high),
-        curve.term.unit, seen[np.isfinite(seen)], gain, constant, _resembling(best), tuple(names), best.world, best.explanation,
+        curve.term.name,
+        words,
+        unit,
+        scale,
+        in_words(curve),
+        curve.knots,
+        curve.values,
+        np.clip(curve.values - half, curve.term.low, None),
+        np.clip(curve.values + half, None, curve.term.high),
+        curve.term.unit,
+        seen[np.isfinite(seen)],
+        gain,
+        constant,
+        _resembling(best),
+        tuple(names),
+        best.world,
+        best.explanation,
     )
 
 
@@ -273,9 +320,9 @@ def _resembling(best: _Polished) -> tuple[tuple[str, float], ...]:
     base = plain.predict(values)
 
     def mark(p: Predicted) -> Array:
-        both = np.concatenate([
-            (p.landing_s - base.landing_s)[plain.evidence.judged], (p.opening_s - base.opening_s)[plain.opens]
-        ])
+        both = np.concatenate(
+            [(p.landing_s - base.landing_s)[plain.evidence.judged], (p.opening_s - base.opening_s)[plain.opens]]
+        )
         return np.asarray(np.where(np.abs(both) < FARTHEST_S, np.nan_to_num(both), 0.0))
 
     ours, out = mark(best.world.predict(values)), dict[str, float]()

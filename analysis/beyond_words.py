@@ -21,7 +21,7 @@ def in_words(curve: Curve) -> str:
     words, unit, scale = spoken(curve.term)
     x = np.linspace(curve.knots[0], curve.knots[-1], POINTS)
     y = curve.at(x)
-    if curve.term.columns and curve.term.name == "force" or curve.term.name != "force":
+    if (curve.term.columns and curve.term.name == "force") or curve.term.name != "force":
         name = curve.term.words
     else:
         name, y = "a downward pull", -y
@@ -43,7 +43,8 @@ def in_words(curve: Curve) -> str:
         narrow = last - first < 0.4 * POINTS
         return text + (f", mostly between {place(first)} and {place(last)}" if narrow else "")
     if y[top] - max(y[0], y[-1]) >= min(y[0], y[-1]) - y[bottom]:
-        return f"{name} is greatest, {level(top)}, where {words} is about {place(top)}, and {level(bottom)} at {place(bottom)}"
+        peak = f"{name} is greatest, {level(top)}, where {words} is about {place(top)}"
+        return f"{peak}, and {level(bottom)} at {place(bottom)}"
     return f"{name} is least, {level(bottom)}, where {words} is about {place(bottom)}, and {level(top)} at {place(top)}"
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,19 +151,23 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     forcing = np.zeros((m, MAX_TONES), dtype=bool)
     for i, s in enumerate(fitted):
         tones = s.plate()
-        own = {int(round(x)) for x in 1e6 * s.forcing().omega_radps}
-        order = np.argsort([int(round(x)) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
+        own = {round(x) for x in 1e6 * s.forcing().omega_radps}
+        order = np.argsort([round(x) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
         k = len(order)
         omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
-        forcing[i, :k] = [int(round(x)) in own for x in 1e6 * omega[i, :k]]
+        forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
         every, sigmas = 2 * np.pi * s.acceleration.frequencies_hz, s.acceleration.amplitude_sigma()
         sigma[i, :k] = [sigmas[np.argmin(np.abs(every - w))] for w in omega[i, :k]]
     middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
     steps = Steps(
-        np.zeros(m, dtype=np.int64), np.array([s.step for s in fitted], dtype=np.int64),
-        np.array([s.gamma for s in fitted]), np.array([s.ratio for s in fitted], dtype=np.int64),
+        np.zeros(m, dtype=np.int64),
+        np.array([s.step for s in fitted], dtype=np.int64),
+        np.array([s.gamma for s in fitted]),
+        np.array([s.ratio for s in fitted], dtype=np.int64),
         middle / max(recording.n_samples, 1) - 0.5,
-        PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])), sigma, forcing,
+        PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])),
+        sigma,
+        forcing,
     )
     measured, judged, keep = _events(flights, rows)
     sigmas_open = _with_jitter(measured.opening_s, flights.takeoff_uncertainty_s[keep], measured, judged, steps)
@@ -170,8 +175,19 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
     data, notes = plate_data(fitted, setup)
     return Evidence(
-        measured, sigmas_open, sigmas_land, judged, measured.landing_s.copy(), weak, steps, data, setup,
-        unseen_s=GLITCH_S, closed_s=_closed_s(measured, 1.0 / recording.rate_hz), sources=(str(recording.path),), notes=notes,
+        measured,
+        sigmas_open,
+        sigmas_land,
+        judged,
+        measured.landing_s.copy(),
+        weak,
+        steps,
+        data,
+        setup,
+        unseen_s=GLITCH_S,
+        closed_s=_closed_s(measured, 1.0 / recording.rate_hz),
+        sources=(str(recording.path),),
+        notes=notes,
     )
 
 
@@ -231,30 +247,43 @@ def join(parts: Sequence[Evidence]) -> Evidence:
     """One table of several recordings' evidence."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
 
-    def events(name: str) -> NDArray[np.generic]:
-        return np.concatenate([getattr(p.measured, name) for p in parts])
-
-    def steps(name: str) -> NDArray[np.generic]:
-        return np.concatenate([getattr(p.steps, name) for p in parts])
-
-    def plates(name: str) -> NDArray[np.generic]:
-        return np.concatenate([getattr(p.steps.plate, name) for p in parts])
+    def column(of: Callable[[Evidence], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([of(p) for p in parts])
 
     measured = Measured(
-        events("opening_s"), events("landing_s"), events("at_once"), events("linked"),  # type: ignore[arg-type]
-        np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
-        events("wanted"),  # type: ignore[arg-type]
+        opening_s=column(lambda p: p.measured.opening_s),
+        landing_s=column(lambda p: p.measured.landing_s),
+        at_once=column(lambda p: p.measured.at_once),
+        linked=column(lambda p: p.measured.linked),
+        step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
+        wanted=column(lambda p: p.measured.wanted),
     )
     table = Steps(
-        np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
-        *(steps(k) for k in ("number", "gamma", "ratio", "run_part")),  # type: ignore[arg-type]
-        plate=PlateSteps(*(plates(k) for k in ("omega_radps", "acceleration_mps2", "period_s"))),  # type: ignore[arg-type]
-        sigma_mps2=steps("sigma_mps2"), forcing=steps("forcing"),  # type: ignore[arg-type]
+        recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
+        number=column(lambda p: p.steps.number),
+        gamma=column(lambda p: p.steps.gamma),
+        ratio=column(lambda p: p.steps.ratio),
+        run_part=column(lambda p: p.steps.run_part),
+        plate=PlateSteps(
+            omega_radps=column(lambda p: p.steps.plate.omega_radps),
+            acceleration_mps2=column(lambda p: p.steps.plate.acceleration_mps2),
+            period_s=column(lambda p: p.steps.plate.period_s),
+        ),
+        sigma_mps2=column(lambda p: p.steps.sigma_mps2),
+        forcing=column(lambda p: p.steps.forcing),
     )
     return Evidence(
-        measured,
-        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("opening_sigma_s", "landing_sigma_s", "judged", "time_s", "weak_mps")),
-        steps=table, plate=PlateData.join([p.plate for p in parts], shift), setup=parts[0].setup,
-        unseen_s=max(p.unseen_s for p in parts), closed_s=max(p.closed_s for p in parts), sources=tuple(s for p in parts for s in p.sources),
+        measured=measured,
+        opening_sigma_s=column(lambda p: p.opening_sigma_s),
+        landing_sigma_s=column(lambda p: p.landing_sigma_s),
+        judged=column(lambda p: p.judged),
+        time_s=column(lambda p: p.time_s),
+        weak_mps=column(lambda p: p.weak_mps),
+        steps=table,
+        plate=PlateData.join([p.plate for p in parts], shift),
+        setup=parts[0].setup,
+        unseen_s=max(p.unseen_s for p in parts),
+        closed_s=max(p.closed_s for p in parts),
+        sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
     )

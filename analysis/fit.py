@@ -39,7 +39,9 @@ def priors_of(setup: Setup) -> dict[Key, Prior]:
     """Priors of calibrations, nuisances and declared effects, from the profile and from the effects' own files."""
     out = {
         (r.effect.name, q.name): Prior(q.absent, q.calibration)
-        for r in registry() for q in r.effect.parameters if q.calibration > 0.0 and r.effect.library
+        for r in registry()
+        for q in r.effect.parameters
+        if q.calibration > 0.0 and r.effect.library
     }
     drive, accelerometer = setup.drive, setup.channels.accelerometer
     if drive.g_per_volt is None:
@@ -123,7 +125,11 @@ class Fitter:
 
     # -- the fit ----------------------------------------------------------------------------------------------
     def fit(
-        self, whitener: Whitener, free: Sequence[Key], start: Mapping[Key, float], slopes: Mapping[Key, Array] | None = None
+        self,
+        whitener: Whitener,
+        free: Sequence[Key],
+        start: Mapping[Key, float],
+        slopes: Mapping[Key, Array] | None = None,
     ) -> Fitted:
         """Levenberg-Marquardt on the robust loss from ``start``.
 
@@ -141,7 +147,12 @@ class Fitter:
         """
         always = [k for k in self.priors if k not in free]
         keys = [*free, *always]
-        x = np.array([self._to_x(k, start.get(k, self.priors[k].mean if k in self.priors else parameter_of(k).absent)) for k in keys])
+        x = np.array(
+            [
+                self._to_x(k, start.get(k, self.priors[k].mean if k in self.priors else parameter_of(k).absent))
+                for k in keys
+            ]
+        )
         state = _State(self, whitener, keys, *self._prior_rows(keys, frozenset(free)))
         raw = state.raw(x)
         loss = state.loss(raw, x)
@@ -170,7 +181,6 @@ class Fitter:
             if gained < ENOUGH:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
-
 
     def linear_gain(self, best: Fitted, free: Sequence[Key]) -> float:
         """Loss that freeing ``free`` would save on the steps of the fit if residuals were linear in them, in nats."""
@@ -225,7 +235,9 @@ class _State:
     def loss(self, raw: Array, x: Array) -> float:
         """Robust loss of the training steps, priors included."""
         z = self.whitener.white_all(raw)
-        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
+        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + 0.5 * float(
+            np.sum(((x - self.mean) * self.inverse) ** 2)
+        )
 
     def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
         """Finite differences of the bare residuals, one column a parameter."""
@@ -310,7 +322,8 @@ class Fitted:
 
         Each fold's fit is one step from the common one, on the other folds' steps; its residuals are then exact.
         """
-        world, out = self.fitter.world, {}
+        world = self.fitter.world
+        out: dict[str, Array] = {}
         for fold in self.fitter.folds:
             mask = self.state.mask & ~fold[self.state.step]
             normal, gradient = self._normal(mask)

@@ -119,7 +119,9 @@ class World:
                     table[key] = np.full(m, value)
             for (n, key), value in point.items():
                 if n == name and key.endswith(DRIFT):
-                    table[key.removesuffix(DRIFT)] = table[key.removesuffix(DRIFT)] + value * self.evidence.steps.run_part
+                    table[key.removesuffix(DRIFT)] = (
+                        table[key.removesuffix(DRIFT)] + value * self.evidence.steps.run_part
+                    )
             out[name] = table
         return out
 
@@ -132,12 +134,20 @@ class World:
             tables = self.by_step({k: v for k, v in point.items() if k[0] in {r.effect.name for r in names}})
             for entry in names:
                 table = tables[entry.effect.name]
-                one = np.array([entry.hooks[hook](dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)])
+                one = np.array(
+                    [entry.hooks[hook](dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
+                )
                 total = total * one if nothing == 1.0 else total + one
         return total
 
-    def predict(self, values: Values, *, landing_shift_s: Array | None = None, tones: NDArray[np.complex128] | None = None,
-                rows: Array | None = None) -> Predicted:
+    def predict(
+        self,
+        values: Values,
+        *,
+        landing_shift_s: Array | None = None,
+        tones: NDArray[np.complex128] | None = None,
+        rows: Array | None = None,
+    ) -> Predicted:
         """One event ahead at ``values``; times are those that the instrument would show."""
         ev = self.evidence
         step = ev.measured.step
@@ -150,8 +160,15 @@ class World:
         if landing_shift_s is not None:
             moved = moved + landing_shift_s
         measured = replace(ev.measured, opening_s=ev.measured.opening_s - shift, landing_s=moved)
-        p = one_ahead(measured, plate, self.rows(values) if rows is None else rows, gap_m=gap, unseen_s=ev.unseen_s, closed_s=ev.closed_s,
-                      weak_mps=ev.weak_mps)
+        p = one_ahead(
+            measured,
+            plate,
+            self.rows(values) if rows is None else rows,
+            gap_m=gap,
+            unseen_s=ev.unseen_s,
+            closed_s=ev.closed_s,
+            weak_mps=ev.weak_mps,
+        )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -200,8 +217,10 @@ class World:
                 columns_land.append(_finite(moved.landing_s - base.landing_s))
         shape = (0, n)
         return Uncertainty(
-            np.sqrt(open_var), np.sqrt(land_var),
-            np.array(columns_open).reshape(-1, *shape[1:]).T, np.array(columns_land).reshape(-1, *shape[1:]).T,
+            np.sqrt(open_var),
+            np.sqrt(land_var),
+            np.array(columns_open).reshape(-1, *shape[1:]).T,
+            np.array(columns_land).reshape(-1, *shape[1:]).T,
         )
 
 
@@ -253,7 +272,10 @@ class Whitener:
         first = np.arange(len(step)) < len(opening)
         bare = _capped(np.concatenate([r.opening_s[opening], r.landing_s[landing]]), FARTHEST_PERIODS * period)
         total = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
-        excess = (excess_of(bare[first], total[first], period[first])[0], excess_of(bare[~first], total[~first], period[~first])[0])
+        excess = (
+            excess_of(bare[first], total[first], period[first])[0],
+            excess_of(bare[~first], total[~first], period[~first])[0],
+        )
         edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
         order = np.argsort(step, kind="stable")
@@ -263,7 +285,23 @@ class Whitener:
         logs += np.log(sd)
         sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
-        return cls(opening, landing, step[order], order, bounds, sd, shared, shrink, period, logs, odds, sigma, log, excess, total)
+        return cls(
+            opening,
+            landing,
+            step[order],
+            order,
+            bounds,
+            sd,
+            shared,
+            shrink,
+            period,
+            logs,
+            odds,
+            sigma,
+            log,
+            excess,
+            total,
+        )
 
     def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
         """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
@@ -290,7 +328,9 @@ class Whitener:
         """Whitened residuals, from bare ones."""
         n = len(self.step)
         unit = bare[:n] / self.sd
-        return np.concatenate([self._unshared(unit[:, None], np.clip(unit, -CLIP, CLIP)[:, None])[:, 0], bare[n:] / self.plate_sigma])
+        return np.concatenate(
+            [self._unshared(unit[:, None], np.clip(unit, -CLIP, CLIP)[:, None])[:, 0], bare[n:] / self.plate_sigma]
+        )
 
     def white_slopes(self, slopes: Array, bare: Array) -> Array:
         """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
@@ -323,7 +363,7 @@ def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Arra
     return shared, shrink, logs
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
     """Take from each block what its residuals have in common: ``y += U shrink U^T heard``, in place, (n, columns)."""
     for i in range(len(bounds) - 1):
@@ -355,9 +395,11 @@ def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Arr
     """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
     m, n = len(world.evidence.steps), len(whitener.step)
     events, plate = whitener.white(r)
+    by_event = robust_loss(events, whitener.odds[:n]) + whitener.log_sigma
+    by_datum = robust_loss(plate) + whitener.plate_log
     return {
-        "events": np.bincount(whitener.step, robust_loss(events, whitener.odds[:n]) + whitener.log_sigma, minlength=m),
-        "plate": np.bincount(world.evidence.plate.step, robust_loss(plate) + whitener.plate_log, minlength=m),
+        "events": np.asarray(np.bincount(whitener.step, by_event, minlength=m), dtype=np.float64),
+        "plate": np.asarray(np.bincount(world.evidence.plate.step, by_datum, minlength=m), dtype=np.float64),
     }
 
 
@@ -366,4 +408,3 @@ def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
     flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m"}
     return frozenset(r.effect.name for r in registry() if r.hooks and not flying & r.hooks.keys())
-

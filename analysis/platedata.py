@@ -104,7 +104,14 @@ def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) ->
 def _drive_form(fitted: Sequence[StepPlate], notes: list[str]) -> int:
     """Power of a tone's multiple by which its scale exceeds the first's: 2 where the drive draws the displacement."""
     apart = [
-        np.log(abs(s.tone(s.ratio)[0] / s.drive.amplitudes[s.multiples.index(s.ratio)] / s.tone(1)[0] * s.drive.amplitudes[0]))
+        np.log(
+            abs(
+                s.tone(s.ratio)[0]
+                / s.drive.amplitudes[s.multiples.index(s.ratio)]
+                / s.tone(1)[0]
+                * s.drive.amplitudes[0]
+            )
+        )
         / np.log(s.ratio)
         for s in fitted
         if s.drive is not None and s.ratio > 1 and np.all(np.abs(s.drive.amplitudes[: s.ratio]) > 0)
@@ -148,7 +155,17 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[f
     if len(mains):
         k = max(mains, key=lambda j: abs(fit.amplitudes[j]) / sigmas[j])
         square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
-        rows.append((HUM, i, square - 2 * noise**2, _square_sigma(square, noise), 2 * np.pi * fit.frequencies_hz[k], asked, first))
+        rows.append(
+            (
+                HUM,
+                i,
+                square - 2 * noise**2,
+                _square_sigma(square, noise),
+                2 * np.pi * fit.frequencies_hz[k],
+                asked,
+                first,
+            )
+        )
     w = s.windows
     if w.amplitudes.ndim == 2 and w.amplitudes.shape[0] >= 4:
         relative = np.abs(w.amplitudes[:, 0]) / first
@@ -158,7 +175,9 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[f
             d, v = relative[good] - relative[good].mean(), float(np.mean(noise_w[good] ** 2))
             freedom = good.sum() - 1
             square = 2.0 * float(np.sum(d**2) / freedom - v)
-            rows.append((MODULATION, i, square, 2.0 * np.sqrt(2.0 / freedom) * max(v, abs(square) / 2), 0.0, asked, first))
+            rows.append(
+                (MODULATION, i, square, 2.0 * np.sqrt(2.0 / freedom) * max(v, abs(square) / 2), 0.0, asked, first)
+            )
     return rows
 
 
@@ -174,7 +193,9 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
         zc, zf = s.contact.amplitudes[0], s.flight.amplitudes[0]
         sigma = float(np.hypot(s.contact.amplitude_sigma()[0] / abs(zc), s.flight.amplitude_sigma()[0] / abs(zf)))
         if sigma < 0.05:
-            rows.append((GATE, i, float(np.log(abs(zf) / abs(zc))), np.hypot(sigma, SYSTEMATIC), s.omega_radps, asked, first))
+            rows.append(
+                (GATE, i, float(np.log(abs(zf) / abs(zc))), np.hypot(sigma, SYSTEMATIC), s.omega_radps, asked, first)
+            )
     channel = setup.channels.accelerometer
     if channel.coupling == "dc" and channel.offset_v is not None:
         known = channel.offset_v.uncertainty / abs(channel.volts_per_mps2)
@@ -183,7 +204,9 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
         rows.append((OFFSET, i, s.acceleration.offset - weight, max(sigma, 1e-4), 0.0, asked, first))
     apart = s.frequency_hz / setup.forcing.frequency_hz - 1.0
     if abs(apart) < CLOCK_LIMIT and s.frequency_uncertainty_hz > 0:
-        rows.append((CLOCK, i, apart, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first))
+        rows.append(
+            (CLOCK, i, apart, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first)
+        )
     return rows
 
 
@@ -211,7 +234,9 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
     return out
 
 
-def _logarithm_of_transfer(out: Array, data: PlateData, rows: NDArray[np.bool_], factor: NDArray[np.complex128]) -> None:
+def _logarithm_of_transfer(
+    out: Array, data: PlateData, rows: NDArray[np.bool_], factor: NDArray[np.complex128]
+) -> None:
     gain, phase = data.kind[rows] == GAIN, data.kind[rows] == PHASE
     out[rows] += np.where(gain, np.log(np.abs(factor)), 0.0) + np.where(phase, np.angle(factor), 0.0)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ def thinned(world: World, train: NDArray[np.bool_], most: int = MOST_EVENTS) -> 
     judged = ev.judged & train[ev.measured.step]
     counts = np.bincount(ev.measured.step[judged], minlength=len(ev.steps))
     share = max(most // max(int(np.sum(counts > 0)), 1), 4)
-    before = np.cumsum(judged) - judged
+    before: NDArray[np.int64] = np.cumsum(judged) - judged
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
     judged &= before - first[ev.measured.step] < share
     return World(replace(ev, judged=judged, measured=replace(ev.measured, wanted=judged)), world.declared)
@@ -83,9 +84,8 @@ class Landscape:
         def at(x: NDArray[np.float64]) -> Point:
             return {**point, **{k: float(v) for g, v in zip(groups, x, strict=True) for k in g}}
 
-        found = minimize(lambda x: self.loss(at(x)), start, method="Nelder-Mead", bounds=bounds, options={
-            "initial_simplex": simplex, "maxfev": MOST_STEPS_OF_SIMPLEX, "xatol": 1e-5, "fatol": 0.5,
-        })
+        options: Any = {"initial_simplex": simplex, "maxfev": MOST_STEPS_OF_SIMPLEX, "xatol": 1e-5, "fatol": 0.5}
+        found: Any = minimize(lambda x: self.loss(at(x)), start, method="Nelder-Mead", bounds=bounds, options=options)  # type: ignore[call-overload]
         return float(found.fun), at(found.x)
 
 

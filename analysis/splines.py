@@ -179,7 +179,9 @@ def _penalised(curve: Curve, stack: Stack, r: Array, width: Array) -> float:
     return data + 0.5 * stiffness_of(curve.values, 10.0 * curve.term.nudge) * float(bend)
 
 
-def try_in_flight(world: World, values: Values, stack: Stack, start: Curve, dwell_s: Array, tails: Sequence[float] = TAILS[1:4]) -> Tried:
+def try_in_flight(
+    world: World, values: Values, stack: Stack, start: Curve, dwell_s: Array, tails: Sequence[float] = TAILS[1:4]
+) -> Tried:
     """Gauss-Newton for a term within the flight, by predictions."""
     curve = start
     r = stack.residuals(Spliced(world, [curve], dwell_s), values)
@@ -197,7 +199,7 @@ def try_in_flight(world: World, values: Values, stack: Stack, start: Curve, dwel
 
 
 def slopes_of(world: World, values: Values, stack: Stack, curve: Curve, dwell_s: Array, r: Array) -> Array:
-    """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction where each flight has its own."""
+    """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction if each flight has one."""
     nudge = curve.term.nudge
     if curve.term.columns:
         moved = Curve(curve.term, curve.knots, curve.values + nudge, curve.basis)

@@ -1,7 +1,7 @@
 """Missing terms as splines: what they act on, what they may depend on, and the world with one of them in it.
 
-The rule kept here: a term is piecewise linear between knots and constant beyond them; it enters the same one-event-ahead
-prediction as any named effect, either as a number of each flight or as a force within it.
+The rule kept here: a term is piecewise linear between knots and constant beyond them; it enters the same
+one-event-ahead prediction as any named effect, either as a number of each flight or as a force within it.
 """
 
 from __future__ import annotations
@@ -166,9 +166,13 @@ def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[st
     hit, lasts = most("impact_mps"), most("flight_s")
     fastest = max(most("plate_speed_at_takeoff_mps"), 0.5 * hit)
     return {
-        "height_m": (0.0, most("height_m")), "speed_mps": (0.0, hit), "velocity_mps": (-hit, 0.6 * hit),
-        "absolute_velocity_mps": (-hit, fastest), "since_takeoff_s": (0.0, lasts),
-        "since_impact_s": (0.0, lasts + most("dwell_s")), "impact_mps": (0.0, hit),
+        "height_m": (0.0, most("height_m")),
+        "speed_mps": (0.0, hit),
+        "velocity_mps": (-hit, 0.6 * hit),
+        "absolute_velocity_mps": (-hit, fastest),
+        "since_takeoff_s": (0.0, lasts),
+        "since_impact_s": (0.0, lasts + most("dwell_s")),
+        "impact_mps": (0.0, hit),
     }
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,11 +42,22 @@ def _composed_source() -> str:
             lines.append(f"from {entry.module} import {hook} as {hook}_{entry.effect.name}")
     for hook, (arguments, nothing) in _SIGNATURES.items():
         terms = [f"{hook}_{e.effect.name}({arguments}, {e.offset})" for e in entries if hook in e.hooks]
-        lines += ["", "@njit(error_model='numpy')", f"def {hook}({arguments}):", f"    return {' + '.join(terms) or nothing}"]
+        lines += [
+            "",
+            "@njit(error_model='numpy')",
+            f"def {hook}({arguments}):",
+            f"    return {' + '.join(terms) or nothing}",
+        ]
     modes = [f"mode_{e.effect.name}(p, {e.offset})" for e in entries if "mode" in e.hooks]
     if len(modes) > 1:
         raise ValueError("only one effect may bring a plate mode")
-    lines += ["", "@njit(error_model='numpy')", "def mode(p):", f"    return {modes[0] if modes else '1.0, 0.0, 0.0'}", ""]
+    lines += [
+        "",
+        "@njit(error_model='numpy')",
+        "def mode(p):",
+        f"    return {modes[0] if modes else '1.0, 0.0, 0.0'}",
+        "",
+    ]
     return "\n".join(lines) + template.split("# ---- kernel ----", 1)[1]
 
 
@@ -81,8 +91,16 @@ def kernel() -> ModuleType:
 @functools.cache
 def _columns(hook: str) -> NDArray[np.intp]:
     """Places in the row of all parameters of the effects that define ``hook``."""
-    return np.array([e.offset + i for e in registry() if hook in e.hooks for i, q in enumerate(e.effect.parameters)
-                     if not q.shape or q.name == "of"], dtype=np.intp)
+    return np.array(
+        [
+            e.offset + i
+            for e in registry()
+            if hook in e.hooks
+            for i, q in enumerate(e.effect.parameters)
+            if not q.shape or q.name == "of"
+        ],
+        dtype=np.intp,
+    )
 
 
 def _active(rows: Array, hook: str) -> bool:
@@ -154,8 +172,15 @@ class Predicted:
 
 
 def one_ahead(
-    measured: Measured, plate: PlateSteps, rows: Array, *, gap_m: Array | float = 0.0, unseen_s: float = 1e-4,
-    closed_s: float = 5e-5, passable_s: float = 2e-3, weak_mps: Array | float = 0.0,
+    measured: Measured,
+    plate: PlateSteps,
+    rows: Array,
+    *,
+    gap_m: Array | float = 0.0,
+    unseen_s: float = 1e-4,
+    closed_s: float = 5e-5,
+    passable_s: float = 2e-3,
+    weak_mps: Array | float = 0.0,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -183,11 +208,26 @@ def one_ahead(
     out = np.full((n, 9), np.nan)
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1) | np.any(rows[:, _columns("mode")] > 0.0, axis=1)
     kernel().one_ahead(
-        measured.opening_s, measured.landing_s, measured.at_once, measured.linked, measured.wanted, measured.step,
-        plate.period_s, plate.omega_radps, np.ascontiguousarray(plate.acceleration_mps2.real),
-        np.ascontiguousarray(plate.acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"),
-        elastic, np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)), unseen_s,
-        closed_s, passable_s, np.ascontiguousarray(np.broadcast_to(np.asarray(weak_mps, dtype=np.float64), n)), out,
+        measured.opening_s,
+        measured.landing_s,
+        measured.at_once,
+        measured.linked,
+        measured.wanted,
+        measured.step,
+        plate.period_s,
+        plate.omega_radps,
+        np.ascontiguousarray(plate.acceleration_mps2.real),
+        np.ascontiguousarray(plate.acceleration_mps2.imag),
+        rows,
+        _active(rows, "force"),
+        _active(rows, "dry"),
+        elastic,
+        np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)),
+        unseen_s,
+        closed_s,
+        passable_s,
+        np.ascontiguousarray(np.broadcast_to(np.asarray(weak_mps, dtype=np.float64), n)),
+        out,
     )
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan
@@ -228,11 +268,20 @@ def march(
     rows = row(effects, g_mps2)
     out = np.empty((flights, 6))
     n, *_ = kernel().march(
-        start_s, impact_mps, 0.0, 0.0, period_s, omega_radps, np.ascontiguousarray(acceleration_mps2.real),
-        np.ascontiguousarray(acceleration_mps2.imag), rows, _active(rows, "force"), _active(rows, "dry"), 0.0,
-        unseen_s, out,
+        start_s,
+        impact_mps,
+        0.0,
+        0.0,
+        period_s,
+        omega_radps,
+        np.ascontiguousarray(acceleration_mps2.real),
+        np.ascontiguousarray(acceleration_mps2.imag),
+        rows,
+        _active(rows, "force"),
+        _active(rows, "dry"),
+        0.0,
+        unseen_s,
+        out,
     )
     out = out[:n]
     return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))
-
-

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 
@@ -274,10 +273,7 @@ def segment(t0, s0, h0, v0, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, 
         h1, v1 = hb1 + dev, vb1 + devd
         a1 = -g - acce - rae + f1
         if opened < 0.0 and h1 > gap >= h:
-            if gap == 0.0:
-                opened = s0 + s
-            else:
-                opened = s0 + s + step * crossing(gap, 0.0, 1.0, step, h, v, a, h1, v1, a1)
+            opened = s0 + s if gap == 0.0 else s0 + s + step * crossing(gap, 0.0, 1.0, step, h, v, a, h1, v1, a1)
         touch = first_touch(step, h, v, a, h1, v1, a1)
         if rough and v1 * direction < 0.0:
             z = standstill(step, h, v, a, h1, v1, a1) if v * direction > 0.0 else 1.0
@@ -300,9 +296,7 @@ def flight(t0, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap):
     """
     s, h, v, opened, direction = 0.0, 0.0, v0, -1.0, 1.0
     for _ in range(200):
-        ended, s, h, v, o = segment(
-            t0 + s, s, h, v, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap
-        )
+        ended, s, h, v, o = segment(t0 + s, s, h, v, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap)
         if opened < 0.0:
             opened = o
         if ended == 1:
@@ -322,8 +316,8 @@ def flight(t0, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap):
 def leave(t, v_in, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """After an impact at time t with speed v_in: when, how fast and how the ball leaves the plate.
 
-    Returns (time, launch velocity, kind, end of rebounds): kind 1 thrown or bounced at once, 0 after rest, -1 never. The
-    tail of a chatter is summed as a geometric series under the net acceleration at its start.
+    Returns (time, launch velocity, kind, end of rebounds): kind 1 thrown or bounced at once, 0 after rest, -1 never.
+    The tail of a chatter is summed as a geometric series under the net acceleration at its start.
     """
     e = min(max(rebound(v_in, p), 0.0), 0.999)
     v0 = e * v_in
@@ -393,9 +387,7 @@ def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, 
 
 
 @njit(cache=True, error_model="numpy")
-def weak_rebounds(
-    land, hit, target, rests, weak_mps, closed_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough
-):
+def weak_rebounds(land, hit, target, rests, weak_mps, closed_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
     """Which landing ends a flight as the instrument shows it, given a first landing.
 
     An impact slower than ``weak_mps`` from which the ball leaves at once has left no mark: the flight seems to go on
@@ -412,7 +404,9 @@ def weak_rebounds(
         if lasts < closed_s:
             break
         following = off + lasts
-        if abs(following - target) > abs(land - target) and (not rests or following > target + 0.5 * STEPS_PER_PERIOD * dt):
+        if abs(following - target) > abs(land - target) and (
+            not rests or following > target + 0.5 * STEPS_PER_PERIOD * dt
+        ):
             break
         q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
         land, hit = following, v_next
@@ -472,7 +466,7 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     d = back / n
     later = t_open + 4.0 * d
     over_later = pull(later, s0 + later - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level
-    for i in range(n + 4):
+    for _i in range(n + 4):
         t = later - d
         over = pull(t, s0 + t - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level
         if over_later and not over:
@@ -490,8 +484,26 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def one_ahead(
-    opening, landing, at_once, linked, wanted, step, period, w, ar, ai, p, forced, rough, bounce, gap, unseen_s,
-    closed_s, passable_s, weak_mps, out,
+    opening,
+    landing,
+    at_once,
+    linked,
+    wanted,
+    step,
+    period,
+    w,
+    ar,
+    ai,
+    p,
+    forced,
+    rough,
+    bounce,
+    gap,
+    unseen_s,
+    closed_s,
+    passable_s,
+    weak_mps,
+    out,
 ):
     """Predict each event from the measured one before it.
 
@@ -520,14 +532,47 @@ def one_ahead(
         passed = 0
         if (wanted[i] or bounce[i]) and linked[i] and (known or not bounce[i]):
             off, v0, land, hit, opened, hidden, kind, qt, qdt = next_flight(
-                t_previous, previous_hit, q, qd, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough, gap[i],
-                min(unseen_s, 0.5 * (landing[i] - opening[i])), opening[i], passable_s,
+                t_previous,
+                previous_hit,
+                q,
+                qd,
+                om,
+                ze,
+                ratio,
+                wi,
+                ri,
+                ii,
+                dt,
+                pi,
+                forced,
+                rough,
+                gap[i],
+                min(unseen_s, 0.5 * (landing[i] - opening[i])),
+                opening[i],
+                passable_s,
             )
             if kind >= 0 and hit < weak_mps[i]:
                 qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
                 rests = i + 1 < landing.shape[0] and linked[i + 1] and not at_once[i + 1]
                 land, hit, passed = weak_rebounds(
-                    land, hit, landing[i], rests, weak_mps[i], closed_s, qt, qdt, om, ze, ratio, wi, ri, ii, dt, pi, forced, rough
+                    land,
+                    hit,
+                    landing[i],
+                    rests,
+                    weak_mps[i],
+                    closed_s,
+                    qt,
+                    qdt,
+                    om,
+                    ze,
+                    ratio,
+                    wi,
+                    ri,
+                    ii,
+                    dt,
+                    pi,
+                    forced,
+                    rough,
                 )
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = off, v0, land, hit
             out[i, 4], out[i, 5], out[i, 6] = opened, hidden, kind
@@ -551,9 +596,7 @@ def one_ahead(
             lasts, hit, _ = flight(start, 0.0, qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough, 0.0)
         if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
             near = out[i, 1] if passed == 0 and out[i, 6] == 1.0 and at_once[i] else -1.0
-            v0, hit = launch_of(
-                start, landing[i], near, out[i, 2], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough
-            )
+            v0, hit = launch_of(start, landing[i], near, out[i, 2], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
         if passed > 0 and abs(out[i, 2] - landing[i]) < passable_s:
             hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact
         previous_hit = max(hit, 0.0)

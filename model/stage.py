@@ -160,7 +160,7 @@ def root_in_concave(
             new = lo
         if not lo < new < hi:
             new = 0.5 * (lo + hi)
-            if new == lo or new == hi:
+            if new in (lo, hi):
                 return new, -h1
         x = new
     return x, -h1
@@ -219,7 +219,7 @@ def standstill(
         new = x - step
         if not lo < new < hi:
             new = 0.5 * (lo + hi)
-            if new == lo or new == hi:
+            if new in (lo, hi):
                 return new
         x = new
     return x

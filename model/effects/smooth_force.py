@@ -8,7 +8,7 @@ import math
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 KNOTS = 12
 HEIGHT, VELOCITY, ABSOLUTE_VELOCITY, SINCE_TAKEOFF, SINCE_IMPACT = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -32,8 +32,8 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     of = p[k]
     if of == 0.0:
@@ -44,7 +44,7 @@ def force(s: float, h: float, v: float, u: float, p, k: int) -> float:  # type: 
     part = place - i
     size = p[k + 5 + i] * (1.0 - part) + p[k + 6 + i] * part
     if p[k + 1] == 0.0:
-        return size
+        return float(size)
     if h <= 0.0 and v == 0.0:  # at rest on the plate it holds the ball down
-        return -size
-    return -size * v / math.hypot(v, TURNS_MPS)
+        return float(-size)
+    return float(-size * v / math.hypot(v, TURNS_MPS))

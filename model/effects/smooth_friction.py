@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 KNOTS = 12
 HEIGHT, SPEED = 1.0, 2.0
@@ -26,8 +26,8 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k] == 0.0:
         return 0.0
@@ -35,4 +35,4 @@ def dry(h: float, speed: float, direction: float, p, k: int) -> float:  # type: 
     place = min(max((x - p[k + 1]) / p[k + 2], 0.0), KNOTS - 1.0)
     i = min(int(place), KNOTS - 2)
     part = place - i
-    return p[-1] * max(p[k + 3 + i] * (1.0 - part) + p[k + 4 + i] * part, 0.0)
+    return float(p[-1] * max(p[k + 3 + i] * (1.0 - part) + p[k + 4 + i] * part, 0.0))

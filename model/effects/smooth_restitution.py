@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 KNOTS = 12
 
@@ -24,10 +24,10 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def rebound(v: float, p, k: int) -> float:  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def rebound(v: float, p: Row, k: int) -> float:
     """Contribution to the coefficient of restitution."""
     place = min(max((v - p[k]) / p[k + 1], 0.0), KNOTS - 1.0)
     i = min(int(place), KNOTS - 2)
     part = place - i
-    return p[k + 2 + i] * (1.0 - part) + p[k + 3 + i] * part
+    return float(p[k + 2 + i] * (1.0 - part) + p[k + 3 + i] * part)
