@@ -206,9 +206,9 @@ class Attributor:
         """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
         done = 0
         lost = self._lost(best)
-        near = [c for c in options if not lost or set(c.names) <= plate_effects() | {"parameter_drift"}]
-        far = [c for c in options if c not in near]
-        share = 1.0 / max(len(near) + 2 * len(far), 1)
+        near = {"parameter_drift", *plate_effects()}
+        far = [c for c in options if lost and not set(c.names) <= near]
+        share = 1.0 / max(len(options) + 2 * len(far), 1)
 
         def told(candidate: Candidate) -> None:
             nonlocal done
@@ -221,7 +221,7 @@ class Attributor:
             return found
 
         with ThreadPoolExecutor(THREADS) as pool:
-            found = [x for x in pool.map(one, near) if x is not None]
+            found = [x for x in pool.map(one, options) if x is not None]
             return found + (self._searched(best, far, pool, told) if far else [])
 
     def _searched(

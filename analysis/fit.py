@@ -25,6 +25,7 @@ MOST_ITERATIONS = 20
 LEAP_S = 1e-3  # a prediction that moves by more within such a difference has met another event
 ENOUGH = 0.02  # nats: a step that gains less ends the fit
 FOLDS = 3
+FARTHEST_SIGMAS = 2.5  # by which a calibration may be off without being an effect
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,19 @@ class Fitter:
     # -- coordinates: one typical size is one unit -------------------------------------------------------------
     def _scale(self, key: Key) -> float:
         q = parameter_of(key)
-        prior = self.priors.get(key)
-        size = q.typical if prior is None or prior.sigma > q.typical else prior.sigma
-        return float(size ** (1.0 / q.power))
+        return float(q.typical ** (1.0 / q.power))
+
+    def bounds(self, key: Key, *, released: bool) -> tuple[float, float]:
+        """Bounds of a coordinate: what is physically possible, and for a calibration what its uncertainty allows.
+
+        A calibration that would have to be farther off is an effect, to be named; it must not be absorbed.
+        """
+        q, prior = parameter_of(key), self.priors.get(key)
+        low, high = q.low, q.high
+        if prior is not None and not released and not effect(key[0]).effect.nuisance:
+            reach = FARTHEST_SIGMAS * prior.sigma
+            low, high = max(low, prior.mean - reach), min(high, prior.mean + reach)
+        return self._to_x(key, low), self._to_x(key, high)
 
     def _to_x(self, key: Key, value: float) -> float:
         power = parameter_of(key).power
@@ -222,8 +233,8 @@ class _State:
         self.mean, self.inverse = mean, inverse
         self.step = np.concatenate([whitener.step, fitter.world.evidence.plate.step])
         self.mask = fitter.train[self.step]
-        self.low = np.array([fitter._to_x(k, parameter_of(k).low) for k in keys])
-        self.high = np.array([fitter._to_x(k, parameter_of(k).high) for k in keys])
+        bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
+        self.low, self.high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
 
     def point(self, x: Array) -> dict[Key, float]:
         return self.fitter.values(self.keys, x)
