@@ -264,14 +264,17 @@ class Attributor:
         if not free:
             return None
         starts = self._starts(best, candidate, free)
-        ahead = self._quick(best.whitener, best.fitted.values) - starts[0][0]
+        level = self._quick(best.whitener, best.fitted.values)
+        ahead = level - starts[0][0]
         added = (*best.candidates, Candidate(candidate.names, free))
         if ahead >= HOPELESS_NATS:
             return self._judged(added, self._from(best, (*best.free, *free), starts[0][1]))
-        if self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS:
+        cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
+        if not cheap and self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS:
             return None
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
-        if best.fitted.loss - fitted.loss < HOPELESS_NATS:
+        gained = max(best.fitted.loss - fitted.loss, level - self._quick(best.whitener, fitted.values))
+        if gained < HOPELESS_NATS:
             return Explanation(added, fitted, best.whitener, fitted.held_out(best.whitener))
         return self._judged(added, self._settled(fitted))
 

@@ -45,7 +45,7 @@ from analysis.terms import (
     spoken,
 )
 from analysis.thresholds import FROZEN
-from model.effects import registry
+from model.effects import effect, registry
 from model.roll import Predicted
 
 Array = NDArray[np.float64]
@@ -211,8 +211,10 @@ class _Search:
     ) -> None:
         self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, train, tables, kept
         self.free: tuple[Key, ...] = tuple(k for c in kept for k in c.free)
-        gone = set(explanation.free) - set(self.free)
-        self.values = {k: v for k, v in explanation.fitted.values.items() if k not in gone}
+        # calibrations may have been bent to make up for what is missing: all but the contact's own begin anew
+        self.values = {
+            k: v for k, v in explanation.fitted.values.items() if k in self.free or effect(k[0]).effect.nuisance
+        }
         self.dwell = tables["dwell_s"]
 
     def first_looks(self) -> list[Tried]:

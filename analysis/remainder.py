@@ -115,11 +115,13 @@ def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
 
 
 def plate_ratio_of(world: World, values: Values) -> float:
-    """Root mean square of normalised plate residuals of the kind that fits worst."""
+    """Root mean square of normalised plate residuals of the kind that fits worst, drawn to 1 where few."""
     data = world.evidence.plate
     z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST, FARTHEST)
     kinds = [k for k in np.unique(data.kind) if np.sum(data.kind == k) >= LEAST_OF_KIND]
-    return max((float(np.sqrt(np.mean(z[data.kind == k] ** 2))) for k in kinds), default=0.0)
+    squares = {k: z[data.kind == k] ** 2 for k in kinds}
+    few = LEAST_OF_KIND
+    return max((float(np.sqrt((np.sum(q) + few) / (len(q) + few))) for q in squares.values()), default=0.0)
 
 
 def _unit(residual: Array, sigma: Array) -> Array:
