@@ -159,5 +159,7 @@ def doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) 
         last, miss = new, new.multiplier + 1.0
         if abs(miss) < 1e-12 or abs(here - old) < 1e-14:
             return here, new
+        if miss == miss_old:  # the multiplier does not depend on gamma here: no doubling to be located
+            return None
         old, miss_old, here = here, miss, here - miss * (here - old) / (miss - miss_old)
     return None
