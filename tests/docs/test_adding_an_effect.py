@@ -19,12 +19,13 @@ def lasts(effects):
     orbit = march(effects, g_mps2=9.80665, period_s=0.04, omega_radps=np.array([w]),
                   acceleration_mps2=np.array([2.4j * 9.80665]), flights=1)
     return float(orbit.landing_s[0] - orbit.takeoff_s[0])
-print(lasts({}), lasts({"updraught": {"push_mps2": 0.5, "edge_m": 0.0}}), lasts({"local_gravity": {"excess_mps2": -0.5}}))
+updraught = lasts({"updraught": {"push_mps2": 0.5, "edge_m": 0.0}})
+print(lasts({}), updraught, lasts({"local_gravity": {"excess_mps2": -0.5}}))
 """
 
 
 def test_the_effect_of_the_how_to_flies(tmp_path: Path) -> None:
-    """The how-to's file, put beside the others and nothing else edited, lengthens a flight as a weaker gravity would."""
+    """The how-to's file, put beside the others with nothing else edited, lengthens a flight as weaker gravity would."""
     page = (ROOT / "docs" / "adding-an-effect.md").read_text(encoding="utf-8")
     assert len(page.splitlines()) < 60
     code = re.search(r"```python\n(.*?)```", page, re.DOTALL)

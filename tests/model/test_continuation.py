@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from model.ball import IdealBall
-from model.continuation import doubling_curve, follow_both_ways
-from model.orbit import State
+from model.continuation import doubling_curve, doubling_near, follow_both_ways
+from model.orbit import LockedCycle, State
 from model.rough_ball import RoughBall
 from model.tones import Forcing
 
@@ -59,3 +59,9 @@ def test_a_doubling_is_followed_in_the_second_tones_phase():
     assert np.all(np.isfinite(curve))
     assert curve[0] == pytest.approx(gamma, abs=1e-9)
     assert np.ptp(curve) > 1e-3
+
+
+def test_a_multiplier_that_does_not_change_is_no_doubling() -> None:
+    """Where the multiplier is the same at every gamma nothing is located, and nothing is divided by zero."""
+    flat = LockedCycle(np.array([1.0]), np.array([0.0]), np.array([6.28]), np.array([1.0]), 1, -0.5)
+    assert doubling_near(lambda gamma, state, n: flat, 2.0, flat, 1e-3) is None

@@ -1,0 +1,55 @@
+"""The loop closed on another plant's recordings: the verdict stands before the truth is looked at."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PLANT = Path(__file__).with_name("other_plant.py")
+BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
+
+
+def verdict_on(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
+    """The written verdict on a recording of the other plant, and where the sealed truth lies."""
+    subprocess.run([sys.executable, str(PLANT), str(folder), "--shuffle", *options], check=True, capture_output=True)
+    raw, profile, out = folder / "recording.csv", folder / "profile.toml", folder / "r.h5"
+    subprocess.run(
+        [*BENCH, "import", str(raw), "--profile", str(profile), "--out", str(out)], check=True, capture_output=True
+    )
+    report = folder / "verdict.json"
+    subprocess.run([*BENCH, "close-loop", str(out), "--json", str(report)], check=True, capture_output=True)
+    return json.loads(report.read_text(encoding="utf-8")), folder / "truth.json"
+
+
+def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
+    """On a clean recording the verdict is that nothing is missing, and the error is the noise."""
+    verdict, sealed = verdict_on(tmp_path, "--c", "1", "--seed", "31")
+    assert verdict["verdict"] == "nothing_missing"
+    assert verdict["effects"] == [] and verdict["tie_set"] == []
+    assert verdict["after"]["landing_robust_us"] < 1.4 * verdict["noise_floor_us"]
+    assert json.loads(sealed.read_text(encoding="utf-8"))["hidden"] == {}
+
+
+def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
+    """A friction declared nowhere is named alone, sized within its interval, and brings the error to the noise."""
+    hidden = ("--effect", "coulomb_friction", "--strength", "strong")
+    verdict, sealed = verdict_on(tmp_path, "--c", "2", *hidden, "--seed", "32")
+    assert verdict["verdict"] == "explained"
+    assert [e["name"] for e in verdict["effects"]] == ["coulomb_friction"]
+    true = json.loads(sealed.read_text(encoding="utf-8"))["hidden"]["coulomb_friction.mu"]
+    for found in verdict["effects"][0]["parameters"].values():
+        sigma = (found["high"] - found["low"]) / (2 * 1.96)
+        assert abs(found["value"] - true) < 3.0 * sigma
+        assert found["value"] == pytest.approx(true, rel=0.05)
+    assert verdict["after"]["landing_robust_us"] < 1.4 * verdict["noise_floor_us"]
+    assert verdict["before"]["landing_robust_us"] > 10.0 * verdict["after"]["landing_robust_us"]
+
+
+def test_what_has_no_name_is_not_called_explained(tmp_path: Path) -> None:
+    """A pull that sets in above a height is outside the library: something is left, and the verdict says so."""
+    verdict, _ = verdict_on(tmp_path, "--c", "2", "--effect", "upper_stop", "--strength", "strong", "--seed", "33")
+    assert verdict["verdict"] == "unexplained"
+    assert verdict["remainder"]["p_lack_of_fit"] < 1e-4
