@@ -25,6 +25,7 @@ Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 THREADS = 2
+MOST_OF_A_STEP = 12.0  # nats
 LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
 MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and from there by a full fit
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # of the best one's gain: an option farther behind it is left
@@ -78,16 +79,37 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Compared:
-    """One explanation against another: gain in nats with its standard error, by the held-out steps."""
+    """One explanation against another by the held-out steps.
+
+    Attributes
+    ----------
+    gain, error
+        In nats, with the standard error.
+    even, even_error
+        The same with no step counting for more than `MOST_OF_A_STEP` either way: a few steps that gain hundreds of nats
+        spread the sum without making it doubtful.
+    """
 
     gain: float
     error: float
+    even: float
+    even_error: float
 
     @classmethod
     def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> Compared:
         """Gain of ``better`` over ``worse``, both losses by step."""
         d = (worse - better)[train]
-        return cls(float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf)
+        return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP, MOST_OF_A_STEP)))
+
+    def beyond(self, nats: float, sigmas: float) -> bool:
+        """Whether it is at least so many nats and standard errors, as it is or with each step limited."""
+        return self.gain > nats and (
+            self.gain > sigmas * self.error or self.even > max(nats, sigmas * self.even_error)
+        )
+
+
+def _sum(d: Array) -> tuple[float, float]:
+    return float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
 
 
 @dataclass(frozen=True)
@@ -191,11 +213,8 @@ class Attributor:
             gain = Compared.of(best.per_step, accepted.per_step, self.train)
             added = " + ".join(accepted.candidates[-1].names)
             rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
-            base, rivals = best, found
             best = self._step_back(accepted, rounds)
-            if best is not accepted:
-                rivals = []
-            del base
+            rivals = found if best is accepted else []
         return Attribution(before, best, self._ties(before, best, rivals), tuple(tried), tuple(rounds))
 
     def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
@@ -322,7 +341,7 @@ class Attributor:
         passing = []
         for x in found:
             gain = Compared.of(best.per_step, x.per_step, self.train)
-            if gain.gain > max(nats, sigmas * gain.error) and not self._worse(best, x):
+            if gain.beyond(nats, sigmas) and not self._worse(best, x):
                 passing.append(x)
         if not passing:
             return None
@@ -333,13 +352,13 @@ class Attributor:
     def _worse(self, best: Explanation, x: Explanation) -> bool:
         for channel in x.losses:
             change = Compared.of(x.losses[channel], best.losses[channel], self.train)
-            if change.gain > max(self.limits.worse_nats, self.limits.worse_sigmas * change.error):
+            if change.beyond(self.limits.worse_nats, self.limits.worse_sigmas):
                 return True
         return False
 
     def _tied(self, best: Explanation, x: Explanation) -> bool:
         lead = Compared.of(x.per_step, best.per_step, self.train)
-        return lead.gain < max(self.limits.tie_nats, self.limits.tie_sigmas * lead.error)
+        return not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
 
     def _step_back(self, best: Explanation, rounds: list[str]) -> Explanation:
         """Leave out an earlier effect that the later ones have made idle."""
@@ -349,7 +368,7 @@ class Attributor:
             start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
             x = self._judged(rest, self.fitter.fit(best.whitener, free, start))
             loss = Compared.of(x.per_step, best.per_step, self.train)
-            if loss.gain < max(self.limits.tie_nats, self.limits.tie_sigmas * loss.error):
+            if not loss.beyond(self.limits.tie_nats, self.limits.tie_sigmas):
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
         return best
