@@ -48,6 +48,12 @@ def test_below_take_off_is_no_flight():
     assert (found["kind"], found["period"], found["flights"], found["tau"]) == ("periodic", 1, 0, [])
 
 
+def test_a_range_that_begins_at_take_off_begins_with_the_lock():
+    """What happens at the very start of a range is not a change within it: the documented list begins with the lock."""
+    found = json.loads(predict("--gamma-range", 0.5, 1.7, "--bifurcations", "--json", "-"))
+    assert [b["type"] for b in found] == ["lock"]
+
+
 def test_bifurcations_are_listed_in_order():
     """The documented keys, ascending, with the lock of the documentation; the published events among them."""
     found = json.loads(predict("--gamma-range", 0.4, 2.4, "--bifurcations", "--json", "-"))
