@@ -6,7 +6,6 @@ worse; what the data cannot tell apart is reported together.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -14,30 +13,24 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fit import Fitted, Fitter, parameter_of
-from analysis.likelihood import DRIFT, Key, Whitener, World, plate_effects
+from analysis.candidates import Candidate as Candidate
+from analysis.candidates import candidates_of, trends_of
+from analysis.fit import Fitted, Fitter
+from analysis.likelihood import Key, Whitener, World, plate_effects
 from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
-from model.effects import registry
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 THREADS = 2
+SETTLING = 4  # fits with new weights, at most
 MOST_OF_A_STEP = 12.0  # nats
 LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
+FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
 MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and from there by a full fit
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # of the best one's gain: an option farther behind it is left
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One way to add an effect: its names in reports, the parameters it frees, and where to look for them first."""
-
-    names: tuple[str, ...]
-    free: tuple[Key, ...]
-    starts: tuple[Mapping[Key, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -135,45 +128,6 @@ class Attribution:
     rounds: tuple[str, ...] = field(default=())
 
 
-def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidate]:
-    """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations."""
-    out = []
-    declared = {name for name, _ in world.base}
-    for entry in registry():
-        e = entry.effect
-        if e.nuisance or not e.library or not entry.hooks or e.name in declared:
-            continue
-        for variant in e.variants or (tuple(q.name for q in e.parameters),):
-            keys = tuple((e.name, q) for q in variant)
-            grids = [e.parameter(q).scan or (e.parameter(q).absent,) for q in variant]
-            if e.name == "table_resonance" and hints_hz:
-                grids[1] = tuple(hints_hz)
-            if e.name in ("coulomb_friction",):  # both directions together to begin with
-                starts = [dict.fromkeys(keys, v) for v in (0.0, *grids[0])]
-            else:
-                starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
-                if all(not e.parameter(q).shape for q in variant):
-                    starts.insert(0, {k: parameter_of(k).absent for k in keys})
-            out.append(Candidate((e.name,), keys, tuple(starts)))
-    for name, q in (("drive_gain", "relative"), ("accelerometer_gain", "relative")):
-        out.append(Candidate((name, "parameter_drift"), ((name, q), (name, q + DRIFT)), ({},)))
-    for name, q in world.base:
-        out.append(Candidate(("parameter_drift",), ((name, q + DRIFT),), ({},)))
-    return out
-
-
-def trends_of(best: Explanation) -> list[Candidate]:
-    """Trends of what has been accepted."""
-    out = []
-    for name, q in best.free:
-        if not q.endswith(DRIFT) and not parameter_of((name, q)).shape and (name, q + DRIFT) not in best.free:
-            out.append(Candidate((name, "parameter_drift"), ((name, q + DRIFT),), ({},)))
-    both = [k for k in best.free if k in (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))]
-    if len(both) == 2:
-        out.append(Candidate(("coulomb_friction", "parameter_drift"), tuple((n, q + DRIFT) for n, q in both), ({},)))
-    return out
-
-
 class Attributor:
     """Greedy search with a step back.
 
@@ -202,7 +156,7 @@ class Attributor:
         pool = candidates_of(self.world, hints_hz)
         rivals: list[Explanation] = []
         for depth in range(self.limits.most_effects):
-            options = pool if depth == 0 else self._promising(pool, best) + trends_of(best)
+            options = pool if depth == 0 else self._promising(pool, best) + trends_of(best.free)
             found = self._round(best, options, depth)
             if depth == 0:
                 tried = [(x.candidates[-1].names, Compared.of(before.per_step, x.per_step, self.train)) for x in found]
@@ -301,6 +255,11 @@ class Attributor:
         """Whether landings miss by so much that a fit may begin on the wrong branch."""
         return best.whitener.excess_s[1] > LOST * float(np.median(best.whitener.total_s))
 
+    def _finds(self, best: Explanation, x: Explanation) -> bool:
+        """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
+        gain = Compared.of(best.per_step, x.per_step, self.train).gain
+        return self._lost(best) and x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1] and gain > PLENTY_NATS
+
     def _from(self, best: Explanation, free: Sequence[Key], start: Mapping[Key, float]) -> Fitted:
         """Fit from a start, from soft weights to sharp ones."""
         soft = self.fitter.fit(best.whitener, free, start)
@@ -309,7 +268,7 @@ class Attributor:
 
     def _settled(self, fitted: Fitted) -> Fitted:
         """Fit again with the weights of the point found, until the excess no longer shrinks."""
-        for _ in range(6):
+        for _ in range(SETTLING):
             before, after = fitted.state.whitener, Whitener.of(self.world, fitted.values)
             shrunk = max(a / b for a, b in zip(before.excess_s, after.excess_s, strict=True))
             if 0.8 < shrunk < 1.25 and np.median(np.abs(after.log_sigma - before.log_sigma)) < 0.1:
@@ -341,7 +300,7 @@ class Attributor:
         passing = []
         for x in found:
             gain = Compared.of(best.per_step, x.per_step, self.train)
-            if gain.beyond(nats, sigmas) and not self._worse(best, x):
+            if gain.beyond(nats, 1.0 if self._finds(best, x) else sigmas) and not self._worse(best, x):
                 passing.append(x)
         if not passing:
             return None
@@ -358,7 +317,7 @@ class Attributor:
 
     def _tied(self, best: Explanation, x: Explanation) -> bool:
         lead = Compared.of(x.per_step, best.per_step, self.train)
-        return not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
+        return not self._finds(x, best) and not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
 
     def _step_back(self, best: Explanation, rounds: list[str]) -> Explanation:
         """Leave out an earlier effect that the later ones have made idle."""

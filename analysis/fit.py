@@ -21,9 +21,9 @@ from model.effects import Parameter, effect, registry
 Array = NDArray[np.float64]
 
 RELATIVE_STEP = 0.004  # of a parameter's typical size, for finite differences
-MOST_ITERATIONS = 20
+MOST_ITERATIONS = 12
 LEAP_S = 1e-3  # a prediction that moves by more within such a difference has met another event
-ENOUGH = 0.02  # nats: a step that gains less ends the fit
+ENOUGH = 0.1  # nats: a step that gains less ends the fit
 FOLDS = 3
 FARTHEST_SIGMAS = 2.5  # by which a calibration may be off without being an effect
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
 from analysis.platedata import PlateData, expected
-from analysis.robust import NEVER, excess_of, log_odds, robust_loss
+from analysis.robust import NEVER, excess_of, log_odds, plate_scale, robust_loss
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -283,7 +283,7 @@ class Whitener:
         sd = np.hypot(edges, np.where(first, *excess))[order]
         shared, shrink, logs = _shared(tones[order] / sd[:, None], bounds)
         logs += np.log(sd)
-        sigma, log = _plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
+        sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
         return cls(
             opening,
@@ -313,7 +313,7 @@ class Whitener:
         for rows in (channel & train[step], ~channel & train[step]):
             total += excess_of(events[rows], self.total_s[rows], self.period_s[rows])[1]
         rows = train[plate.step]
-        sigma, log = _plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
+        sigma, log = plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
         return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
 
     def _events(self, r: Residuals) -> Array:
@@ -377,18 +377,6 @@ def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, s
                 total *= shrink[i, q]
                 for j in range(bounds[i], bounds[i + 1]):
                     y[j, c] += total * shared[j, q]
-
-
-def _plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
-    """Uncertainty of plate data with each kind's own excess, and its logarithm relative to the bare one."""
-    out = sigma.copy()
-    for k in np.unique(kind):
-        rows = kind == k
-        grid = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)]) * np.median(sigma[rows])
-        total = np.sqrt(sigma[rows][None, :] ** 2 + grid[:, None] ** 2)
-        loss = robust_loss(residual[rows][None, :] / total) + np.log(total)
-        out[rows] = total[np.argmin(loss.sum(axis=1))]
-    return out, np.log(out / sigma)
 
 
 def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Array]:

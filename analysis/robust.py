@@ -45,3 +45,15 @@ def excess_of(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[float
     loss = np.sum(robust_loss(residual_s[None, :] / total, log_odds(total, period_s)) + np.log(total), axis=1)
     best = int(np.argmin(loss))
     return float(grid[best]), float(loss[best])
+
+
+def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
+    """Uncertainty of plate data with each kind's own excess, and its logarithm relative to the bare one."""
+    out = sigma.copy()
+    for k in np.unique(kind):
+        rows = kind == k
+        grid = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)]) * np.median(sigma[rows])
+        total = np.sqrt(sigma[rows][None, :] ** 2 + grid[:, None] ** 2)
+        loss = robust_loss(residual[rows][None, :] / total) + np.log(total)
+        out[rows] = total[np.argmin(loss.sum(axis=1))]
+    return out, np.log(out / sigma)
