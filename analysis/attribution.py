@@ -25,6 +25,7 @@ Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 THREADS = 2
+REFITS = 3  # of an explanation, from where a larger one has led
 SETTLING = 4  # fits with new weights, at most
 MOST_OF_A_STEP = 12.0  # nats
 LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
@@ -153,14 +154,14 @@ class Attributor:
         nothing = Whitener.of(self.world, {})
         before = self._judged((), self._settled(self.fitter.fit(nothing, (), {})))
         best, rounds, tried = before, [], []
-        pool = candidates_of(self.world, hints_hz)
+        pool = candidates_of(self.world, hints_hz or self.world.evidence.hints_hz)
         rivals: list[Explanation] = []
         for depth in range(self.limits.most_effects):
             options = pool if depth == 0 else self._promising(pool, best) + trends_of(best.free)
             found = self._round(best, options, depth)
             if depth == 0:
                 tried = [(x.candidates[-1].names, Compared.of(before.per_step, x.per_step, self.train)) for x in found]
-            accepted = self._choose(best, found, depth)
+            accepted, best = self._accepted(best, found, depth)
             if accepted is None:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
                 break
@@ -170,6 +171,24 @@ class Attributor:
             best = self._step_back(accepted, rounds)
             rivals = found if best is accepted else []
         return Attribution(before, best, self._ties(before, best, rivals), tuple(tried), tuple(rounds))
+
+    def _accepted(
+        self, best: Explanation, found: Sequence[Explanation], depth: int
+    ) -> tuple[Explanation | None, Explanation]:
+        """What is chosen, and the explanation without it, fitted again from there.
+
+        A fit that had stopped short would let any other effect look needed.
+        """
+        for _ in range(REFITS):
+            chosen = self._choose(best, found, depth)
+            if chosen is None:
+                return None, best
+            start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
+            again = self._judged(best.candidates, self._settled(self.fitter.fit(chosen.whitener, best.free, start)))
+            if not Compared.of(best.per_step, again.per_step, self.train).gain > HOPELESS_NATS:
+                return chosen, best
+            best = again
+        return self._choose(best, found, depth), best
 
     def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
         whitener = Whitener.of(self.world, fitted.values)

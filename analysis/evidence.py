@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flights import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.plate import StepPlate
 from analysis.platedata import PlateData, plate_data
 from daq.recording import Recording, open_recording
 from daq.setup import Setup
@@ -30,6 +31,7 @@ MAX_TONES = 8
 TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
 FARTHEST_JITTER_S = 5e-4
 REPEATS = 8  # flights after a rest that a step needs to tell how well edges repeat
+SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
 
 
@@ -89,6 +91,8 @@ class Evidence:
     closed_s : float
         The shortest contact that the circuit shows between flights: rebounds shorter than this look closed.
     sources : tuple of str
+    hints_hz : tuple of float
+        Lines that stand out below the forcing in several steps: where a table resonance may be.
     """
 
     measured: Measured
@@ -104,6 +108,7 @@ class Evidence:
     closed_s: float
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    hints_hz: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.judged)
@@ -188,7 +193,15 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         closed_s=_closed_s(measured, 1.0 / recording.rate_hz),
         sources=(str(recording.path),),
         notes=notes,
+        hints_hz=_hints_hz(fitted),
     )
+
+
+def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
+    """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
+    found = np.sort([line.frequency_hz for s in fitted for line in s.lines])
+    clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
+    return tuple(float(np.median(c)) for c in clusters if len(c) >= SHARED_LINES)
 
 
 def _closed_s(measured: Measured, sample_s: float) -> float:
