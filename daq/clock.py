@@ -28,6 +28,7 @@ LATENCY = 20_000  # samples between playing and hearing, at most
 SURE_SAMPLES = 0.05  # a slip known less well than this decides nothing
 PATIENCE = 3  # chunks held back, at most, to settle a loss
 SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
+SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
 CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything
 
 
@@ -180,6 +181,7 @@ class LossFinder:
         self._slip: float | None = None
         self._gain = 0.0
         self._rms: deque[float] = deque(maxlen=31)
+        self._before = np.zeros(0)
         self.heard_samples = self.lost_samples = 0
 
     def played(self, drive_v: Floats) -> None:
@@ -196,11 +198,20 @@ class LossFinder:
         loopback_v
             Its looped-back drive in volts ``(n,)``.
         """
-        if block.lost_before and self._slip is not None:
-            self._slip += block.lost_before
+        before: list[Block] = []
+        if block.lost_before:
+            before = self.flush()  # one piece that is looked at has one slip
+            if self._slip is not None:
+                self._slip += block.lost_before
         self._waiting.append((block, np.asarray(loopback_v, np.float64)))
         waiting = sum(len(volts) for _, volts in self._waiting)
-        return [] if waiting < self._chunk else self._settled(patient=waiting < PATIENCE * self._chunk)
+        return before + ([] if waiting < self._chunk else self._settled(patient=waiting < PATIENCE * self._chunk))
+
+    @property
+    def next_sample(self) -> int:
+        """The device's own index of the next frame: heard, lost, and waiting to be settled."""
+        waiting = sum(len(block.codes) + block.lost_before for block, _ in self._waiting)
+        return self.heard_samples + self.lost_samples + waiting
 
     def flush(self) -> list[Block]:
         """Settle what is waiting, however short; call it at the end."""
@@ -219,6 +230,7 @@ class LossFinder:
         if lost == 0 and flag and patient:
             return []  # the loss may lie in the part from which it would be measured: look again with more
         self._waiting = []
+        self._before = np.concatenate([self._before, volts])[-2 * self._chunk :]
         if lost == 0 and not flag:
             self._clock.agree(ended_ns, counted)
             self._adc.agree(began_ns, before_last)
@@ -260,7 +272,8 @@ class LossFinder:
 
     def _begin(self, volts: Floats, first: int) -> None:
         """The latency, from the first chunk in which the drive moves."""
-        found = candidates(self._played, volts, first, -LATENCY, 0, 0.0)
+        lost = self.lost_samples + sum(block.lost_before for block, _ in self._waiting)
+        found = candidates(self._played, volts, first, lost - LATENCY, lost, 0.0)
         found = [f for f in found if f.sigma < SURE_SAMPLES and f.rms_v < 0.1 * float(np.std(volts))]
         if found:
             best = max(found, key=lambda f: f.samples)  # where several fit, the least latency
@@ -277,6 +290,7 @@ class LossFinder:
         found = candidates(self._played, tail, start, round(old) - self._chunk, round(old) + LARGEST, self._gain)
         found = [f for f in found if f.rms_v < 4.0 * usual] or ([near] if near is not None else [])
         whole = [f for f in found if abs((f.samples - old) - round(f.samples - old)) < 0.3]
+        whole = [f for f in whole if f.samples > old - 0.5 or self._repeats(volts, first, old, round(old - f.samples))]
         if not whole:
             return -1, 0, 0, int(BlockFlag.FILLED)  # nothing that was played sounds like this
         wanted = 0.0 if excess_s is None or excess_s < CLOCK_SLACK else excess_s * self._rate_hz
@@ -289,6 +303,13 @@ class LossFinder:
         at = self._where(volts, first, old, old + lost)
         self._slip = old + lost
         return at, lost, int(np.ceil(max(doubt, 3.0 * best.sigma) - 0.5)), 0
+
+    def _repeats(self, volts: Floats, first: int, old: float, n: int) -> bool:
+        """Whether ``n`` frames are there twice, noise and all; a loss of the rest of a period only looks like it."""
+        at = self._where(volts, first, old, old - n) + len(self._before)
+        known = np.concatenate([self._before, volts])
+        again, once = known[at : at + n], known[max(at - n, 0) : at]
+        return again.size == once.size == n and float(np.mean(again == once)) > SAME_PART
 
     def _where(self, volts: Floats, first: int, old: float, new: float) -> int:
         """Frame at which the old slip stops fitting and the new one starts."""

@@ -84,7 +84,8 @@ class ToneMeter:
         end = after if self._end is None else min(after, self._end)
         while self._start < end and after > self._start:
             a, b = max(self._start, first_sample) - first_sample, min(self._stop, end) - first_sample
-            self._window.add(acceleration_mps2[a:b], first_sample + a, quiet[a:b])
+            if a < b:  # a loss may reach beyond the window
+                self._window.add(acceleration_mps2[a:b], first_sample + a, quiet[a:b])
             self._start = first_sample + b
             if self._start < self._stop:
                 return

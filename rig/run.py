@@ -20,6 +20,7 @@ from daq.recording import RecordingWriter
 from rig.amplitude import AmplitudeLoop, ToneMeter, achieved_gamma
 from rig.backends.base import Backend, BackendError, Running
 from rig.interlock import Interlock
+from rig.losses import LossAccount
 from rig.motion import MotionWatch
 from rig.profile import Profile
 from rig.ramp import Programme, Step, plan
@@ -112,7 +113,7 @@ def run_ramp(
                 run.drive()
         except BackendError as error:
             run.end("failed", f"back end {backend.name}: {error}")
-        writer.close(run.how, run.why, expected_samples=run.played_samples)
+        writer.close(run.how, run.why, expected_samples=run.account.expected_samples)
     return run.summary(time.monotonic() - began)
 
 
@@ -133,7 +134,8 @@ class _Run:
     ) -> None:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
-        self.played_samples = 0
+        drive = backend.channels.index("drive")
+        self.account = LossAccount(profile, drive, backend.scales["drive"])
         self._programme: Programme = plan(profile)
         self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         self._sequencer = Sequencer(
@@ -156,8 +158,7 @@ class _Run:
         self._recording = True
         self._pending: list[Block] = []
         self._device_lost = False
-        self._heard = self._lost = self._short = 0
-        self._losses: list[tuple[int, int]] = []
+        self._marks: list[tuple[int, Step, tuple[float, float]]] = []
         self._steps = 0
         self._block = largest_block(self._programme.clock, profile.backend.block_samples)
 
@@ -175,26 +176,28 @@ class _Run:
                 self._progress(self._status())
         finally:
             self._land()
-            self.flush()
+            self._release(everything=True)
 
     def summary(self, wall_s: float) -> RunSummary:
         """What came of it."""
         return RunSummary(
-            self.how, self.why, self._writer.n_samples, self._steps, len(self._programme.steps), self._lost, wall_s
+            self.how, self.why, self._writer.n_samples, self._steps, len(self._programme.steps),
+            self.account.lost_samples, wall_s,
         )
 
     def _land(self) -> None:
         """Whatever happened: bring the drive softly to zero while the device answers, and note where the step ended."""
         if self._device_lost:
-            self.flush()
+            self._record(self.account.flush())
             step = self._sequencer.step
-            played = self._heard + self._lost - step.first_sample
-            self._mark(replace(step, n_samples=min(step.n_samples, played)))
+            n_samples = min(step.n_samples, self.account.settled_sample - step.first_sample)
+            self._marks.append((step.end_sample, replace(step, n_samples=n_samples), self._achieved(step)))
             return
         if not self._sequencer.done:
             self._sequencer.stop(Stop.RAMP_DOWN)
         while not self._sequencer.done:
             self._exchange()
+        self._record(self.account.flush())
 
     def _obey(self) -> None:
         """Pass a new stop request on to the sequencer."""
@@ -208,14 +211,13 @@ class _Run:
     def _exchange(self) -> None:
         """One block: drive out through the clamp, frames in, on record, watched."""
         drive = self._interlock.clamp(self._sequencer.take(self._block))
+        self.account.played(drive)
         self._device_lost = True  # until it has answered
         asked = time.monotonic()
         block = self._backend.exchange(drive)
         waited_s = time.monotonic() - asked
         self._device_lost = False
-        self.played_samples += len(drive)
-        block = self._with_losses(block, len(drive))
-        self._record(block)
+        self._record(self.account.heard(block, len(drive)))
         self._motion = self._watch.update(block.codes[:, self._accelerometer], self._interlock.landed(block.codes))
         self._measure(block)
         self._note_marks()
@@ -233,7 +235,7 @@ class _Run:
             step = self._sequencer.step
             self._metered = step.index
             self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
-        first = self._heard + self._lost - len(block.codes)
+        first = self.account.next_sample - len(block.codes)
         acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
         self._meter.add(first, acceleration, self._motion.quiet)
         if self._loop is not None:
@@ -247,32 +249,9 @@ class _Run:
         measured = self._meter.estimate() if self._metered == step.index else None
         return achieved_gamma(self._profile, measured) if measured else (math.nan, math.nan)
 
-    def _with_losses(self, block: Block, n_played: int) -> Block:
-        """Declare what came short of what was played, and keep where: a loss shifts recorded against played samples."""
-        self._short += n_played - len(block.codes)
-        lost = self._short or block.lost_before
-        if lost and len(block.codes):
-            self._lost += lost
-            self._losses.append((self._heard + self._lost, self._lost))
-            block = replace(block, lost_before=lost)
-            self._short = 0
-        self._heard += len(block.codes)
-        return block
-
-    def _recorded(self, played: int) -> int:
-        """The recorded index of a played sample (of the next one, where it was lost)."""
-        lost = 0
-        for first_played, lost_in_all in self._losses:
-            if played >= first_played:
-                lost = lost_in_all
-            elif played > first_played - (lost_in_all - lost):
-                return first_played - lost_in_all
-        return played - lost
-
-    def _record(self, block: Block) -> None:
-        """Keep the block: at once where it was measured, in batches where it can be simulated again."""
-        if len(block.codes):
-            self._pending.append(block)
+    def _record(self, blocks: list[Block]) -> None:
+        """Keep blocks: at once where they were measured, in batches where they can be simulated again."""
+        self._pending += blocks
         if not self._backend.simulated or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:
             self.flush()
 
@@ -286,18 +265,30 @@ class _Run:
                 self._disk_failed(error)
 
     def _note_marks(self) -> None:
-        """Write the rows of steps that began or ended in this block, and of the changes of the drive."""
+        """Take down the steps that began or ended in this block; write those whose place is settled."""
         marks, self._sequencer.marks = self._sequencer.marks, []
+        for step in marks:
+            gamma, uncertainty = self._achieved(step)
+            self._last_achieved = gamma if math.isfinite(gamma) else self._last_achieved
+            over = step.end_sample <= self._sequencer.position
+            self._marks.append((step.end_sample if over else step.first_sample + 1, step, (gamma, uncertainty)))
+        self._release()
+
+    def _release(self, *, everything: bool = False) -> None:
+        """Write the rows of steps whose losses are settled, and of the changes of the drive."""
+        settled = self.account.settled_sample
+        ready = [mark for mark in self._marks if everything or mark[0] <= settled]
+        self._marks = self._marks[len(ready) :]
         fades, self._sequencer.fades = self._sequencer.fades, []
-        if marks or fades:
+        if ready or fades or everything:
             self.flush()
         if not self._recording:
             return
         try:
             if fades:
                 self._writer.mark_drive(change_rows(self._profile, fades))
-            for step in marks:
-                self._mark(step)
+            for _, step, achieved in ready:
+                self._mark(step, achieved)
         except OSError as error:
             self._disk_failed(error)
 
@@ -306,16 +297,15 @@ class _Run:
         self.end("failed", f"recording: {error}")
         self._sequencer.stop(Stop.RAMP_DOWN)
 
-    def _mark(self, step: Step) -> None:
+    def _mark(self, step: Step, achieved: tuple[float, float]) -> None:
         """Write a step's row: as planned when it begins, as driven when it ends."""
-        first = self._recorded(step.first_sample)
-        n = self._recorded(step.end_sample) - first
-        settle = self._recorded(step.first_sample + step.settle_samples) - first
+        first = self.account.recorded(step.first_sample)
+        n = self.account.recorded(step.end_sample) - first
+        settle = self.account.recorded(step.first_sample + step.settle_samples) - first
         if n <= 0 or not self._recording:
             return
         self._steps = step.index + 1
-        gamma, uncertainty = self._achieved(step)
-        self._last_achieved = gamma if math.isfinite(gamma) else self._last_achieved
+        gamma, uncertainty = achieved
         self._writer.mark_step(
             {
                 "first_sample": first,
@@ -344,5 +334,5 @@ class _Run:
             limit_in_use=self._interlock.limit_in_use,
             contact_age_cycles=self._interlock.contact_age_cycles,
             achieved_gamma=self._last_achieved,
-            lost_samples=self._lost,
+            lost_samples=self.account.lost_samples,
         )

@@ -25,6 +25,8 @@ def command(
     replay: Path | None = typer.Option(None, "--replay", metavar="REC.h5", help="What a replay back end plays."),
     note: str | None = typer.Option(None, "--note", help="The operator's note."),
     set_: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="A free key, as knob=3; repeatable."),
+    resume: Path | None = typer.Option(None, "--resume", metavar="REC.h5", help="Go on where this recording stopped."),
+    step: int | None = typer.Option(None, "--step", metavar="N", help="With --resume: repeat step N alone."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
 ) -> None:
     """Run a profile's ramp and record it; Ctrl-C ramps the drive down and keeps the recording.
@@ -37,11 +39,17 @@ def command(
     from bench.commands.plan import planned, refusal
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.profiles import load
+    from bench.resume import continued
     from daq.errors import InputError
 
     try:
         checked, text = load(profile)
         extra = free_keys(set_)
+        if step is not None and resume is None:
+            raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
+        if resume is not None:
+            checked, named = continued(checked, resume, step)
+            extra |= named
         _, _, faults = planned(checked)
         if faults:
             raise InputError(refusal(profile, faults))
