@@ -17,9 +17,10 @@ from analysis.attribution import THREADS, Candidate, Compared, Explanation
 from analysis.beyond_words import in_words
 from analysis.covariates import covariates
 from analysis.fit import Fitter
-from analysis.likelihood import Key, Whitener, World, plate_effects, step_losses
-from analysis.robust import log_odds, robust_weight
+from analysis.likelihood import Key, Residuals, Values, Whitener, World, plate_effects
+from analysis.robust import log_odds, robust_loss, robust_weight
 from analysis.splines import (
+    SHARP,
     TAILS,
     Stack,
     Tried,
@@ -50,10 +51,13 @@ from model.roll import Predicted
 
 Array = NDArray[np.float64]
 
-FINALISTS = 3
+FINALISTS = 4
+FIRST_TAILS = (0.9, 0.7, 0.5, 0.5)  # of the first looks within the flight: see `analysis.splines.TAILS`
 NEAR = 0.25  # of the best first look's gain: who is nearer is looked at again
 ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
+LIKE = {"since_impact_s": "dwell_s", "impact_mps": "previous_impact_mps"}  # nearest covariate of a whole flight
+SOME = 0.01  # from nothing at all no step leads down
 GOOD = 1.15  # held-out scatter over uncertainty below which no second base is tried
 
 
@@ -159,7 +163,7 @@ def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDAr
         best = min(found, key=lambda p: float(p.per_step[train].sum()))
         if _scatter(best, train) < GOOD:
             break
-    gain = Compared.of(explanation.per_step, best.per_step, train)
+    gain = Compared.of(_known_loss(world, explanation, train), best.per_step, train)
     if gain.gain < max(FROZEN.gain_nats, FROZEN.gain_sigmas * gain.error):
         return None
     kept = best.explanation.candidates
@@ -222,54 +226,93 @@ class _Search:
         stack = Stack.of(self.world, self.values, self.train)
         ahead = stack.loss(stack.residuals(self.world, self.values))
         judged = self.world.evidence.judged
-        tried, constants, rebound = [], {}, None
+        tried: list[Tried] = []
+        constants: dict[str, float] = {}
+        known: dict[tuple[str, str], Curve] = {}
         for name in EVENT_GRIDS:
             table = table_of(self.world, self.values, stack, name)
             constants[name] = constant_of(table, stack, name)[0]
             for term in event_terms(name):
                 x = self.tables[term.of]
-                one = try_covariate(table, stack, term, x, knots_of(x[judged]))
-                tried.append(one)
-                rebound = one.curve if term.name == "restitution" and term.of == "previous_impact_mps" else rebound
+                tried.append(try_covariate(table, stack, term, x, knots_of(x[judged])))
+                known[name, term.of] = tried[-1].curve
         ranges = ranges_of(self.tables, judged)
         with ThreadPoolExecutor(THREADS) as pool:
-            tried += pool.map(lambda t: self._within(stack, t, ranges[t.of], constants[t.name], rebound), IN_FLIGHT)
+            tried += pool.map(lambda t: self._within(stack, t, ranges[t.of], constants[t.name], known), IN_FLIGHT)
         tried.sort(key=lambda t: t.loss)
         return [t for t in tried if t.loss < tried[0].loss + NEAR * (ahead - tried[0].loss)][:FINALISTS]
 
     def _within(
-        self, stack: Stack, term: Term, span: tuple[float, float], constant: float, rebound: Curve | None
+        self,
+        stack: Stack,
+        term: Term,
+        span: tuple[float, float],
+        constant: float,
+        known: Mapping[tuple[str, str], Curve],
     ) -> Tried:
+        """A term within the flight, begun at what a value for each flight has shown."""
         curve = Curve.even(term, span, len(self.world.evidence))
-        if term.name == "friction":
-            curve = curve.moved(np.full_like(curve.values, constant * (9.81 if term.against_motion else 1.0)))
-        elif term.name == "restitution" and rebound is not None:
-            curve = curve.moved(rebound.at(curve.knots))
-        return try_in_flight(self.world, self.values, stack, curve, self.dwell, TAILS[1:3])
+        start = known.get((term.name, LIKE.get(term.of, "")))
+        if term.name != "force":
+            values = np.full_like(curve.values, max(constant, SOME)) if start is None else start.at(curve.knots)
+            curve = curve.moved(values * (self.world.gravity if term.against_motion else 1.0))
+        return try_in_flight(self.world, self.values, stack, curve, self.dwell, FIRST_TAILS)
 
     def polished(self, curve: Curve) -> _Polished:
         """Curve and everything else fitted in turn; judged on the steps that the curve did not see."""
         values = dict(self.values)
-        for tails in (TAILS[3:5], TAILS[5:]):
+        passes = SHARP if curve.term.columns else SHARP[:2]  # a prediction a pass where each flight has its own value
+        for tails in ((TAILS[-1], *passes), passes):
             stack = Stack.of(Spliced(self.world, [curve], self.dwell), values, self.train)
             curve = try_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
             spliced = Spliced(self.world, [curve], self.dwell)
             twin = Fitter(spliced, self.fitter.priors, self.train)
             fitted = twin.fit(Whitener.of(spliced, values), self.free, values)
             values = fitted.values
-        whitener = Whitener.of(spliced, values)
         stack = Stack.of(spliced, values, self.train)
         r = stack.residuals(spliced, values)
         jacobian = slopes_of(self.world, values, stack, curve, self.dwell, r)
-        losses: dict[str, Array] = {}
-        step_of = self.world.evidence.measured.step[stack.event]
-        for fold in self.fitter.folds:
-            seen = replace(stack, train=stack.train & ~fold[step_of])
-            moved = Spliced(self.world, [curve.moved(curve.values + newton_step(curve, seen, r, jacobian))], self.dwell)
-            for channel, loss in step_losses(moved, whitener, moved.residuals(values)).items():
-                losses[channel] = losses.get(channel, np.zeros_like(loss)) + np.where(fold, loss, 0.0)
+        held = stack.cut(self._held_out(curve, values, stack, r, jacobian))
+        ev = self.world.evidence
+        losses = {
+            "events": stack.by_step(held, ev.measured.step, len(ev.steps)),
+            "plate": _plate_loss(spliced, values),
+        }
+        whitener = Whitener.of(spliced, values)
         explanation = Explanation(self.kept, fitted, whitener, losses)
         return _Polished(curve, _spread(curve, stack, r, jacobian), spliced, explanation)
+
+    def _held_out(
+        self, curve: Curve, values: Mapping[Key, float], stack: Stack, r: Array, jacobian: Array
+    ) -> Residuals:
+        """Residuals of each step with the curve that the other folds give."""
+        step = self.world.evidence.measured.step
+        out = Spliced(self.world, [curve], self.dwell).residuals(values)
+        for fold in self.fitter.folds:
+            seen = replace(stack, train=stack.train & ~fold[step[stack.event]])
+            other = curve.moved(curve.values + newton_step(curve, seen, r, jacobian))
+            found = Spliced(self.world, [other], self.dwell).residuals(values)
+            out = replace(
+                out,
+                opening_s=np.where(fold[step], found.opening_s, out.opening_s),
+                landing_s=np.where(fold[step], found.landing_s, out.landing_s),
+            )
+        return out
+
+
+def _plate_loss(world: World, values: Values) -> Array:
+    """Loss of the plate data by step."""
+    data = world.evidence.plate
+    loss = robust_loss(world.residuals(values).plate / data.sigma)
+    return np.bincount(data.step, loss, minlength=len(world.evidence.steps))
+
+
+def _known_loss(world: World, explanation: Explanation, train: NDArray[np.bool_]) -> Array:
+    """Loss of a named explanation by step, as `_Search.polished` reckons it, on the very steps of its fit."""
+    values, ev = explanation.fitted.values, world.evidence
+    stack = Stack.of(world, values, train)
+    events = stack.by_step(stack.residuals(world, values), ev.measured.step, len(ev.steps))
+    return np.asarray(events + _plate_loss(world, values))
 
 
 def _spread(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:

@@ -28,6 +28,7 @@ Values = Mapping[Key, float]
 DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
 CLIP = 6.0  # a residual beyond so many sigmas does not speak for what its step has in common
+RAISES, RAISED_FROM, ENOUGH_EVENTS = 4, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
 EDGE_STEP_S = 2e-6
 
 
@@ -280,8 +281,16 @@ class Whitener:
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
-        sd = np.hypot(edges, np.where(first, *excess))[order]
-        shared, shrink, logs = _shared(tones[order] / sd[:, None], bounds)
+        for _ in range(RAISES):
+            sd = np.hypot(edges, np.where(first, *excess))[order]
+            shared, shrink, logs = _shared(tones[order] / sd[:, None], bounds)
+            unit = bare[order] / sd
+            z = unit[:, None].copy()
+            _unshare(z, np.clip(unit, -CLIP, CLIP)[:, None], bounds, shared, shrink)
+            raised = _raised(excess, z[:, 0], sd, first[order])
+            if raised == excess:
+                break
+            excess = raised
         logs += np.log(sd)
         sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
@@ -348,6 +357,18 @@ class Whitener:
         """Whitened event residuals (in the order of ``step``) and plate residuals."""
         both = self.white_all(self.stacked(r))
         return both[: len(self.step)], both[len(self.step) :]
+
+
+def _raised(
+    excess: tuple[float, float], z: Array, sd: Array, opening: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """The excess raised where residuals still scatter by more than a unit once what a step shares is taken out."""
+    out = list(excess)
+    for i, rows in enumerate((opening, ~opening)):
+        scale = 1.4826 * float(np.median(np.abs(z[rows]))) if rows.sum() >= ENOUGH_EVENTS else 0.0
+        if scale > RAISED_FROM:
+            out[i] = float(np.sqrt(excess[i] ** 2 + (scale**2 - 1.0) * np.median(sd[rows]) ** 2))
+    return out[0], out[1]
 
 
 def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:

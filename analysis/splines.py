@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from analysis.likelihood import FARTHEST_PERIODS, Values, World
+from analysis.likelihood import FARTHEST_PERIODS, Residuals, Values, World
 from analysis.robust import LEAST_EXCESS_S, excess_of, log_odds, robust_loss, robust_weight
 from analysis.terms import EVENT_GRIDS, Curve, Spliced, Term, basis_of, event_term, penalty_of
 
 Array = NDArray[np.float64]
 
-TAILS = (0.97, 0.9, 0.8, 0.65, 0.5, 0.5)  # share of residuals that sets the width: from all to the middle
-ROUGHNESS = 0.5  # how far second differences may go, relative to the spread of the curve
+TAILS = (0.9, 0.8, 0.65)  # share of residuals that sets the width, pass by pass: from all of them
+SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # to the middle
+ROUGHNESS = 0.1  # how far second differences may go, relative to the spread of the curve
 HALVINGS = 4
 
 
@@ -58,10 +59,7 @@ class Stack:
 
     def residuals(self, world: World, values: Values) -> Array:
         """Of this stack, cut at the farthest."""
-        r = world.residuals(values)
-        both = np.where(self.first, r.opening_s[self.event], r.landing_s[self.event])
-        cap = FARTHEST_PERIODS * self.period_s
-        return np.asarray(np.clip(np.where(np.isfinite(both), both, cap), -cap, cap))
+        return self.cut(world.residuals(values))
 
     def widths(self, r: Array, tail: float = 0.5) -> Array:
         """Uncertainty with an excess of each channel that fits the residual at the quantile ``tail``."""
@@ -72,6 +70,24 @@ class Stack:
             usual = float(np.median(self.sigma_s[look])) if look.any() else 0.0
             out[rows] = np.hypot(self.sigma_s[rows], max(np.sqrt(max(size**2 - usual**2, 0.0)), LEAST_EXCESS_S))
         return out
+
+    def by_step(self, r: Array, step: NDArray[np.int64], m: int) -> Array:
+        """Loss of each of ``m`` steps, each excess at its best on the steps of the fit; ``step`` by flight."""
+        out = np.zeros(m)
+        for rows in (self.first, ~self.first):
+            look = rows & self.train
+            if look.any():
+                excess = excess_of(r[look], self.sigma_s[look], self.period_s[look])[0]
+                total = np.hypot(self.sigma_s[rows], excess)
+                loss = robust_loss(r[rows] / total, log_odds(total, self.period_s[rows])) + np.log(total)
+                out += np.bincount(step[self.event[rows]], loss, minlength=m)
+        return out
+
+    def cut(self, r: Residuals) -> Array:
+        """Residuals of this stack, cut at the farthest."""
+        both = np.where(self.first, r.opening_s[self.event], r.landing_s[self.event])
+        cap = FARTHEST_PERIODS * self.period_s
+        return np.asarray(np.clip(np.where(np.isfinite(both), both, cap), -cap, cap))
 
     def loss(self, r: Array) -> float:
         """Loss of what is trained on, each channel's excess at its best."""
@@ -123,7 +139,7 @@ def try_covariate(table: Array, stack: Stack, term: Term, x: Array, knots: Array
     near = basis[stack.event]
     values = np.full(len(knots), constant_of(table, stack, term.name)[0])
     weights = near * stack.train[:, None]
-    for tail in TAILS[1:4]:
+    for tail in TAILS:
         r, _ = _looked_up(table, grid, near @ values)
         width = stack.widths(r, tail)
         by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
@@ -143,7 +159,7 @@ def _looked_up(table: Array, grid: Array, value: Array) -> tuple[Array, Array]:
 def _descend(curve: Curve, stack: Stack, look: Callable[[Curve], tuple[Array, Array]], near: Array) -> Tried:
     """Gauss-Newton on the penalised robust loss; ``look`` gives residuals and their slope along each event's value."""
     r, slope = look(curve)
-    for tail in TAILS[2:]:
+    for tail in (*TAILS[1:], *SHARP):
         step = newton_step(curve, stack, r, slope[:, None] * near, tail)
         width = stack.widths(r, tail)
         now = _penalised(curve, stack, r, width)
@@ -180,7 +196,7 @@ def _penalised(curve: Curve, stack: Stack, r: Array, width: Array) -> float:
 
 
 def try_in_flight(
-    world: World, values: Values, stack: Stack, start: Curve, dwell_s: Array, tails: Sequence[float] = TAILS[1:4]
+    world: World, values: Values, stack: Stack, start: Curve, dwell_s: Array, tails: Sequence[float]
 ) -> Tried:
     """Gauss-Newton for a term within the flight, by predictions."""
     curve = start

@@ -369,11 +369,13 @@ def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, 
     opening, flights passed over, kind, q, qd at take-off); kind -1 when there is none.
     """
     dwell = 0.0
+    sag = ratio * p[-1] / (om * om)  # of the mode under the ball's weight
     for hidden in range(MOST_BOUNCES):
-        off, v0, kind, _ = leave(t, v_in, dwell, q, qd, om, ze, w, ar, ai, dt, p)
+        off, v0, kind, _ = leave(t, v_in, dwell, q + sag, qd, om, ze, w, ar, ai, dt, p)
         if kind < 0:
             break
-        qt, qdt, _ = ring(off - t, q, qd, om, ze)
+        qt, qdt, _ = ring(off - t, q + sag, qd, om, ze)
+        qt -= sag
         lasts, v_hit, opened = flight(off, v0, qt, qdt, om, ze, w, ar, ai, dt, p, forced, rough, gap)
         if lasts < 0.0:
             break
@@ -514,7 +516,7 @@ def one_ahead(
     take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as predicted, then
     launch velocity and impact speed of the measured flight itself (where an elastic impact needs them).
     """
-    q, qd = 0.0, 0.0  # of the plate mode, just after the landing before
+    q, qd = 0.0, 0.0  # of the plate mode about its place without the ball, just after the landing before
     previous_hit = 0.0
     t_previous = 0.0
     known = False
@@ -527,7 +529,7 @@ def one_ahead(
         out[i, 6] = -1.0
         if not linked[i]:
             known = False
-            q, qd = 0.0, 0.0
+            q, qd = -ratio * pi[-1] / (om * om), 0.0
             t_previous = opening[i]
         passed = 0
         if (wanted[i] or bounce[i]) and linked[i] and (known or not bounce[i]):
@@ -583,13 +585,15 @@ def one_ahead(
         needed = ratio != 0.0 or (bounce[i] and i + 1 < landing.shape[0] and wanted[i + 1])
         if not (needed or (bounce[i] and wanted[i])):
             continue
+        sag = ratio * pi[-1] / (om * om)
         if at_once[i] and linked[i]:
             start = t_landed
         else:
-            qo, qdo, _ = ring(opening[i] - t_landed, q, qd, om, ze)
+            qo, qdo, _ = ring(opening[i] - t_landed, q + sag, qd, om, ze)
             start = thrown_before(opening[i], period[m], qo, qdo, 0.0, om, ze, wi, ri, ii, dt, pi)
             start = max(start, t_landed)
-        qs, qds, _ = ring(start - t_landed, q, qd, om, ze)
+        qs, qds, _ = ring(start - t_landed, q + sag, qd, om, ze)
+        qs -= sag
         v0, hit = 0.0, 0.0
         lasts = -1.0
         if not at_once[i]:
