@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.candidates import Candidate as Candidate
 from analysis.candidates import candidates_of, trends_of
-from analysis.fit import Fitted, Fitter
+from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.likelihood import Key, Whitener, World, plate_effects
 from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
@@ -25,6 +25,7 @@ Progress = Callable[[str, float], None]
 
 HOPELESS_NATS = 4.0  # a candidate that fits no better than this on the steps it sees is not looked at again
 THREADS = 2
+MOST_SHAPES = 4  # settings of what shapes an effect that are followed from the best linear gain
 REFITS = 3  # of an explanation, from where a larger one has led
 SETTLING = 4  # fits with new weights, at most
 MOST_OF_A_STEP = 12.0  # nats
@@ -256,13 +257,15 @@ class Attributor:
         if not free:
             return None
         starts = self._starts(best, candidate, free)
+        promised, led = self._promised(best, candidate, free)
+        starts = sorted([*starts, *led], key=lambda pair: pair[0])
         level = self._quick(best.whitener, best.fitted.values)
         ahead = level - starts[0][0]
         added = (*best.candidates, Candidate(candidate.names, free))
         if ahead >= HOPELESS_NATS:
             return self._judged(added, self._from(best, (*best.free, *free), starts[0][1]))
         cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
-        if not cheap and self.fitter.linear_gain(best.fitted, free) < HOPELESS_NATS:
+        if not cheap and promised < HOPELESS_NATS:
             return None
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
         gained = max(best.fitted.loss - fitted.loss, level - self._quick(best.whitener, fitted.values))
@@ -302,6 +305,27 @@ class Attributor:
         values = best.fitted.values
         points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in candidate.starts or ({},)]
         return sorted(((self._quick(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
+
+    def _promised(
+        self, best: Explanation, candidate: Candidate, free: Sequence[Key]
+    ) -> tuple[float, list[tuple[float, dict[Key, float]]]]:
+        """What the candidate would gain if residuals were linear in it, and starts on the way there, with their loss.
+
+        An effect that a shape parameter bends is tried in each of its shapes; the most promising ones are followed.
+        """
+        bent = [k for k in free if parameter_of(k).shape]
+        if not bent:
+            return self.fitter.linear_step(best.fitted, free)[0], []
+        shapes = {tuple(p.get(k, parameter_of(k).absent) for k in bent) for p in candidate.starts}
+        steps = [self.fitter.linear_step(best.fitted, free, dict(zip(bent, at, strict=True))) for at in shapes]
+        steps.sort(key=lambda pair: -pair[0])
+        here = {k: best.fitted.values.get(k, parameter_of(k).absent) for k in steps[0][1]}
+        points = [
+            {k: v if k in bent else part * v + (1.0 - part) * here[k] for k, v in point.items()}
+            for _, point in steps[:MOST_SHAPES]
+            for part in (1.0, 0.5, 0.25)
+        ]
+        return steps[0][0], [(self._quick(best.whitener, p), p) for p in points]
 
     def _quick(self, whitener: Whitener, values: Mapping[Key, float]) -> float:
         return whitener.profile_loss(self.world.residuals(values), self.world.evidence.plate, self.train)

@@ -304,7 +304,7 @@ def _plate_loss(world: World, values: Values) -> Array:
     """Loss of the plate data by step."""
     data = world.evidence.plate
     loss = robust_loss(world.residuals(values).plate / data.sigma)
-    return np.bincount(data.step, loss, minlength=len(world.evidence.steps))
+    return np.asarray(np.bincount(data.step, loss, minlength=len(world.evidence.steps)), dtype=np.float64)
 
 
 def _known_loss(world: World, explanation: Explanation, train: NDArray[np.bool_]) -> Array:

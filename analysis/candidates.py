@@ -35,7 +35,7 @@ def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidat
             keys = tuple((e.name, q) for q in variant)
             grids = [e.parameter(q).scan or (e.parameter(q).absent,) for q in variant]
             if e.name == "table_resonance" and hints_hz:
-                grids[1] = tuple(hints_hz)
+                grids[1] = (*grids[1], *hints_hz)
             if e.name in ("coulomb_friction",):  # both directions together to begin with
                 starts = [dict.fromkeys(keys, v) for v in (0.0, *grids[0])]
             else:

@@ -199,9 +199,14 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
 
 def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
     """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
-    found = np.sort([line.frequency_hz for s in fitted for line in s.lines])
+    return _clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
+
+
+def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
+    """Middles of clusters of at least ``least`` lines."""
+    found = np.sort(lines_hz)
     clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
-    return tuple(float(np.median(c)) for c in clusters if len(c) >= SHARED_LINES)
+    return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
 
 
 def _closed_s(measured: Measured, sample_s: float) -> float:
@@ -299,4 +304,5 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         closed_s=max(p.closed_s for p in parts),
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
+        hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
     )

@@ -193,16 +193,22 @@ class Fitter:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
-    def linear_gain(self, best: Fitted, free: Sequence[Key]) -> float:
-        """Loss that freeing ``free`` would save on the steps of the fit if residuals were linear in them, in nats."""
+    def linear_step(
+        self, best: Fitted, free: Sequence[Key], shapes: Mapping[Key, float] | None = None
+    ) -> tuple[float, dict[Key, float]]:
+        """Where freeing ``free`` would lead, and the loss that it would save, if residuals were linear: nats, values.
+
+        What only shapes an effect stays where ``shapes`` puts it.
+        """
         keys = [*free, *(k for k in best.keys if k not in free)]
-        x = np.array([self._to_x(k, best.values.get(k, parameter_of(k).absent)) for k in keys])
+        at = {**best.values, **(shapes or {})}
+        x = np.array([self._to_x(k, at.get(k, parameter_of(k).absent)) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
-        state.fill(bare, x, best.raw, range(len(free)))
+        state.fill(bare, x, best.raw, [j for j, k in enumerate(free) if not parameter_of(k).shape])
         normal, gradient = state.normal(bare, best.raw, x, state.mask)
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
-        return float(step @ gradient - 0.5 * step @ normal @ step)
+        return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
 
     def detectable(self, best: Fitted, key: Key, nats: float) -> float:
         """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.

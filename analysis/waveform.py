@@ -17,6 +17,8 @@ LENGTH = LEAD + TAIL
 ECHO = 128  # samples of the waveform learnt: an impact's ringing must not be taken for the next impact
 FINE = 8  # template points per sample
 UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
+LOUD = 2.2  # root mean square over two samples, in noise of a point, that is waveform and not noise
+ONSET_SIGMAS = 5.0  # of that noise: no onset is seen below
 MIN_LANDINGS = 6  # landings needed to learn a waveform
 TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
 SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
@@ -99,8 +101,11 @@ def learn_waveform(
         return None
     direction = mean / strength
     size = flat @ direction
-    fine = _oversample(snippets, fractions, size)
-    fine = _from_onset(fine)
+    fine, sigma_v = _oversample(snippets, fractions, size, noise_v)
+    known = _known_part(fine, sigma_v)
+    if known is None:
+        return None
+    fine = _from_onset(known, sigma_v)
     # matched to the whole waveform, but blind to the motion under it
     taps = fine[: LENGTH * FINE : FINE] @ projector
     norm = float(np.linalg.norm(taps))
@@ -109,8 +114,11 @@ def learn_waveform(
     return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
 
 
-def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
-    """Mean waveform on ``FINE`` points a sample: hat functions at their sub-sample place, weighted by strength."""
+def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -> tuple[Floats, float]:
+    """Mean waveform on ``FINE`` points a sample (hat functions at their sub-sample place, weighted by strength).
+
+    With it, the noise of a point.
+    """
     position = (np.arange(ECHO)[None, :] + fractions[:, None]) * FINE
     weight = np.maximum(size, 0.0)[:, None] * np.ones(ECHO)
     points = ECHO * FINE
@@ -124,13 +132,28 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats) -> Floats:
     known = bottom > 1e-9 * bottom.max()
     grid = np.arange(points)
     mean, known = top / np.where(known, bottom, 1.0), known[:points]
-    return np.asarray(np.interp(grid, grid[known], mean[:points][known]))
+    sigma_v = noise_v / float(np.sqrt(np.median(bottom[:points][known])))
+    return np.asarray(np.interp(grid, grid[known], mean[:points][known])), sigma_v
 
 
-def _from_onset(fine: Floats) -> Floats:
+def _known_part(fine: Floats, sigma_v: float) -> Floats | None:
+    """The waveform up to where it no longer stands out of the noise of its own points; None where it never does.
+
+    A few landings leave noise in the mean; subtracted after every impact, it would only add to the recording's own.
+    """
+    loud = np.convolve(fine**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
+    peak = int(np.argmax(np.abs(fine)))
+    if not loud[peak]:
+        return None
+    last = int(np.flatnonzero(loud).max()) + FINE
+    return np.where(np.arange(fine.size) <= last, fine, 0.0)
+
+
+def _from_onset(fine: Floats, sigma_v: float) -> Floats:
     """The waveform moved so that its rise, drawn back to zero, begins at ``LEAD * FINE``; nothing before it."""
     size = np.abs(fine)
-    early, late = (_rise(size, part * float(size.max())) for part in (0.1, 0.3))
+    top = float(size.max())
+    early, late = (_rise(size, min(max(part * top, ONSET_SIGMAS * sigma_v), 0.7 * top)) for part in (0.1, 0.3))
     onset = early - 0.5 * max(late - early, 0.0)
     grid = np.arange(fine.size)
     moved = np.interp(grid + onset - LEAD * FINE, grid, fine, left=0.0, right=0.0)

@@ -23,7 +23,7 @@ EFFECT = Effect(
             500.0,
             0.3,
             absent=8.0,
-            scan=(4.0, 6.0, 8.0, 11.0, 15.0),
+            scan=tuple(3.0 * 1.13**k for k in range(22)),
             shape=True,
             meaning="of the mode",
         ),

@@ -1,0 +1,201 @@
+"""One trial: a sealed recording, the verdict on it, and only then what was hidden.
+
+The rule kept here: everything of a trial is drawn from its seed; the verdict is written down before the truth is read.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[2]
+STRONG_BELOW, WEAK_ABOVE = 0.35, 1.6  # sizes are drawn from the medium to the strong one, and about the weak one
+DECLARED = ("coulomb_friction", "restitution", "viscous_damping")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to hide and where: ``kind`` is strong, weak, clean, declared, outside or pair."""
+
+    kind: str
+    plant: str
+    effects: tuple[str, ...]
+    c: int
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """A name of its own."""
+        return f"{self.kind}/{self.plant}/{'+'.join(self.effects) or '-'}/{self.c}/{self.seed}"
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Make the recording, close the loop on it, then open the seal."""
+    from analysis.close_loop import as_json, close_loop
+    from analysis.errors_of import errors_on, judged_rows, noise_floor_us
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        recording = (_other if job.plant == "other" else _own)(job, folder)
+        start = time.perf_counter()
+        loop = close_loop([recording])
+        seconds = time.perf_counter() - start
+        found = json.loads(json.dumps(as_json(loop)))
+        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    world, steps = loop.world, ~loop.best.fitted.fitter.train
+    rows, _ = judged_rows(world, loop.best.fitted.values, steps)
+    discovered = None
+    if loop.discovered is not None:
+        d = loop.discovered
+        values = d.explanation.fitted.values
+        seen, out = judged_rows(d.world, values, steps)
+        after = errors_on(d.world, values, seen, out)
+        discovered = {
+            "term": d.term, "of": d.of, "in_words": d.in_words, "rivals": list(d.rivals),
+            "rms_us": after.landing_rms_us, "robust_us": after.landing_robust_us,
+            "floor_us": noise_floor_us(d.world, values, seen),
+        }  # fmt: skip
+    kept = ("verdict", "effects", "tie_set", "before", "after", "noise_floor_us", "remainder", "rounds")
+    floor_z = float(np.sqrt(np.mean(_unit_landings(world, loop.best.fitted.values)[rows] ** 2))) if len(rows) else None
+    return {
+        "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": job.c,
+        "seconds": seconds, "flights": len(world.evidence), "steps": len(world.evidence.steps),
+        "size": size_of(world), "truth": truth, "discovered": discovered, "after_z": floor_z,
+        **{k: found[k] for k in kept},
+    }  # fmt: skip
+
+
+def _unit_landings(world: Any, values: Any) -> NDArray[np.float64]:
+    u, r = world.uncertainty(values), world.residuals(values)
+    return np.asarray(np.clip(np.where(np.isfinite(r.landing_s), r.landing_s / u.landing_total_s, 6.0), -6.0, 6.0))
+
+
+def size_of(world: Any) -> dict[str, float]:
+    """Root mean square residual of the declared model over the uncertainty, the noise taken out, by channel."""
+    u, r, ev = world.uncertainty({}), world.residuals({}), world.evidence
+    out = {}
+    for name, residual, sigma, rows in (
+        ("landing", r.landing_s, u.landing_total_s, ev.judged),
+        ("opening", r.opening_s, u.opening_total_s, world.opens),
+    ):  # fmt: skip
+        if rows.any():
+            z = np.where(np.isfinite(residual), residual / sigma, 1e3)[rows]
+            out[name] = _beyond_noise(z)
+    plate = r.plate / ev.plate.sigma
+    for kind in np.unique(ev.plate.kind):
+        out[f"plate {kind}"] = _beyond_noise(plate[ev.plate.kind == kind])
+    return out
+
+
+def _beyond_noise(z: NDArray[np.float64]) -> float:
+    return float(np.sqrt(max(np.mean(np.clip(z, -1e3, 1e3) ** 2) - 1.0, 0.0)))
+
+
+# -- the other plant ----------------------------------------------------------------------------------------------
+def _other(job: Job, folder: Path) -> Path:
+    """A foreign recording (CSV of volts, no step table), imported with its profile."""
+    from daq.foreign import open_source
+    from daq.importing import import_recording
+    from rig.profile import load_setup
+
+    plant = _load(ROOT / "tests" / "blind" / "other_plant.py")
+    rng = np.random.default_rng(job.seed)
+    usual = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}[job.c]
+    gammas = rng.permutation(np.round(np.linspace(*usual, 22), 4))
+    hidden: dict[str, float] = {}
+    for effect in job.effects:
+        hidden |= _drawn(plant.SIZES[effect], effect, job.kind, rng)
+    sealed = plant.Run(
+        c=job.c, gammas=tuple(gammas.tolist()), seed=job.seed, hidden=hidden, spikes=bool(rng.random() < 0.5),
+        closure_s=float(rng.choice((1e-4, 5e-4))), jitter_s=float(rng.choice((5e-6, 2e-5))),
+        frequency_hz=float(rng.choice((22.31, 25.37, 31.73))), reads_gravity=bool(rng.random() < 0.5),
+    )  # fmt: skip
+    raw = plant.write(sealed, folder)
+    profile = folder / "profile.toml"
+    if job.kind == "declared":
+        _declare(profile, hidden)
+    setup, text = load_setup(profile)
+    out = folder / "recording.h5"
+    import_recording(open_source(raw), out, setup, text)
+    raw.unlink()
+    (folder / "truth.json").write_text(json.dumps(hidden), encoding="utf-8")
+    return out
+
+
+def _drawn(sizes: dict[str, tuple[float, float, float]], effect: str, kind: str, rng: Any) -> dict[str, float]:
+    """Values of an effect: its sizes drawn together, what is the same at every strength drawn apart."""
+    share = rng.random()
+    out = {}
+    for name, (weak, medium, strong) in sizes.items():
+        if weak == strong:
+            out[f"{effect}.{name}"] = weak * float(np.exp(rng.uniform(-0.25, 0.25)))
+            continue
+        low, high = (weak, WEAK_ABOVE * weak) if kind == "weak" else (max(medium, STRONG_BELOW * strong), strong)
+        out[f"{effect}.{name}"] = float(low * (high / low) ** share) if low > 0 else float(share * high)
+    return out
+
+
+def _declare(profile: Path, hidden: dict[str, float]) -> None:
+    """Write what the rig has into its profile, as an owner who knows it would."""
+    from benchmarks.scoring.truth import OTHER_PARAMETERS
+
+    tables: dict[str, list[str]] = {}
+    for key, value in hidden.items():
+        for effect, parameter, factor in OTHER_PARAMETERS.get(key, ()):
+            size = value * factor
+            tables.setdefault(effect, []).append(
+                f'{parameter} = {{ value = {size!r}, uncertainty = {0.01 * abs(size)!r}, source = "known" }}'
+            )
+    if "restitution.slope_s_per_m" in hidden:
+        tables["restitution"].append(f"e1_s_per_m = {hidden['restitution.slope_s_per_m']!r}")
+    text = "".join(f"\n[declared.{effect}]\n" + "\n".join(rows) + "\n" for effect, rows in tables.items())
+    profile.write_text(profile.read_text(encoding="utf-8") + text, encoding="utf-8")
+
+
+def _load(path: Path) -> ModuleType:
+    known = sys.modules.get(path.stem)
+    if known is not None:
+        return known
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+# -- the own rig --------------------------------------------------------------------------------------------------
+def _own(job: Job, folder: Path) -> Path:
+    """A ramp on the simulated rig, as `bench ramp` drives it."""
+    from bench.commands.ramp import make_backend, record
+    from bench.profiles import load
+    from rig.sim.sealed import sealed_scenario
+
+    rng = np.random.default_rng(job.seed)
+    strength = "weak" if job.kind == "weak" else "strong"
+    scenario = sealed_scenario(
+        rng, job.effects, strength=strength, count=len(job.effects), nuisances=bool(rng.random() < 0.5)  # type: ignore[arg-type]
+    )
+    sealed = folder / "sealed.toml"
+    sealed.write_text(scenario.to_toml(), encoding="utf-8")
+    profile, text = load("simulated")
+    ramp = profile.ramp.model_copy(update={"order": "shuffled"})
+    forcing = profile.forcing.model_copy(update={"ratio": job.c})
+    gamma = np.round(np.linspace(*{1: (0.4, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}[job.c], 22), 4)
+    ramp = ramp.model_copy(update={"gamma": tuple(gamma.tolist())})
+    profile = profile.model_copy(update={"ramp": ramp, "forcing": forcing})
+    out = folder / "recording.h5"
+    record(profile, text, make_backend(profile, scenario=sealed, seed=job.seed), out, quiet=True)
+    (folder / "truth.json").write_text(json.dumps(scenario.effects), encoding="utf-8")
+    return out

@@ -1,0 +1,21 @@
+"""The waveform of an impact, learnt from few landings in noise."""
+
+import numpy as np
+import pytest
+
+from analysis.waveform import ECHO, FINE, LEAD, learn_waveform
+
+RATE_HZ = 20_000.0
+
+
+def test_a_brief_impact_keeps_its_onset_in_the_noise_of_few_landings() -> None:
+    """Ten landings whose mean is noisier than a tenth of the peak: the onset is the spike's, and nothing follows it."""
+    rng = np.random.default_rng(5)
+    spike, noise = np.array([-12.0, 7.0, -4.0, 2.0, -1.0]), 0.4
+    snippets = noise * rng.standard_normal((10, ECHO))
+    snippets[:, LEAD : LEAD + len(spike)] += spike * rng.uniform(0.3, 1.0, (10, 1))
+    waveform = learn_waveform(snippets, rng.uniform(0.0, 1.0, 10), noise, RATE_HZ, np.array([25.0]))
+    assert waveform is not None
+    loud = np.flatnonzero(np.abs(waveform.fine) > 0.3 * np.abs(waveform.fine).max()) / FINE - LEAD
+    assert loud.min() == pytest.approx(0.5, abs=1.0)
+    assert np.all(waveform.fine[(LEAD + 12) * FINE :] == 0.0)
