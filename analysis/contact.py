@@ -302,7 +302,7 @@ def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
         tau = -1.0 / (rate_hz * np.log(ratio))
         tau_sigma = tau**2 * rate_hz * ratio_sigma / ratio
     else:
-        area = samples.sum(axis=1)
+        area = samples.sum(axis=1) / (1.0 - VISIBLE * noise)  # what has moved too little to be seen is missing in it
         tau, tau_sigma = float(area.mean()) / rate_hz, float(area.std()) / rate_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)

@@ -40,7 +40,7 @@ class FlightFlag(enum.IntFlag):
     CUT = 64
     """Cut by the start, the end or a change of step."""
     UNSURE = 128
-    """The ball should have met the plate in between: a landing may be hidden."""
+    """A landing may be hidden: the ball should have met the plate in between, or an edge was missed since the last."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,8 @@ class EdgeReport:
         None where the accelerometer shows no impacts.
     dips : int
         Contacts that only dented the continuity voltage.
+    missed : int
+        Edges that an AC-coupled circuit must have had and did not show.
     """
 
     levels: Levels | None
@@ -116,6 +118,7 @@ class EdgeReport:
     closing: EdgeShape
     witness: WitnessOffset | None
     dips: int
+    missed: int = 0
 
 
 COLUMNS = (

@@ -57,7 +57,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     """Flights from what the pass found."""
     takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, rate_hz, n_samples)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
-    flags |= step_flags | _gaps(found.plate, takeoff, landing)
+    flags |= step_flags | _gaps(found.plate, takeoff, landing) | _missed(found.missed / rate_hz, landing)
     plate = found.plate
     takeoff, takeoff_sigma = _unseen_contacts(
         plate, setup.g_mps2.value, takeoff, takeoff_sigma, landing, step, unseen_contact_s(report, rate_hz)
@@ -98,7 +98,7 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, 4.0 / rate_hz)
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
-    report = EdgeReport(levels, opening, closing, offset, dips)
+    report = EdgeReport(levels, opening, closing, offset, dips, found.missed.size)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
 
 
@@ -192,6 +192,14 @@ def _gaps(plate: PlateMotion, takeoff: Floats, landing: Floats) -> Ints:
     for sample, _ in plate.gaps:
         at = sample / plate.rate_hz
         flags[(takeoff <= at + 2.0 / plate.rate_hz) & (landing >= at - 2.0 / plate.rate_hz)] |= int(FlightFlag.GAP)
+    return flags
+
+
+def _missed(evidence_s: Floats, landing: Floats) -> Ints:
+    """Flag `UNSURE` where, since the last landing, an edge of an AC-coupled circuit must have been missed."""
+    flags = np.zeros(landing.size, dtype=np.int64)
+    touched = np.searchsorted(landing, evidence_s)
+    flags[touched[touched < landing.size]] = int(FlightFlag.UNSURE)
     return flags
 
 

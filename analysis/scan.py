@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from analysis.ac_contact import Coupling, LevelRestorer, measure_coupling
 from analysis.contact import OPENS, Crossings, CrossingScan, Levels, measure_levels
 from analysis.folding import Folder
 from analysis.impacts import NO_IMPACTS, Impacts, ImpactScan
@@ -31,11 +32,12 @@ DEFAULT_MASK_S = 2e-3  # left out after an impact where the accelerometer does n
 
 @dataclass(frozen=True)
 class Survey:
-    """What a look at a few pieces said about the rig."""
+    """What a look at a few pieces said about the rig; ``coupling`` is that of an AC-coupled contact circuit."""
 
     levels: Levels | None
     noise_v: float
     waveform: Waveform | None
+    coupling: Coupling | None = None
 
     @property
     def mask_s(self) -> float:
@@ -45,7 +47,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Scan:
-    """Everything one pass found."""
+    """Everything one pass found; ``missed`` are samples by which an edge of the contact must have been missed."""
 
     survey: Survey
     steps: npt.NDArray[np.void]
@@ -53,6 +55,7 @@ class Scan:
     starts_open: bool
     impacts: Impacts
     plate: PlateMotion
+    missed: Ints
 
 
 def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:
@@ -87,7 +90,11 @@ def survey(recording: Recording) -> Survey:
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
         return Survey(None, noise, waveform)
-    sample = np.concatenate([p.own("continuity") for p in looked]).astype(np.float64)
+    volts = [p.own("continuity").astype(np.float64) for p in looked]
+    if contact.coupling == "ac":
+        coupling = measure_coupling(volts, contact.open_v - contact.closed_v, recording.rate_hz)
+        return Survey(coupling.levels, noise, waveform, coupling)
+    sample = np.concatenate(volts)
     return Survey(measure_levels(sample, contact.closed_v, contact.open_v), noise, waveform)
 
 
@@ -110,12 +117,13 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
     steps = resolved_steps(recording)
     contact = CrossingScan(known.levels) if known.levels is not None else None
     witness = ImpactScan(known.waveform, recording.rate_hz) if known.waveform is not None else None
+    restorer = LevelRestorer(known.coupling, recording.rate_hz) if known.coupling is not None else None
     folder = Folder(recording, steps, known.mask_s)
     starts_open = False
     for piece in pieces(recording, channels):
         hits = [np.zeros(0, np.int64)]
         if contact is not None and known.levels is not None:
-            fraction = _fraction(piece, known.levels)
+            fraction = _fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
             piece.channels["continuity"] = fraction
             found = contact.add(fraction, piece.first, PAD, piece.count)
             hits.append(found.sample[found.kind != OPENS])
@@ -130,7 +138,8 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
     empty = CrossingScan(Levels(0.0, 1.0, 0.1))
     seen = NO_IMPACTS if witness is None else witness.impacts()
     plate = PlateMotion(folder.finish(), _noise_mps2(recording, known), recording.rate_hz, recording.gaps)
-    return Scan(known, steps, (contact or empty).crossings(), starts_open, seen, plate)
+    missed = np.array([] if restorer is None else restorer.missed, np.int64)
+    return Scan(known, steps, (contact or empty).crossings(), starts_open, seen, plate, missed)
 
 
 def _noise_mps2(recording: Recording, known: Survey) -> float:

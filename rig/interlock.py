@@ -23,6 +23,7 @@ DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
 CLIPPED_FRACTION = 0.04  # of a cycle; an impact alone may touch the converter's limit
 FLAT_PART = 0.02  # of the converter's range: below, equal codes are the converter's steps
+AC_SILENT_PART = 0.1  # of the swing to either side of 0 V in which an AC-coupled contact circuit says nothing new
 AIRBORNE_GAMMA_PEAK = 3.0  # a ball that never leaves the plate above this, friction and all, is a wire
 
 
@@ -57,7 +58,9 @@ class Interlock:
         scale = profile.drive.g_per_volt
         self._mps2_per_volt = (scale.value if scale else 0.0) * profile.g_mps2.value
         self._gamma_peak_per_volt = self._mps2_per_volt / profile.g_mps2.value
-        self._threshold = _contact_threshold(profile, scales)
+        self._contact_levels = _contact_levels(profile, scales)
+        continuity = profile.channels.continuity
+        self._opens_upwards = continuity is None or continuity.open_v > continuity.closed_v
         self._n_seen = 0
         self._clamped_v = 0.0
         self._since_open = self._since_closed = self._flying = 0
@@ -66,7 +69,7 @@ class Interlock:
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window_asked = self._window_moved = 0.0
         self._window_n = self._still = self._last_code = 0
-        self._was_open = False
+        self._was_open = self._ended_open = False
         self.limit_in_use = 0.0
         self.contact_age_cycles = 0.0
 
@@ -102,9 +105,9 @@ class Interlock:
 
     def landed(self, codes: NDArray[np.int16]) -> NDArray[np.bool_] | None:
         """Where in a block (n, channels) the contact circuit closed; None without one."""
-        if self._threshold is None:
+        if self._contact_levels is None:
             return None
-        is_open = (codes[:, self._column["continuity"]] > self._threshold[0]) == self._threshold[1]
+        is_open = self._open(codes, self._contact_levels, self._was_open)
         before = np.concatenate([[self._was_open], is_open[:-1]])[: len(is_open)]
         self._was_open = bool(is_open[-1]) if len(is_open) else self._was_open
         closed: NDArray[np.bool_] = before & ~is_open
@@ -182,11 +185,21 @@ class Interlock:
             return None
         return f"clipped input: {name} lay at a limit for {len(self._clipped[name])} samples of one cycle"
 
+    def _open(self, codes: NDArray[np.int16], levels: tuple[float, float], before: bool) -> NDArray[np.bool_]:
+        """Whether the circuit is open, frame by frame; a frame between the two levels says what the one before said."""
+        x, (closed, opened) = codes[:, self._column["continuity"]], levels
+        sign = 1.0 if self._opens_upwards else -1.0
+        is_open, is_closed = sign * x > sign * opened, sign * x <= sign * closed
+        last = np.maximum.accumulate(np.where(is_open | is_closed, np.arange(1, len(x) + 1), 0))
+        known: NDArray[np.bool_] = np.concatenate([[before], is_open])[last]
+        return known
+
     def _contact(self, drive_v: Floats, codes: NDArray[np.int16], motion: Motion) -> str | None:
         """A contact circuit that never closes, or never opens although the ball must fly."""
-        if self._threshold is None or not self._limits.contact_cycles:
+        if self._contact_levels is None or not self._limits.contact_cycles:
             return None
-        is_open = (codes[:, self._column["continuity"]] > self._threshold[0]) == self._threshold[1]
+        is_open = self._open(codes, self._contact_levels, self._ended_open)
+        self._ended_open = bool(is_open[-1]) if len(is_open) else self._ended_open
         n, limit = len(codes), self._limits.contact_cycles * self._cycle
         closed_at, open_at = np.flatnonzero(~is_open), np.flatnonzero(is_open)
         self._since_closed = n - 1 - int(closed_at[-1]) if closed_at.size else self._since_closed + n
@@ -215,13 +228,17 @@ def _full_code(range_v: float, volts_per_code: float) -> int:
     return min(32767, round(range_v / volts_per_code) - 1)
 
 
-def _contact_threshold(
-    profile: Profile, scales: Mapping[str, tuple[float, float]]
-) -> tuple[float, bool] | None:
-    """Code half way between the contact levels, and whether open lies above it."""
+def _contact_levels(profile: Profile, scales: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
+    """Codes below which the circuit is closed and above which it is open (or the other way round where open is lower).
+
+    Behind a coupling capacitor a state droops towards 0 V and never passes it: what lies near it says nothing new.
+    """
     continuity = profile.channels.continuity
     if continuity is None or "continuity" not in scales:
         return None
     volts_per_code, offset_v = scales["continuity"]
-    middle_v = 0.5 * (continuity.open_v + continuity.closed_v)
-    return (middle_v - offset_v) / volts_per_code, continuity.open_v > continuity.closed_v
+    swing_v = continuity.open_v - continuity.closed_v
+    is_ac = continuity.coupling == "ac"
+    middle_v = 0.0 if is_ac else 0.5 * (continuity.open_v + continuity.closed_v)
+    band_v = AC_SILENT_PART * swing_v if is_ac else 0.0
+    return (middle_v - band_v - offset_v) / volts_per_code, (middle_v + band_v - offset_v) / volts_per_code

@@ -113,3 +113,21 @@ def test_clamp_stands_after_everything(make_profile, fake_rig) -> None:
     assert np.abs(passed).max() == 9.5
     inside = np.abs(asked) <= 9.5
     assert np.array_equal(passed[inside], asked[inside])
+
+
+def test_behind_a_capacitor_the_contact_is_read_by_the_sign(make_profile, fake_rig) -> None:
+    """AC-coupled continuity that droops to nothing between edges: a closing is a landing, noise is none."""
+    profile = make_profile(("[channels.continuity]", '[channels.continuity]\ncoupling = "ac"'))
+    rig = fake_rig(profile)
+    interlock = Interlock(profile, rig.channels, rig.scales)
+    rng = np.random.default_rng(0)
+    level = np.tile([0.0, 5.0], 20).repeat(60)
+    droop = np.zeros(len(level))
+    for i in range(1, len(level)):
+        droop[i] = 0.94 * (droop[i - 1] + level[i] - level[i - 1])
+    volts = np.concatenate([np.zeros(500), droop, np.zeros(500)]) + 0.1 * rng.standard_normal(len(level) + 1000)
+    codes = np.zeros((len(volts), 3), np.int16)
+    codes[:, 0] = np.rint(volts / rig.scales["continuity"][0])
+    landed = [interlock.landed(piece) for piece in np.array_split(codes, 37)]
+    wanted = 500 + np.flatnonzero(np.diff(level) < 0) + 1
+    assert np.array_equal(np.flatnonzero(np.concatenate(landed)), wanted)
