@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
-from analysis.platedata import PlateData, expected
+from analysis.platedata import PlateData, expected, rung
 from analysis.robust import NEVER, excess_of, log_odds, plate_scale, robust_loss
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
@@ -30,6 +30,8 @@ FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distan
 CLIP = 6.0  # a residual beyond so many sigmas does not speak for what its step has in common
 RAISES, RAISED_FROM, ENOUGH_EVENTS = 4, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
 EDGE_STEP_S = 2e-6
+MODE_PART = 0.2  # of what a plate mode puts into a tone, by which the fit of that tone sees it otherwise
+KICK = 0.25  # of what gravity adds to a speed in a period: half a usual impact
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Uncertainty:
     """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
 
     ``*_sigma_s`` is that of the edges, carried through; ``*_by_tone`` the change for one sigma of each quadrature of
-    each plate tone of the event's step.
+    each plate tone of the event's step, and of how a plate mode rang when the step began.
     """
 
     opening_sigma_s: Array
@@ -148,6 +150,7 @@ class World:
         landing_shift_s: Array | None = None,
         tones: NDArray[np.complex128] | None = None,
         rows: Array | None = None,
+        kick: tuple[float, float] = (0.0, 0.0),
     ) -> Predicted:
         """One event ahead at ``values``; times are those that the instrument would show."""
         ev = self.evidence
@@ -169,8 +172,19 @@ class World:
             unseen_s=ev.unseen_s,
             closed_s=ev.closed_s,
             weak_mps=ev.weak_mps,
+            kick=kick,
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
+
+    def _kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
+        """One sigma of how a plate mode rang when a step began, beyond what the flights before say: half an impact."""
+        point = self.start(values)
+        ratio = point.get(("table_resonance", "mass_ratio"), 0.0)
+        if ratio == 0.0:
+            return ()
+        speed = KICK * ratio * self.gravity * float(np.median(self.evidence.steps.plate.period_s))
+        hz = point.get(("table_resonance", "frequency_hz"), effect("table_resonance").effect.absent["frequency_hz"])
+        return (speed / (2.0 * np.pi * hz), 0.0), (0.0, speed)
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
         """Measured minus predicted at ``values``."""
@@ -187,7 +201,9 @@ class World:
             p = self.predict(values, rows=rows)
         opening = np.where(self.opens, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.judged, ev.measured.landing_s - p.landing_s, np.nan)
-        plate = ev.plate.value - expected(ev.plate, self.by_step(values))
+        mode = rung(ev.plate, ev.steps.plate, p.rung)
+        known = ev.plate.sigma / np.hypot(ev.plate.sigma, MODE_PART * mode)
+        plate = known * (ev.plate.value - expected(ev.plate, self.by_step(values)) - mode)
         return Residuals(opening, landing, plate, p)
 
     def uncertainty(self, values: Values) -> Uncertainty:
@@ -207,15 +223,20 @@ class World:
                 land_var = land_var + np.where(rows, _slope(moved.landing_s - base.landing_s) * sigma, 0.0) ** 2
         columns_open, columns_land = [], []
         steps = ev.steps
+        sigma = np.hypot(steps.sigma_mps2, MODE_PART * np.abs(base.rung[:, : steps.sigma_mps2.shape[1]]))
         for k in range(steps.sigma_mps2.shape[1]):
             if not np.any(steps.forcing[:, k]):
                 continue
             for unit in (1.0, 1j):
                 z = steps.plate.acceleration_mps2.copy()
-                z[:, k] += unit * steps.sigma_mps2[:, k]
+                z[:, k] += unit * sigma[:, k]
                 moved = self.predict(values, tones=z)
                 columns_open.append(_finite(moved.opening_s - base.opening_s))
                 columns_land.append(_finite(moved.landing_s - base.landing_s))
+        for kick in self._kicks(values):
+            moved = self.predict(values, kick=kick)
+            columns_open.append(_finite(moved.opening_s - base.opening_s))
+            columns_land.append(_finite(moved.landing_s - base.landing_s))
         shape = (0, n)
         return Uncertainty(
             np.sqrt(open_var),

@@ -24,6 +24,8 @@ from model.effects.base import COMPILED_HOOKS
 
 Array = NDArray[np.float64]
 
+MULTIPLES = (0, 2, 3)  # of the forcing, in which a plate mode is listened to besides the plate's tones
+
 _SIGNATURES = {
     "force": ("s, h, v, u, p", "0.0"),
     "dry": ("h, speed, direction, p", "0.0"),
@@ -157,7 +159,8 @@ class Predicted:
     """What one event ahead says of each measured flight; arrays of shape (n,), NaN where nothing can be said.
 
     ``kind`` is 1 when thrown or bounced at once, 0 after a rest, -1 when there is no prediction; ``launch_mps`` and
-    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one.
+    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one. ``rung`` (m, l)
+    is what a plate mode puts into each of the plate's tones and into `MULTIPLES` of the forcing, m/s^2.
     """
 
     takeoff_s: Array
@@ -169,6 +172,7 @@ class Predicted:
     kind: Array
     launch_mps: Array
     impact_mps: Array
+    rung: NDArray[np.complex128]
 
 
 def one_ahead(
@@ -181,6 +185,7 @@ def one_ahead(
     closed_s: float = 5e-5,
     passable_s: float = 2e-3,
     weak_mps: Array | float = 0.0,
+    kick: tuple[float, float] = (0.0, 0.0),
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -202,36 +207,58 @@ def one_ahead(
     weak_mps
         An impact slower than this, from which the ball leaves at once, may have left no mark: the measured flight went
         on through it. Infinite where nothing but the contact circuit watches; one number or (n,).
+    kick
+        Added to a plate mode's displacement (m) and velocity (m/s) wherever the chain of flights begins anew: how the
+        mode rang before is known no better.
     """
     n = len(measured.landing_s)
     rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
-    out = np.full((n, 9), np.nan)
-    elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1) | np.any(rows[:, _columns("mode")] > 0.0, axis=1)
-    kernel().one_ahead(
-        measured.opening_s,
-        measured.landing_s,
-        measured.at_once,
-        measured.linked,
-        measured.wanted,
-        measured.step,
-        plate.period_s,
-        plate.omega_radps,
-        np.ascontiguousarray(plate.acceleration_mps2.real),
-        np.ascontiguousarray(plate.acceleration_mps2.imag),
-        rows,
-        _active(rows, "force"),
-        _active(rows, "dry"),
-        elastic,
-        np.ascontiguousarray(np.broadcast_to(np.asarray(gap_m, dtype=np.float64), n)),
-        unseen_s,
-        closed_s,
-        passable_s,
-        np.ascontiguousarray(np.broadcast_to(np.asarray(weak_mps, dtype=np.float64), n)),
-        out,
-    )
+    ringing = bool(np.any(rows[:, _columns("mode")] > 0.0))
+    elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1)
+    gap, weak = (np.ascontiguousarray(np.broadcast_to(np.asarray(x, dtype=np.float64), n)) for x in (gap_m, weak_mps))
+
+    listen = np.column_stack([plate.omega_radps, 2.0 * np.pi / plate.period_s[:, None] * np.array(MULTIPLES)])
+
+    def told(tones: NDArray[np.complex128], wanted: NDArray[np.bool_]) -> tuple[Array, NDArray[np.complex128]]:
+        """The kernel's table, and what the plate mode puts into the measured tones."""
+        out = np.full((n, 9), np.nan)
+        heard, seconds = np.zeros(listen.shape, dtype=np.complex128), np.zeros(len(tones))
+        kernel().one_ahead(
+            measured.opening_s,
+            measured.landing_s,
+            measured.at_once,
+            measured.linked,
+            wanted,
+            measured.step,
+            plate.period_s,
+            plate.omega_radps,
+            np.ascontiguousarray(tones.real),
+            np.ascontiguousarray(tones.imag),
+            rows,
+            _active(rows, "force"),
+            _active(rows, "dry"),
+            elastic,
+            gap,
+            unseen_s,
+            closed_s,
+            passable_s,
+            weak,
+            np.array(kick),
+            listen,
+            heard,
+            seconds,
+            out,
+        )
+        return out, heard / np.maximum(seconds, 1e-12)[:, None]
+
+    tones, rung = plate.acceleration_mps2, np.zeros(listen.shape, dtype=np.complex128)
+    if ringing:  # what the mode does to the plate is in the measured tones already: only the rest is driven
+        rung = told(tones, np.zeros(n, dtype=np.bool_))[1]
+        tones = np.where(tones == 0.0, 0.0, tones - rung[:, : tones.shape[1]])
+    out, _ = told(tones, measured.wanted)
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan
-    return Predicted(*out.T)
+    return Predicted(*out.T, rung)
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,61 @@ def ring(s, q, qd, om, ze):
 
 
 @njit(cache=True, error_model="numpy")
+def settled(t, w, ar, ai, p):
+    """Plate mode under a ball that has long been resting on it: displacement, velocity and acceleration at time t.
+
+    The ball presses with ``ratio (g + a)`` per mass of the mode, ``a`` being the whole acceleration of the plate.
+    """
+    om, ze, ratio = mode(p)
+    x, v, a = -ratio * p[-1] / (om * om), 0.0, 0.0
+    for k in range(w.shape[0]):
+        if ar[k] == 0.0 and ai[k] == 0.0:
+            continue
+        stiff, loss = om * om - (1.0 + ratio) * w[k] * w[k], 2.0 * ze * om * w[k]
+        size = -ratio / (stiff * stiff + loss * loss)
+        qr, qi = size * (ar[k] * stiff + ai[k] * loss), size * (ai[k] * stiff - ar[k] * loss)
+        c, s = math.cos(w[k] * t), math.sin(w[k] * t)
+        here = qr * c - qi * s
+        x += here
+        v -= w[k] * (qi * c + qr * s)
+        a -= w[k] * w[k] * here
+    return x, v, a
+
+
+@njit(cache=True, error_model="numpy")
+def loaded(t, q, qd, om, ze, w, ar, ai, p):
+    """The same plate with a ball resting on it from time t on: state, pitch and damping of the mode, and tones.
+
+    What the ball presses out of the mode is part of the tones; the state is what rings beside.
+    """
+    ratio = mode(p)[2]
+    if ratio == 0.0:
+        return q, qd, om, ze, ar, ai
+    x, v, _ = settled(t, w, ar, ai, p)
+    lr, li = ar.copy(), ai.copy()
+    for k in range(w.shape[0]):
+        if ar[k] != 0.0 or ai[k] != 0.0:
+            push = complex(om * om - (1.0 + ratio) * w[k] * w[k], 2.0 * ze * om * w[k])
+            z = complex(ar[k], ai[k]) * (1.0 + ratio * w[k] * w[k] / push)
+            lr[k], li[k] = z.real, z.imag
+    root = math.sqrt(1.0 + ratio)
+    return q - x, qd - v, om / root, ze / root, lr, li
+
+
+@njit(cache=True, error_model="numpy")
+def pressed(t, s, q, qd, w, ar, ai, p):
+    """The plate mode s after the state (q, qd) at time t, the ball resting on the plate all the while."""
+    om, ze, ratio = mode(p)
+    if ratio == 0.0:
+        return 0.0, 0.0, 0.0
+    root = math.sqrt(1.0 + ratio)
+    x0, v0, _ = settled(t, w, ar, ai, p)
+    x1, v1, a1 = settled(t + s, w, ar, ai, p)
+    x, v, a = ring(s, q - x0, qd - v0, om / root, ze / root)
+    return x + x1, v + v1, a + a1
+
+
+@njit(cache=True, error_model="numpy")
 def hermite5(z, d, h0, v0, a0, h1, v1, a1):
     """Quintic through height, velocity and acceleration at both ends of a step d; z in [0, 1]: height, velocity."""
     c0, c1, c2 = h0, v0 * d, 0.5 * a0 * d * d
@@ -321,6 +376,7 @@ def leave(t, v_in, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """
     e = min(max(rebound(v_in, p), 0.0), 0.999)
     v0 = e * v_in
+    q, qd, om, ze, ar, ai = loaded(t, q, qd, om, ze, w, ar, ai, p)
     net = pull(t, 0.0, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p)
     up = net - dry(0.0, 0.0, 1.0, p) - hold(dwell0, p)
     period = dt * STEPS_PER_PERIOD
@@ -357,7 +413,7 @@ def strike(q, qd, s, v_in, om, ze, ratio, p):
     if ratio == 0.0:
         return 0.0, 0.0
     x, v, _ = ring(s, q, qd, om, ze)
-    return x, v - ratio * (1.0 + rebound(v_in, p)) * v_in
+    return x, v - ratio / (1.0 + ratio) * (1.0 + rebound(v_in, p)) * v_in
 
 
 @njit(cache=True, error_model="numpy")
@@ -369,13 +425,11 @@ def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, 
     opening, flights passed over, kind, q, qd at take-off); kind -1 when there is none.
     """
     dwell = 0.0
-    sag = ratio * p[-1] / (om * om)  # of the mode under the ball's weight
     for hidden in range(MOST_BOUNCES):
-        off, v0, kind, _ = leave(t, v_in, dwell, q + sag, qd, om, ze, w, ar, ai, dt, p)
+        off, v0, kind, _ = leave(t, v_in, dwell, q, qd, om, ze, w, ar, ai, dt, p)
         if kind < 0:
             break
-        qt, qdt, _ = ring(off - t, q + sag, qd, om, ze)
-        qt -= sag
+        qt, qdt, _ = pressed(t, off - t, q, qd, w, ar, ai, p)
         lasts, v_hit, opened = flight(off, v0, qt, qdt, om, ze, w, ar, ai, dt, p, forced, rough, gap)
         if lasts < 0.0:
             break
@@ -464,6 +518,7 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     """The last moment before an opening at which a ball at rest is thrown: what the plate's motion says of it."""
     back = 0.5 * h_period
     level = dry(0.0, 0.0, 1.0, p) + hold(1e9, p)
+    q, qd, om, ze, ar, ai = loaded(t_open, q, qd, om, ze, w, ar, ai, p)
     n = int(back / dt) * 4
     d = back / n
     later = t_open + 4.0 * d
@@ -482,6 +537,45 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
             return hi
         later, over_later = t, over
     return t_open
+
+
+@njit(cache=True, error_model="numpy")
+def turned(rate, t0, t1):
+    """Integral of ``exp(rate t)`` from t0 to t1."""
+    if abs(rate) * (t1 - t0) < 1e-9:
+        return (t1 - t0) * np.exp(rate * t0)
+    return (np.exp(rate * t1) - np.exp(rate * t0)) / rate
+
+
+@njit(cache=True, error_model="numpy")
+def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, listen, heard):
+    """Add to ``heard`` (l,) what the plate mode puts into tones of ``listen`` (l,) from t0, its state (q, qd), to t1.
+
+    It is twice the integral of the mode's acceleration times ``exp(-i w t)``, in closed form; returns ``t1 - t0``.
+    """
+    ratio = mode(p)[2]
+    x0, v0 = 0.0, 0.0
+    if resting:
+        root = math.sqrt(1.0 + ratio)
+        x0, v0, _ = settled(t0, w, ar, ai, p)
+        om, ze = om / root, ze / root
+    decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
+    size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
+    for k in range(listen.shape[0]):
+        back = complex(0.0, -listen[k])
+        start = np.exp(back * t0)
+        total = size * turned(decay + back, 0.0, t1 - t0) + np.conj(size) * turned(np.conj(decay) + back, 0.0, t1 - t0)
+        heard[k] += start * total
+        if not resting:
+            continue
+        for j in range(w.shape[0]):
+            if ar[j] == 0.0 and ai[j] == 0.0:
+                continue
+            push = complex(om * om * (1.0 + ratio) - (1.0 + ratio) * w[j] * w[j], 2.0 * ze * om * (1.0 + ratio) * w[j])
+            answer = ratio * w[j] * w[j] * complex(ar[j], ai[j]) / push
+            own = complex(0.0, w[j])
+            heard[k] += answer * turned(own + back, t0, t1) + np.conj(answer) * turned(back - own, t0, t1)
+    return t1 - t0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -505,6 +599,10 @@ def one_ahead(
     closed_s,
     passable_s,
     weak_mps,
+    kick,
+    listen,
+    heard,
+    heard_s,
     out,
 ):
     """Predict each event from the measured one before it.
@@ -515,10 +613,12 @@ def one_ahead(
     ``p`` (n, P + 1). Fills ``out`` (n, 9):
     take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as predicted, then
     launch velocity and impact speed of the measured flight itself (where an elastic impact needs them).
+    ``kick`` (2,) is added to the plate mode's displacement and velocity wherever the chain of flights begins anew.
+    Adds what the plate mode puts into tones of ``listen`` (m, l) to ``heard`` (m, l), and the time to ``heard_s`` (m,).
     """
     q, qd = 0.0, 0.0  # of the plate mode about its place without the ball, just after the landing before
     previous_hit = 0.0
-    t_previous = 0.0
+    t_previous = np.inf
     known = False
     for i in range(landing.shape[0]):
         m = step[i]
@@ -529,7 +629,12 @@ def one_ahead(
         out[i, 6] = -1.0
         if not linked[i]:
             known = False
-            q, qd = -ratio * pi[-1] / (om * om), 0.0
+            rested = opening[i] - t_previous
+            if 0.0 <= rested < LONGEST_PERIODS * period[m]:  # the plate goes on ringing from step to step
+                q, qd, _ = pressed(t_previous, rested, q, qd, wi, ri, ii, pi)
+            else:
+                q, qd, _ = settled(opening[i], wi, ri, ii, pi)
+            q, qd = q + kick[0], qd + kick[1]
             t_previous = opening[i]
         passed = 0
         if (wanted[i] or bounce[i]) and linked[i] and (known or not bounce[i]):
@@ -585,15 +690,13 @@ def one_ahead(
         needed = ratio != 0.0 or (bounce[i] and i + 1 < landing.shape[0] and wanted[i + 1])
         if not (needed or (bounce[i] and wanted[i])):
             continue
-        sag = ratio * pi[-1] / (om * om)
         if at_once[i] and linked[i]:
             start = t_landed
         else:
-            qo, qdo, _ = ring(opening[i] - t_landed, q + sag, qd, om, ze)
+            qo, qdo, _ = pressed(t_landed, opening[i] - t_landed, q, qd, wi, ri, ii, pi)
             start = thrown_before(opening[i], period[m], qo, qdo, 0.0, om, ze, wi, ri, ii, dt, pi)
             start = max(start, t_landed)
-        qs, qds, _ = ring(start - t_landed, q + sag, qd, om, ze)
-        qs -= sag
+        qs, qds, _ = pressed(t_landed, start - t_landed, q, qd, wi, ri, ii, pi)
         v0, hit = 0.0, 0.0
         lasts = -1.0
         if not at_once[i]:
@@ -605,6 +708,9 @@ def one_ahead(
             hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact
         previous_hit = max(hit, 0.0)
         out[i, 7], out[i, 8] = v0, previous_hit
+        if ratio != 0.0 and linked[i]:
+            heard_s[m] += hear(t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, listen[m], heard[m])
+            heard_s[m] += hear(start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, listen[m], heard[m])
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 
 
