@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import enum
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,9 +66,36 @@ DRIVE_DTYPE = np.dtype(
 ``multiple`` is the tone's, of the forcing frequency; ``first_sample`` counts lost samples too (the device's own index).
 """
 
+CLOCK_DTYPE = np.dtype(
+    [
+        ("device_sample", "<i8"),
+        ("recorded_sample", "<i8"),
+        ("played_sample", "<f8"),
+        ("uncertainty", "<f8"),
+        ("jump", "i1"),
+    ]
+)
+"""One raw reading: the device's own counter, the same frame counted from the recording's first (lost ones too), its
+place among the played samples, and the standard uncertainty. ``jump``: the drive was interrupted before it."""
+
+MAP_DTYPE = np.dtype(
+    [
+        ("recorded_sample", "<i8"),
+        ("played_sample", "<f8"),
+        ("uncertainty", "<f8"),
+        ("rate", "<f8"),
+        ("rate_uncertainty", "<f8"),
+    ]
+)
+"""The fitted map at one frame (counted from the recording's first, lost ones too): its place among the played samples,
+played samples a frame less one (``1e-6``: one part in a million), and their standard uncertainties."""
+
 STEP_NAMES = STEP_DTYPE.names or ()
 BLOCK_NAMES = BLOCK_DTYPE.names or ()
 DRIVE_NAMES = DRIVE_DTYPE.names or ()
+
+SIDE_TABLES = {"drive_changes": DRIVE_DTYPE, "clock_readings": CLOCK_DTYPE, "clock_map": MAP_DTYPE}
+"""Tables of a recording that only some runs have, by name."""
 
 
 class BlockFlag(enum.IntFlag):
@@ -101,6 +128,9 @@ class Block:
         Standard uncertainty of ``lost_before``, in samples (rounded up).
     adc_ns
         The device's own time of the first frame, nanoseconds; 0 where it has none.
+    place
+        Where the first frame belongs among the played samples, where the device has a clock of its own and knows;
+        None where it goes on from the block before.
     """
 
     first_sample: int
@@ -110,6 +140,16 @@ class Block:
     lost_before: int = 0
     lost_uncertainty: int = 0
     adc_ns: int = 0
+    place: int | None = None
+
+    def pieces(self, n: int) -> Iterator[Block]:
+        """The block in blocks of at most ``n`` frames; what was lost before it was lost before the first."""
+        if len(self.codes) <= n:
+            yield self
+            return
+        for at in range(0, len(self.codes), n):
+            part = replace(self, first_sample=self.first_sample + at, codes=self.codes[at : at + n])
+            yield part if at == 0 else replace(part, lost_before=0, lost_uncertainty=0, adc_ns=0)
 
 
 def volts_per_code(range_v: float) -> float:

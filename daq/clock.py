@@ -272,6 +272,8 @@ class LossFinder:
 
     def _begin(self, volts: Floats, first: int) -> None:
         """The latency, from the first chunk in which the drive moves."""
+        if volts.min() == volts.max():
+            return
         lost = self.lost_samples + sum(block.lost_before for block, _ in self._waiting)
         found = candidates(self._played, volts, first, lost - LATENCY, lost, 0.0)
         found = [f for f in found if f.sigma < SURE_SAMPLES and f.rms_v < 0.1 * float(np.std(volts))]

@@ -18,7 +18,7 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import BLOCK_DTYPE, BLOCK_NAMES, DRIVE_DTYPE, DRIVE_NAMES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.block import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
 from daq.errors import InputError
 from daq.setup import Setup
 
@@ -32,6 +32,7 @@ LONG_NAMES = {
     "drive": "looped-back drive voltage",
 }
 STEP_UNITS = {"frequency_hz": "Hz"}
+SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node"}
 Compression = Literal["lz4", "gzip"]
 
 
@@ -155,7 +156,11 @@ class ColumnWriter:
             self._crc["timestamp"] = crc32(np.asarray(piece, "<i8"), self._crc["timestamp"])
 
     def check(
-        self, steps: NDArray[np.void], blocks: NDArray[np.void], drive: NDArray[np.void] | None = None, **late: Any
+        self,
+        steps: NDArray[np.void],
+        blocks: NDArray[np.void],
+        side: Mapping[str, NDArray[np.void]] | None = None,
+        **late: Any,
     ) -> None:
         """Write tables and attributes, close, and read every byte back.
 
@@ -163,8 +168,8 @@ class ColumnWriter:
         ----------
         steps, blocks
             `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
-        drive
-            `DRIVE_DTYPE` array: how the drive's amplitudes were changed, where this software drove.
+        side
+            `daq.block.SIDE_TABLES` by name; one without rows is left out.
         late
             Attributes known only now (``ended``, ``why``, ...).
 
@@ -176,8 +181,10 @@ class ColumnWriter:
         self.flush()
         _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)
         _write_table(self._file, "blocks", "block", blocks.astype(BLOCK_DTYPE), BLOCK_NAMES)
-        if drive is not None and len(drive):
-            _write_table(self._file, "drive_changes", "change", drive.astype(DRIVE_DTYPE), DRIVE_NAMES)
+        for name, rows in (side or {}).items():
+            if len(rows):
+                dtype = SIDE_TABLES[name]
+                _write_table(self._file, name, SIDE_DIMENSION[name], rows.astype(dtype), dtype.names or ())
         self._attributes |= late
         self._finish_attributes()
         self._file.close()

@@ -124,7 +124,7 @@ def _export_h5(recording: Recording, out: Path, tell: Progress) -> None:
         for a, b in _pieces(recording.n_samples, CHUNK_SAMPLES):
             writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})
             tell(b)
-        writer.check(recording.steps, recording.blocks, recording.drive_changes)
+        writer.check(recording.steps, recording.blocks, recording.side)
     except BaseException:
         writer.abandon()
         raise

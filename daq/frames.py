@@ -22,10 +22,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import BLOCK_DTYPE, DRIVE_DTYPE, STEP_DTYPE, Block, crc32, step_row
+from daq.block import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32, step_row
 from daq.errors import InputError
 
-FRAMES, FRAME_BLOCKS, FRAME_STEPS, FRAME_DRIVE = "frames", "frame_blocks", "frame_steps", "frame_drive"
+FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
+FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "clock_map": "frame_clock_map"}
 FRAME_END = "frame_end"
 _END_BYTES = 4096
 _CHUNK_BYTES = 65536
@@ -69,7 +70,10 @@ class FrameWriter:
         )
         self._blocks = self._file.create_dataset(FRAME_BLOCKS, (0,), BLOCK_DTYPE, maxshape=(None,), chunks=(256,))
         self._steps = self._file.create_dataset(FRAME_STEPS, (0,), STEP_DTYPE, maxshape=(None,), chunks=(16,))
-        self._drive = self._file.create_dataset(FRAME_DRIVE, (0,), DRIVE_DTYPE, maxshape=(None,), chunks=(64,))
+        self._side = {
+            table: self._file.create_dataset(FRAME_SIDE[table], (0,), dtype, maxshape=(None,), chunks=(64,))
+            for table, dtype in SIDE_TABLES.items()
+        }
         self._end = self._file.create_dataset(FRAME_END, (_END_BYTES,), "u1", chunks=(_END_BYTES,))
         self.end({"ended": "incomplete", "why": "", "ended_at": ""})
         self._frame_type, self._row_type = h5py.h5t.py_create(np.dtype("<i2")), h5py.h5t.py_create(BLOCK_DTYPE)
@@ -144,13 +148,14 @@ class FrameWriter:
         self._steps.id.flush()
         os.fsync(self._descriptor)
 
-    def mark_drive(self, changes: NDArray[np.void]) -> None:
-        """Add rows (`DRIVE_DTYPE`) to the table of drive changes."""
+    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
+        """Add rows to one of `daq.block.SIDE_TABLES`."""
+        dataset = self._side[table]
         with self._refusals():
-            n = self._drive.shape[0]
-            self._drive.resize((n + len(changes),))
-            self._drive[n:] = changes
-            self._drive.id.flush()
+            n = dataset.shape[0]
+            dataset.resize((n + len(rows),))
+            dataset[n:] = rows
+            dataset.id.flush()
 
     def end(self, ending: Mapping[str, Any]) -> None:
         """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""
@@ -261,7 +266,10 @@ class FrameFile:
         self.blocks: NDArray[np.void] = rows[:n_whole]
         self.n_samples = int(ends[n_whole - 1]) if n_whole else 0
         self.steps: NDArray[np.void] = _clip_steps(file[FRAME_STEPS][()], self.n_samples)
-        self.drive: NDArray[np.void] = file[FRAME_DRIVE][()] if FRAME_DRIVE in file else np.zeros(0, DRIVE_DTYPE)
+        self.side: dict[str, NDArray[np.void]] = {
+            table: file[FRAME_SIDE[table]][()] if FRAME_SIDE[table] in file else np.zeros(0, dtype)
+            for table, dtype in SIDE_TABLES.items()
+        }
         self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
 
     def rows(self, start: int, stop: int) -> NDArray[np.int16]:

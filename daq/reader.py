@@ -16,7 +16,7 @@ import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import BLOCK_DTYPE, DRIVE_DTYPE, STEP_DTYPE
+from daq.block import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE
 from daq.columns import FORMAT, FORMAT_VERSION, read_table, text_crc
 from daq.errors import InputError
 from daq.frames import FRAMES, FrameFile, is_being_written
@@ -53,6 +53,9 @@ class Recording:
     drive_changes
         `DRIVE_DTYPE` array: every change of the drive's amplitudes, from which the commanded samples follow bit for
         bit (`rig.sequencer.commanded`); empty in an imported recording.
+    clock_readings, clock_map
+        `CLOCK_DTYPE` and `MAP_DTYPE` arrays: where another clock played the drive, what was read of it and the map
+        fitted to that (`daq.two_clocks`); else empty. ``side`` holds these tables and the one before by name.
     gaps
         int64 ``(n, 2)``: first sample after the gap, samples lost.
     attrs
@@ -73,15 +76,17 @@ class Recording:
         self._scales: dict[str, list[float]]
         if self.frames is not None:
             self.n_samples = self.frames.n_samples
-            self.steps, self.blocks, self.drive_changes = self.frames.steps, self.frames.blocks, self.frames.drive
+            self.steps, self.blocks, self.side = self.frames.steps, self.frames.blocks, self.frames.side
             self._scales = json.loads(self.stored["scales_json"])
         else:
             self.n_samples = int(file["timestamp"].shape[0])
             self.steps, self.blocks = read_table(file["steps"], STEP_DTYPE), read_table(file["blocks"], BLOCK_DTYPE)
-            self.drive_changes = read_table(file.get("drive_changes", {}), DRIVE_DTYPE)
+            self.side = {name: read_table(file.get(name, {}), dtype) for name, dtype in SIDE_TABLES.items()}
             self._scales = {
                 n: [float(file[n].attrs["scale_factor"]), float(file[n].attrs["add_offset"])] for n in self.channels
             }
+        self.drive_changes = self.side["drive_changes"]
+        self.clock_readings, self.clock_map = self.side["clock_readings"], self.side["clock_map"]
         self.gaps = gaps_of(self.blocks)
 
     def scale(self, channel: str) -> tuple[float, float]:

@@ -97,7 +97,7 @@ class RecorderProcess:
         OSError
             When the recorder had to give up (disk full, file gone); what it has is kept.
         """
-        for block in blocks:
+        for block in (piece for whole in blocks for piece in whole.pieces(self.ring.block_samples)):
             if self._pipe.poll():
                 self._answer("error", 0.0)
             until = time.monotonic() + self._patience_s
@@ -113,7 +113,11 @@ class RecorderProcess:
 
     def mark_drive(self, changes: NDArray[np.void]) -> None:
         """As `RecordingWriter.mark_drive`."""
-        self._pipe.send(("mark_drive", changes))
+        self.mark_rows("drive_changes", changes)
+
+    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
+        """As `RecordingWriter.mark_rows`."""
+        self._pipe.send((table, rows))
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording once everything handed over is written; as `RecordingWriter.close`."""
@@ -218,7 +222,7 @@ def _obey(pipe: Connection, writer: RecordingWriter, wait_s: float) -> tuple[End
         if word == "mark_step":
             writer.mark_step(what)
         else:
-            writer.mark_drive(what)
+            writer.mark_rows(word, what)
     return None
 
 

@@ -149,7 +149,11 @@ class RecordingWriter:
 
     def mark_drive(self, changes: NDArray[np.void]) -> None:
         """Add `DRIVE_DTYPE` rows: changes of the drive's amplitudes that were played."""
-        self._frames.mark_drive(changes)
+        self.mark_rows("drive_changes", changes)
+
+    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
+        """Add rows to one of `daq.block.SIDE_TABLES`."""
+        self._frames.mark_rows(table, rows)
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording: write the column file beside, check it, rename it into place.
@@ -253,7 +257,7 @@ def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]
                 writer.append(stamps, {name: rows[:, i] for i, name in enumerate(names)})
             blocks = frames.blocks.copy()
             blocks["flags"][damaged] |= int(BlockFlag.DAMAGED)
-            writer.check(recording.steps, blocks, recording.drive_changes)
+            writer.check(recording.steps, blocks, frames.side)
         except BaseException:
             writer.abandon()
             raise

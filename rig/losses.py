@@ -2,11 +2,14 @@
 
 The rule kept here: a count that came short is believed at once, and the looped-back drive is asked about the rest
 (`daq.clock.LossFinder`). What is recorded and what is declared as lost add up to what the device must have given.
+A device with a clock of its own says itself where its blocks belong, and is believed.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -30,16 +33,23 @@ class LossAccount:
         Column of the looped-back drive in a frame.
     scale
         Its ``(volts_per_code, offset_v)``.
+    places
+        Whether the blocks say where they belong among the played samples.
     """
 
-    def __init__(self, profile: Profile, drive_column: int, scale: tuple[float, float]) -> None:
+    def __init__(
+        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, places: bool = False
+    ) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
         self._finder = LossFinder(rate_hz, chunk)
         self._column = drive_column
-        self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
+        self._scale = scale if profile.backend.kind != "replay" and not places else (0.0, 0.0)
+        self._places: list[tuple[int, int]] = []
+        self._heard_to = self._settled_to = 0
         self._short = self._settled_lost = 0
         self._losses: list[tuple[int, int]] = []
+        self._gaps: list[tuple[int, int]] = []
 
     @property
     def lost_samples(self) -> int:
@@ -49,11 +59,13 @@ class LossAccount:
     @property
     def next_sample(self) -> int:
         """The played sample that the next frame belongs to."""
-        return self._finder.next_sample
+        return self._heard_to if self._places else self._finder.next_sample
 
     @property
     def settled_sample(self) -> int:
         """The played sample up to which losses are settled."""
+        if self._places:
+            return self._settled_to
         return self._finder.heard_samples + self._finder.lost_samples
 
     @property
@@ -67,11 +79,15 @@ class LossAccount:
 
     def heard(self, block: Block, n_played: int) -> list[Block]:
         """Take in what came back for ``n_played`` samples; gives back the blocks that are settled, to be recorded."""
-        self._short += n_played - len(block.codes)
+        if block.place is None:
+            self._short += n_played - len(block.codes)
         if not len(block.codes):
             return []
-        block = replace(block, lost_before=self._short or block.lost_before)
-        self._short = 0
+        if block.place is None:
+            block = replace(block, lost_before=self._short or block.lost_before)
+            self._short = 0
+        else:
+            self._heard_to = block.place + len(block.codes)
         volts = np.asarray(block.codes[:, self._column], np.float64) * self._scale[0] + self._scale[1]
         return self._noted(self._finder.heard(block, volts))
 
@@ -81,6 +97,8 @@ class LossAccount:
 
     def recorded(self, played: int) -> int:
         """The recorded index of a played sample (of the next one recorded, where it was lost)."""
+        if self._places:
+            return self._placed(played)
         lost = 0
         for first_played, lost_in_all in self._losses:
             if played >= first_played:
@@ -89,10 +107,27 @@ class LossAccount:
                 return first_played - lost_in_all
         return played - lost
 
+    def counted(self, recorded: int) -> int:
+        """A recorded index with the samples lost before it counted."""
+        return recorded + max((lost for at, lost in self._gaps if at <= recorded), default=0)
+
+    def _placed(self, played: int) -> int:
+        """As `recorded`, by what the blocks say of their places."""
+        k = max(bisect_right(self._places, played, key=itemgetter(1)) - 1, 0)
+        first, place = self._places[k]
+        index = max(first + played - place, 0)
+        return min(index, self._places[k + 1][0]) if k + 1 < len(self._places) else index
+
     def _noted(self, blocks: list[Block]) -> list[Block]:
         """Remember where gaps lie: a loss shifts recorded against played samples."""
         for block in blocks:
+            if block.place is not None:
+                shift = block.place - block.first_sample
+                if not self._places or shift != self._places[-1][1] - self._places[-1][0]:
+                    self._places.append((block.first_sample, block.place))
+                self._settled_to = block.place + len(block.codes)
             if block.lost_before:
                 self._settled_lost += block.lost_before
                 self._losses.append((block.first_sample + self._settled_lost, self._settled_lost))
+                self._gaps.append((block.first_sample, self._settled_lost))
         return blocks

@@ -18,7 +18,8 @@ from daq.block import Block
 from daq.recorder import RecorderProcess
 from daq.recording import RecordingWriter
 from rig.amplitude import AmplitudeLoop, ToneMeter, achieved_gamma
-from rig.backends.base import Backend, BackendError, Running
+from rig.backends.base import Backend, BackendError, Running, TwoClocked
+from rig.clock_log import ClockLog
 from rig.interlock import Interlock
 from rig.losses import LossAccount
 from rig.motion import MotionWatch
@@ -135,7 +136,8 @@ class _Run:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
         drive = backend.channels.index("drive")
-        self.account = LossAccount(profile, drive, backend.scales["drive"])
+        self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None
+        self.account = LossAccount(profile, drive, backend.scales["drive"], places=self._clocks is not None)
         self._programme: Programme = plan(profile)
         self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         self._sequencer = Sequencer(
@@ -306,6 +308,11 @@ class _Run:
             return
         self._steps = step.index + 1
         gamma, uncertainty = achieved
+        rate = 0.0
+        if self._clocks is not None:
+            for table, rows in self._clocks.rows(self.account.counted(first + (settle + n) // 2)):
+                self._writer.mark_rows(table, rows)
+            rate = self._clocks.rate
         self._writer.mark_step(
             {
                 "first_sample": first,
@@ -315,7 +322,7 @@ class _Run:
                 "gamma": step.gamma,
                 "achieved_gamma": gamma,
                 "achieved_gamma_uncertainty": uncertainty,
-                "frequency_hz": self._profile.forcing.frequency_hz,
+                "frequency_hz": self._profile.forcing.frequency_hz * (1.0 + rate),
                 "ratio": self._profile.forcing.ratio,
                 "cycles": float(step.hold_cycles),
                 "settle_cycles": float(step.settle_cycles),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,19 @@ class Backend(Protocol):
 
     def stop(self) -> None:
         """Leave the drive at 0 V and let the device go. May be called at any time, any number of times."""
+
+
+@runtime_checkable
+class TwoClocked(Protocol):
+    """A back end whose frames are converted by another clock than the one that plays the drive.
+
+    Its blocks say by `daq.block.Block.place` where they belong among the played samples, declare their own losses, and
+    hold a frame more or less than were played where the clocks have parted by one.
+    """
+
+    @property
+    def readings(self) -> NDArray[np.void]:
+        """Raw readings of the two clocks since the start, `daq.block.CLOCK_DTYPE` rows."""
 
 
 class Running:

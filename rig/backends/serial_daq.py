@@ -1,0 +1,339 @@
+"""Serial DAQ: a thread drains the port, a sound card plays the drive, one time base joins them.
+
+The rule kept here: a sample is what the device sent, at the counter it sent it with. The thread does nothing but read
+and decode; what is lost is declared, what goes silent or away is an error that names the port, and the drive then
+fades out through the card before it is let go.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+import numpy as np
+import serial
+from numpy.typing import NDArray
+
+from daq.block import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
+from daq.serial_frames import FrameDecoder, SerialFrame, WireCounts
+from daq.two_clocks import ClockTracker, find_marker, start_marker
+from rig.backends.base import Backend, BackendError, checked_drive
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int16]
+
+POLL_S = 0.05  # longest time a read of the port waits
+FIRST_S = 5.0  # until the first frame: a port that is opened makes some devices start anew
+SILENCE_S = 0.5  # without a frame: the device is stuck
+HELD_S = 60.0  # of frames that nobody takes, before the reader gives up
+QUIET_S = 0.1  # of silence before the marker, and at least after it
+MARKER_WAIT_S = 4.0  # within which the marker must come back
+MARGIN_FRAMES = 2  # of the device's frames kept between what came and what is asked for
+FADE_S = 0.2
+WINDOW_S = 0.05
+SLIPPED = 0.75  # of a sample: by so much the clocks part before a block holds a frame more or less
+
+
+class Port(Protocol):
+    """What is used of `serial.Serial`."""
+
+    @property
+    def in_waiting(self) -> int: ...
+    def read(self, size: int) -> bytes: ...
+    def reset_input_buffer(self) -> None: ...
+    def close(self) -> None: ...
+
+
+def open_port(name: str, baud: int) -> Port:
+    """The port ``name``; raises `BackendError`."""
+    try:
+        port: Port = serial.Serial(name, baud, timeout=POLL_S)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise BackendError(
+            f"serial DAQ {name}: cannot be opened ({error}); is it plugged in, and is backend.port its name? "
+            "bench devices lists what is there"
+        ) from error
+    return port
+
+
+class SerialReader:
+    """Drain a port in a thread of its own, and hand out frames by the device's counter.
+
+    Parameters
+    ----------
+    name
+        The port, for `opener` and for messages.
+    channels
+        Values in a row.
+    rate_hz
+        Nominal rate, for how much is held.
+    opener
+        How the port is opened; a test hands in one of its own.
+    """
+
+    def __init__(self, name: str, channels: int, rate_hz: float, opener: Callable[[], Port]) -> None:
+        self.name = name
+        self.rows_in_frame = 1
+        self._channels, self._opener = channels, opener
+        self._most = round(HELD_S * rate_hz)
+        self._thread: threading.Thread | None = None
+        self._changed = threading.Condition()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._decoder = FrameDecoder(self._channels)
+        self._frames: deque[SerialFrame] = deque()
+        self._held = 0
+        self._newest = self._position = -1
+        self._fault = ""
+        self._stopping = False
+
+    @property
+    def counts(self) -> WireCounts:
+        """What came over the wire since the start."""
+        return self._decoder.counts
+
+    @property
+    def newest(self) -> int:
+        """The device's counter after the last row that came."""
+        return self._newest
+
+    @property
+    def position(self) -> int:
+        """The device's counter of the next row to be taken."""
+        return self._position
+
+    def start(self) -> None:
+        """Open the port and wait for the first good frame; raises `BackendError`."""
+        self.stop()
+        self._begin()
+        port = self._opener()
+        port.reset_input_buffer()
+        self._thread = threading.Thread(target=self._drain, args=(port,), name=f"serial {self.name}", daemon=True)
+        self._thread.start()
+        self._wait(lambda: self._newest >= 0, FIRST_S)
+
+    def stop(self) -> None:
+        """Close the port; what was not taken is forgotten."""
+        self._stopping = True
+        if self._thread is not None:
+            self._thread.join(5.0)
+            self._thread = None
+
+    def take(self, until: int) -> tuple[int, Codes, int]:
+        """Rows up to the device's counter ``until``, waiting for them: counter of the first, codes (n, channels), lost.
+
+        Rows that were lost end a piece: the next one begins after them and says how many they were.
+
+        Raises
+        ------
+        BackendError
+            When the device went away, fell silent, or sends nothing that follows.
+        """
+        self._wait(lambda: self._newest >= until)
+        with self._changed:
+            first, lost = self._position, 0
+            if self._frames and first < self._frames[0].first_sample < until:
+                lost = self._frames[0].first_sample - first
+                first = self._frames[0].first_sample
+            pieces = [np.zeros((0, self._channels), np.int16)]
+            at = first
+            while at < until and self._frames and self._frames[0].first_sample <= at:
+                frame = self._frames[0]
+                stop = min(until, frame.next_sample)
+                pieces.append(frame.codes[at - frame.first_sample : stop - frame.first_sample])
+                at = stop
+                if stop == frame.next_sample:
+                    self._frames.popleft()
+                    self._held -= len(frame.codes)
+            self._position = at
+        return first, np.concatenate(pieces), lost
+
+    def _wait(self, ready: Callable[[], bool], patience_s: float = SILENCE_S) -> None:
+        """Until ``ready``, or what keeps it from coming; silence is counted from the last frame."""
+        with self._changed:
+            until, seen = time.monotonic() + patience_s, self._newest
+            while not ready():
+                if self._thread is None:
+                    raise BackendError("not started")
+                if self._fault:
+                    raise BackendError(self._fault)
+                if self._newest != seen:
+                    until, seen = time.monotonic() + patience_s, self._newest
+                if not self._changed.wait(max(0.0, until - time.monotonic())) and time.monotonic() >= until:
+                    raise BackendError(self._silent(patience_s))
+
+    def _silent(self, waited_s: float) -> str:
+        """What to say when nothing comes."""
+        counts = self.counts
+        if counts.stale:
+            why = f"its counters do not go on ({counts.stale} stale frames): did the device start anew?"
+        elif counts.damaged:
+            why = f"{counts.damaged} damaged packets: is the baud rate right, does it send {self._channels} channels?"
+        else:
+            why = "is the device running, and is it this port?"
+        return f"serial DAQ {self.name}: no good frame for {waited_s:g} s; {why}"
+
+    def _drain(self, port: Port) -> None:
+        """The thread: read what is there, decode, hold."""
+        fault = ""
+        try:
+            while not self._stopping and not fault:
+                frames = self._decoder.feed(port.read(max(1, port.in_waiting)))
+                if frames:
+                    fault = self._keep(frames)
+        except (serial.SerialException, OSError) as error:
+            fault = f"serial DAQ {self.name}: went away ({error}); check its cable, then resume the run"
+        finally:
+            port.close()
+        with self._changed:
+            self._fault = fault
+            self._changed.notify_all()
+
+    def _keep(self, frames: list[SerialFrame]) -> str:
+        """Hold frames for `take`; what is wrong when there are too many."""
+        with self._changed:
+            if self._newest < 0:
+                self._position = frames[0].first_sample
+            self._frames.extend(frames)
+            self._held += sum(len(frame.codes) for frame in frames)
+            self._newest = frames[-1].next_sample
+            self.rows_in_frame = max(self.rows_in_frame, *(len(frame.codes) for frame in frames))
+            self._changed.notify_all()
+        return f"serial DAQ {self.name}: nobody took its samples for {HELD_S:g} s" if self._held > self._most else ""
+
+
+class SoundcardSerialBackend:
+    """Drive through a card, frames from a serial device: two clocks, joined by the drive looped back into the device.
+
+    Parameters
+    ----------
+    card
+        Plays the drive; of what it hears only its flags are used.
+    reader
+        The serial device.
+    ranges_v
+        Full scale of each of its channels by name, in the order of its rows; ``drive`` must be one of them.
+    marker_v
+        Height of the start marker.
+    """
+
+    name = "soundcard+serial"
+    simulated = False
+    scenario_sha256: str | None = None
+
+    def __init__(self, card: Backend, reader: SerialReader, ranges_v: Mapping[str, float], marker_v: float) -> None:
+        if "drive" not in ranges_v:
+            raise BackendError("soundcard+serial: the serial device must record the drive, which joins the two clocks")
+        self.channels = tuple(ranges_v)
+        self.scales = {name: (volts_per_code(range_v), 0.0) for name, range_v in ranges_v.items()}
+        self.rate_hz = card.rate_hz
+        self._card, self._reader, self._marker_v = card, reader, marker_v
+        self._drive = self.channels.index("drive")
+        self._tracker: ClockTracker | None = None
+        self._tail = np.zeros(0)
+        self._whole = self._lag = self._played = self._given = 0
+
+    @property
+    def readings(self) -> NDArray[np.void]:
+        """Raw readings of the two clocks since the start, `CLOCK_DTYPE` rows."""
+        if self._tracker is None or not self._tracker.readings:
+            return np.zeros(0, CLOCK_DTYPE)
+        return np.concatenate(self._tracker.readings)
+
+    def start(self) -> None:
+        """Open both, play the start marker, and find it in what the serial device recorded of the drive."""
+        self.stop()
+        self._reader.start()
+        try:
+            self._card.start()
+            self._join_clocks()
+        except BackendError:
+            self.stop()
+            raise
+
+    def exchange(self, drive_v: Floats) -> Block:
+        """Play ``drive_v`` and return what the serial device recorded meanwhile: as many frames, give or take a slip.
+
+        Raises
+        ------
+        BackendError
+            When the card or the serial device failed; the drive has then been faded out.
+        """
+        drive = checked_drive(drive_v)
+        tracker = self._tracker
+        if tracker is None:
+            raise BackendError("not started")
+        self._tail = np.concatenate([self._tail, drive])[-round(FADE_S * self.rate_hz) :]
+        tracker.played(drive)
+        heard = self._card.exchange(drive)
+        self._played += len(drive)
+        slip = tracker.slip(self._reader.position)
+        if abs(slip - self._whole) > SLIPPED:
+            self._whole = round(slip)
+        try:
+            first, codes, lost = self._reader.take(self._played - self._lag - self._whole)
+        except BackendError:
+            self._fade_out()
+            raise
+        scale, offset_v = self.scales["drive"]
+        tracker.heard(first, codes[:, self._drive].astype(np.float64) * scale + offset_v)
+        flags = heard.flags & (BlockFlag.UNDERFLOW | BlockFlag.OVERFLOW)
+        block = Block(
+            self._given, codes, flags=flags, clock_ns=time.monotonic_ns(), lost_before=lost, place=first + self._whole
+        )
+        self._given += len(codes)
+        return block
+
+    def stop(self) -> None:
+        """Let both go; the card leaves the drive at 0 V."""
+        self._tracker = None
+        self._card.stop()
+        self._reader.stop()
+
+    def _join_clocks(self) -> None:
+        """Play the marker until it is heard whole; from then on both clocks are counted from here."""
+        block = max(16, round(0.01 * self.rate_hz))
+        quiet = np.zeros(round(QUIET_S * self.rate_hz))
+        marker = start_marker(self.rate_hz)
+        playing = np.concatenate([quiet, self._marker_v * marker, np.zeros(round(MARKER_WAIT_S * self.rate_hz))])
+        scale, _ = self.scales["drive"]
+        pieces: list[Floats] = []
+        begin = self._reader.position
+        least = len(quiet) + len(marker) + len(quiet)
+        found, played = None, 0
+        while played + block <= len(playing) and (found is None or played < least):
+            self._card.exchange(playing[played : played + block])
+            played += block
+            margin = MARGIN_FRAMES * self._reader.rows_in_frame
+            first, codes, lost = self._reader.take(max(self._reader.position, self._reader.newest - margin))
+            if lost:
+                pieces, begin = [], first
+            pieces.append(codes[:, self._drive].astype(np.float64) * scale)
+            if played >= least:
+                found = find_marker(np.concatenate(pieces), marker)
+        if found is None:
+            raise BackendError(
+                f"serial DAQ {self._reader.name}: its channel 'drive' does not hear the start marker of "
+                f"{self._marker_v:g} V; is the drive looped back into it?"
+            )
+        slip = len(quiet) - played - (begin + found)
+        self._whole, self._played, self._given = round(slip), 0, 0
+        self._lag = -(self._reader.position + self._whole)  # the next row comes behind the drive by so much, and stays
+        self._tail = np.zeros(0)
+        window = max(64, round(WINDOW_S * self.rate_hz))
+        self._tracker = ClockTracker(slip, self._reader.position, window, self.rate_hz)
+
+    def _fade_out(self) -> None:
+        """Bring the drive to rest through the card: the last of it backwards, which joins on, ever smaller."""
+        self._tracker = None
+        tail = self._tail[::-1]
+        if not tail.size or not tail.any():
+            return
+        try:
+            self._card.exchange(tail * np.cos(0.5 * np.pi * np.arange(1, tail.size + 1) / tail.size) ** 2)
+        except BackendError:
+            return  # the card is gone as well; its own stop leaves 0 V

@@ -1,0 +1,96 @@
+"""A simulated serial device on the bench: a card that plays into it, and a port that its bytes come out of.
+
+The rule kept here: the only way from the drive to the samples is through the device, on its own clock.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.block import Block, volts_per_code
+from rig.backends.base import BackendError, checked_drive
+from rig.sim.serial_device import SerialDevice
+
+
+class WiredPort:
+    """The port of a simulated device, as `serial.Serial` is used by `rig.backends.serial_daq`."""
+
+    def __init__(self, timeout_s: float = 0.05) -> None:
+        self._timeout_s = timeout_s
+        self._bytes = bytearray()
+        self._changed = threading.Condition()
+        self._gone = False
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+        return len(self._bytes)
+
+    def put(self, data: bytes) -> None:
+        """What the device sends."""
+        with self._changed:
+            self._bytes += data
+            self._changed.notify_all()
+
+    def unplug(self) -> None:
+        """From now on reading fails."""
+        with self._changed:
+            self._gone = True
+            self._changed.notify_all()
+
+    def read(self, size: int) -> bytes:
+        """Up to ``size`` bytes; fewer when the time is up."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._gone or len(self._bytes) >= size, self._timeout_s)
+            if self._gone:
+                raise OSError("device unplugged")
+            data = bytes(self._bytes[:size])
+            del self._bytes[:size]
+            return data
+
+    def reset_input_buffer(self) -> None:
+        """Forget what came before."""
+        with self._changed:
+            self._bytes.clear()
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class WiredCard:
+    """A card without inputs that plays into ``device``; what the device sends goes to ``port``, at full speed."""
+
+    name = "wired"
+    simulated = True
+    scenario_sha256: str | None = None
+    channels = ("drive",)
+
+    def __init__(self, device: SerialDevice, port: WiredPort, rate_hz: float) -> None:
+        self.rate_hz = rate_hz
+        self.scales = {"drive": (volts_per_code(10.0), 0.0)}
+        self.last_v = 0.0
+        self.played_samples = 0
+        self._device, self._port = device, port
+        self._running = False
+
+    def start(self) -> None:
+        """Ready to play; the device has been running all along."""
+        self._running = True
+
+    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+        """Play; frames of nothing come back."""
+        drive = checked_drive(drive_v)
+        if not self._running:
+            raise BackendError("not started")
+        first, self.played_samples = self.played_samples, self.played_samples + len(drive)
+        if len(drive):
+            self.last_v = float(drive[-1])
+        self._port.put(self._device.play(drive))
+        return Block(first, np.zeros((len(drive), 1), np.int16))
+
+    def stop(self) -> None:
+        """Leave the drive at 0 V."""
+        self._running, self.last_v = False, 0.0
