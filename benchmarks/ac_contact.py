@@ -3,7 +3,7 @@
 The simulated rig's continuity voltage (its ball, its circuit, its converter) goes through a high-pass and gets noise;
 the truth is what the detector finds in the same voltage on a wire, without noise.
 
-    python benchmarks/ac_contact.py
+    python -m benchmarks.ac_contact
 """
 
 from __future__ import annotations

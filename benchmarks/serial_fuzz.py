@@ -3,8 +3,8 @@
 Every code of the fuzzed device says which sample it is, so a wrong sample shows itself. The stream is cut, spliced,
 flipped, repeated, delayed and mixed with noise; what comes out must be what went in, at the counter it went in with.
 
-    python benchmarks/serial_fuzz.py --bytes 10000000
-    python benchmarks/serial_fuzz.py --agree 1000000
+    python -m benchmarks.serial_fuzz --bytes 10000000
+    python -m benchmarks.serial_fuzz --agree 1000000
 """
 
 from __future__ import annotations

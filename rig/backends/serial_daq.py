@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from daq.block import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.serial_frames import FrameDecoder, SerialFrame, WireCounts
-from daq.two_clocks import ClockTracker, find_marker, start_marker
+from daq.two_clocks import ClockTracker, compile_now, find_marker, start_marker
 from rig.backends.base import Backend, BackendError, checked_drive
 
 Floats = NDArray[np.float64]
@@ -247,6 +247,7 @@ class SoundcardSerialBackend:
     def start(self) -> None:
         """Open both, play the start marker, and find it in what the serial device recorded of the drive."""
         self.stop()
+        compile_now()
         self._reader.start()
         try:
             self._card.start()
