@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
@@ -58,12 +57,11 @@ def events(ppm: float, ppm_per_minute: float) -> None:
     text = text.replace("start = 0.4, stop = 2.6, steps = 23", "start = 0.6, stop = 2.4, steps = 19")
     text = text.replace("hold_cycles = 20", "hold_cycles = 60")
     profile = parse_profile(text)
-    device, port = Witnessed(ppm, ppm_per_minute), WiredPort()
-    card = WiredCard(device, port, RATE_HZ)
+    device = Witnessed(ppm, ppm_per_minute)
+    port = WiredPort(device)
+    card = WiredCard(port, RATE_HZ)
     reader = SerialReader("simulated", 3, RATE_HZ, lambda: port)
     backend = SoundcardSerialBackend(card, reader, dict.fromkeys(device.plant.channels, 10.0), 0.2)
-    running = 4000
-    threading.Timer(0.3, lambda: port.put(device.play(np.zeros(running)))).start()  # it runs before anybody plays
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         writer = RecordingWriter(
@@ -73,12 +71,12 @@ def events(ppm: float, ppm_per_minute: float) -> None:
         began = time.monotonic()
         summary = run_ramp(profile, backend, writer)
         played = backend._played
-        begin_s = (running + card.played_samples - played) / RATE_HZ
+        begin_s = (port.played_samples - played) / RATE_HZ
         with open_recording(path) as recording:
             flights = flights_of(recording)
             steps, rows, gaps = recording.steps, recording.clock_map, recording.gaps
-    print(f"{ppm:+g} ppm, {ppm_per_minute:+g} ppm a minute: {summary.how} {summary.why}, {summary.n_samples} samples, {len(flights)} "
-          f"flights, {time.monotonic() - began:.1f} s")  # fmt: skip
+    print(f"{ppm:+g} ppm, {ppm_per_minute:+g} ppm a minute: {summary.how} {summary.why}, {summary.n_samples} samples, "
+          f"{len(flights)} flights, {time.monotonic() - began:.1f} s")  # fmt: skip
     print(f"  clock nodes {len(rows)}: offset known to {rows['uncertainty'].max() / RATE_HZ * 1e6:.3f} us, "
           f"rate {rows['rate'][0] * 1e6:.4f} to {rows['rate'][-1] * 1e6:.4f} ppm, "
           f"known to {rows['rate_uncertainty'].max() * 1e6:.4f} ppm; "

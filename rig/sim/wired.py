@@ -14,13 +14,24 @@ from daq.block import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
 from rig.sim.serial_device import SerialDevice
 
+WAIT_S = 0.05  # for bytes that do not come
+
 
 class WiredPort:
-    """The port of a simulated device, as `serial.Serial` is used by `rig.backends.serial_daq`."""
+    """The port of a simulated device, as `serial.Serial` is used by `rig.backends.serial_daq`.
 
-    def __init__(self, timeout_s: float = 0.05) -> None:
-        self._timeout_s = timeout_s
+    Parameters
+    ----------
+    device
+        What sends.
+    idle_samples
+        For how long it has run undriven when somebody begins to listen.
+    """
+
+    def __init__(self, device: SerialDevice, idle_samples: int = 2000) -> None:
+        self._device, self._idle_samples = device, idle_samples
         self._bytes = bytearray()
+        self.played_samples = 0
         self._changed = threading.Condition()
         self._gone = False
 
@@ -29,9 +40,11 @@ class WiredPort:
         """Bytes that can be read at once."""
         return len(self._bytes)
 
-    def put(self, data: bytes) -> None:
-        """What the device sends."""
+    def play(self, drive_v: NDArray[np.float64]) -> None:
+        """Drive the device; what it sends meanwhile can be read."""
+        data = self._device.play(drive_v)
         with self._changed:
+            self.played_samples += len(drive_v)
             self._bytes += data
             self._changed.notify_all()
 
@@ -44,7 +57,7 @@ class WiredPort:
     def read(self, size: int) -> bytes:
         """Up to ``size`` bytes; fewer when the time is up."""
         with self._changed:
-            self._changed.wait_for(lambda: self._gone or len(self._bytes) >= size, self._timeout_s)
+            self._changed.wait_for(lambda: self._gone or len(self._bytes) >= size, WAIT_S)
             if self._gone:
                 raise OSError("device unplugged")
             data = bytes(self._bytes[:size])
@@ -52,28 +65,29 @@ class WiredPort:
             return data
 
     def reset_input_buffer(self) -> None:
-        """Forget what came before."""
+        """Forget what came before; the device goes on sending."""
         with self._changed:
             self._bytes.clear()
+        self.play(np.zeros(self._idle_samples))
 
     def close(self) -> None:
         """Nothing to let go of."""
 
 
 class WiredCard:
-    """A card without inputs that plays into ``device``; what the device sends goes to ``port``, at full speed."""
+    """A card without inputs that plays into the device behind ``port``, at full speed."""
 
     name = "wired"
     simulated = True
     scenario_sha256: str | None = None
     channels = ("drive",)
 
-    def __init__(self, device: SerialDevice, port: WiredPort, rate_hz: float) -> None:
+    def __init__(self, port: WiredPort, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         self.scales = {"drive": (volts_per_code(10.0), 0.0)}
         self.last_v = 0.0
-        self.played_samples = 0
-        self._device, self._port = device, port
+        self._n_samples = 0
+        self._port = port
         self._running = False
 
     def start(self) -> None:
@@ -85,10 +99,10 @@ class WiredCard:
         drive = checked_drive(drive_v)
         if not self._running:
             raise BackendError("not started")
-        first, self.played_samples = self.played_samples, self.played_samples + len(drive)
+        first, self._n_samples = self._n_samples, self._n_samples + len(drive)
         if len(drive):
             self.last_v = float(drive[-1])
-        self._port.put(self._device.play(drive))
+        self._port.play(drive)
         return Block(first, np.zeros((len(drive), 1), np.int16))
 
     def stop(self) -> None:

@@ -17,9 +17,12 @@ from daq.block import Block
 from daq.recording import RecordingWriter
 from rig.backends.base import Backend, BackendError, Running
 from rig.backends.replay import ReplayBackend
+from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
 from rig.sim.faults import FaultyBackend
 from rig.sim.scenario import Scenario
+from rig.sim.serial_device import SerialDevice
+from rig.sim.wired import WiredCard, WiredPort
 
 RATE_HZ = 20000.0
 
@@ -48,7 +51,22 @@ def faultless(folder: Path) -> Backend:
     return FaultyBackend(simulated(folder), [])
 
 
-BACKENDS: dict[str, Callable[[Path], Backend]] = {"simulated": simulated, "replay": replay, "faultless": faultless}
+def card_and_serial(folder: Path) -> Backend:
+    """The drive through a card, frames from a serial device whose clock is 80 ppm slow."""
+    device = SerialDevice(Scenario("ideal"), RATE_HZ, np.random.default_rng(1), ppm=80.0)
+    port = WiredPort(device)
+    reader = SerialReader("wired", 3, RATE_HZ, lambda: port)
+    return SoundcardSerialBackend(
+        WiredCard(port, RATE_HZ), reader, dict.fromkeys(device.plant.channels, 10.0), marker_v=0.2
+    )
+
+
+BACKENDS: dict[str, Callable[[Path], Backend]] = {
+    "simulated": simulated,
+    "replay": replay,
+    "faultless": faultless,
+    "soundcard+serial": card_and_serial,
+}
 
 
 @pytest.fixture(params=sorted(BACKENDS))
