@@ -129,8 +129,8 @@ class Block:
     adc_ns
         The device's own time of the first frame, nanoseconds; 0 where it has none.
     place
-        Where the first frame belongs among the played samples, where the device has a clock of its own and knows;
-        None where it goes on from the block before.
+        Where the first frame belongs among the played samples, where the device knows (it counts its losses itself, its
+        frames come later, or by another clock); None where it goes on from the block before.
     """
 
     first_sample: int

@@ -188,6 +188,10 @@ class LossFinder:
         """Say what was handed to the device, before the frames that came back."""
         self._played.add(np.asarray(drive_v, np.float64))
 
+    def piece(self, start: int, stop: int) -> Floats:
+        """Played samples ``start .. stop``; zero before the first."""
+        return self._played.piece(start, stop)
+
     def heard(self, block: Block, loopback_v: Floats) -> list[Block]:
         """Take in a block; gives back the blocks whose losses are settled, renumbered, to be recorded.
 

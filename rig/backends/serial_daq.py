@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +22,7 @@ from daq.block import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.two_clocks import ClockTracker, compile_now, find_marker, start_marker
 from rig.backends.base import Backend, BackendError, checked_drive
+from rig.profile import Profile
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int16]
@@ -151,6 +153,11 @@ class SerialReader:
                     self._held -= len(frame.codes)
             self._position = at
         return first, np.concatenate(pieces), lost
+
+    def await_rows(self, counter: int, until_s: float) -> None:
+        """Wait for the row before ``counter``, no longer than the monotonic clock's ``until_s``."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest >= counter or self._fault, max(0.0, until_s - time.monotonic()))
 
     def _wait(self, ready: Callable[[], bool], patience_s: float = SILENCE_S) -> None:
         """Until ``ready``, or what keeps it from coming; silence is counted from the last frame."""
@@ -306,10 +313,13 @@ class SoundcardSerialBackend:
         begin = self._reader.position
         least = len(quiet) + len(marker) + len(quiet)
         found, played = None, 0
+        began_s, newest = time.monotonic(), self._reader.newest
         while played + block <= len(playing) and (found is None or played < least):
             self._card.exchange(playing[played : played + block])
             played += block
             margin = MARGIN_FRAMES * self._reader.rows_in_frame
+            # a card that takes the drive faster than it plays must not leave the device behind
+            self._reader.await_rows(newest + played - margin, began_s + played / self.rate_hz)
             first, codes, lost = self._reader.take(max(self._reader.position, self._reader.newest - margin))
             if lost:
                 pieces, begin = [], first
@@ -338,3 +348,17 @@ class SoundcardSerialBackend:
             self._card.exchange(tail * np.cos(0.5 * np.pi * np.arange(1, tail.size + 1) / tail.size) ** 2)
         except BackendError:
             return  # the card is gone as well; its own stop leaves 0 V
+
+
+def of_profile(profile: Profile, card: Backend) -> SoundcardSerialBackend:
+    """What ``[backend]`` of a profile names: ``port`` at ``baud``, beside ``card``.
+
+    The device's rows hold the profile's channels in the order continuity, accelerometer, drive.
+    """
+    channels, table = profile.channels, profile.backend
+    ranges_v = {"accelerometer": channels.accelerometer.range_v, "drive": channels.drive.range_v}
+    if channels.continuity is not None:
+        ranges_v = {"continuity": channels.continuity.range_v} | ranges_v
+    opener = partial(open_port, table.port, table.baud)
+    reader = SerialReader(table.port, len(ranges_v), profile.sampling.rate_hz, opener)
+    return SoundcardSerialBackend(card, reader, ranges_v, table.marker_v)

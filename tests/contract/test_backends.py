@@ -16,9 +16,11 @@ from bench.profiles import load
 from daq.block import Block
 from daq.recording import RecordingWriter
 from rig.backends.base import Backend, BackendError, Running
+from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
+from rig.sim.daqmx import Bench
 from rig.sim.faults import FaultyBackend
 from rig.sim.scenario import Scenario
 from rig.sim.serial_device import SerialDevice
@@ -61,11 +63,19 @@ def card_and_serial(folder: Path) -> Backend:
     )
 
 
+def ni(folder: Path) -> Backend:
+    """An NI device, its driver played by the simulated rig."""
+    names = ("continuity", "accelerometer", "drive")
+    terminals = {name: f"Dev1/ai{i}" for i, name in enumerate(names)}
+    return NiDaqmxBackend(RATE_HZ, terminals, dict.fromkeys(names, 10.0), "Dev1/ao0", daqmx=Bench(RATE_HZ).package)
+
+
 BACKENDS: dict[str, Callable[[Path], Backend]] = {
     "simulated": simulated,
     "replay": replay,
     "faultless": faultless,
     "soundcard+serial": card_and_serial,
+    "nidaqmx": ni,
 }
 
 
