@@ -11,7 +11,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +21,6 @@ from daq.block import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.two_clocks import ClockTracker, compile_now, find_marker, start_marker
 from rig.backends.base import Backend, BackendError, checked_drive
-from rig.profile import Profile
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int16]
@@ -348,17 +346,3 @@ class SoundcardSerialBackend:
             self._card.exchange(tail * np.cos(0.5 * np.pi * np.arange(1, tail.size + 1) / tail.size) ** 2)
         except BackendError:
             return  # the card is gone as well; its own stop leaves 0 V
-
-
-def of_profile(profile: Profile, card: Backend) -> SoundcardSerialBackend:
-    """What ``[backend]`` of a profile names: ``port`` at ``baud``, beside ``card``.
-
-    The device's rows hold the profile's channels in the order continuity, accelerometer, drive.
-    """
-    channels, table = profile.channels, profile.backend
-    ranges_v = {"accelerometer": channels.accelerometer.range_v, "drive": channels.drive.range_v}
-    if channels.continuity is not None:
-        ranges_v = {"continuity": channels.continuity.range_v} | ranges_v
-    opener = partial(open_port, table.port, table.baud)
-    reader = SerialReader(table.port, len(ranges_v), profile.sampling.rate_hz, opener)
-    return SoundcardSerialBackend(card, reader, ranges_v, table.marker_v)
