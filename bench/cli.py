@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
     "verify": ("bench.commands.verify", "Say whether a recording is complete, stopped, incomplete or damaged."),
     "recover": ("bench.commands.recover", "Rebuild a verified recording from one that was cut off."),
+    "virtual": ("bench.commands.virtual", "The simulated plant as a process of its own, behind a real driver."),
     "demo": ("bench.commands.demo", "The main job on a simulated rig, end to end."),
 }
 

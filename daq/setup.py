@@ -122,6 +122,9 @@ class Drive(Frozen):
 
     g_per_volt: PositiveQuantity | None = None
     phase_deg: Quantity = _q(0.0)
+    highpass_hz: float | None = Field(
+        default=None, gt=0, description="corner of the output's coupling capacitor; the drive is asked for so much more"
+    )
 
 
 class ContinuityChannel(Frozen):

@@ -76,7 +76,8 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
     """Complex drive volts of each tone that should move the plate with ``gamma``.
 
     The plate's ``x = A sum Re[d_m exp(i m w t)]`` has ``a_p = -g gamma sum m^2 Re[d_m exp(i m w t)]``, and the drive is
-    ``a_p / (g * g_per_volt * exp(i phase))`` tone by tone.
+    ``a_p / (g * g_per_volt * exp(i phase))`` tone by tone. Behind a coupling capacitor a tone at ``f`` keeps
+    ``(i f / fc) / (1 + i f / fc)`` of itself, and is asked for by so much more.
 
     Raises
     ------
@@ -88,7 +89,11 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
         raise ValueError("drive.g_per_volt is unknown")
     phase = math.radians(setup.drive.phase_deg.value)
     response = scale.value * complex(math.cos(phase), math.sin(phase))
-    return tuple(-gamma * m * m * d / response for m, d in setup.forcing.displacement_tones())
+    f_hz, corner_hz = setup.forcing.frequency_hz, setup.drive.highpass_hz or 0.0
+    return tuple(
+        -gamma * m * m * d / response * (1.0 - 1j * corner_hz / (m * f_hz))
+        for m, d in setup.forcing.displacement_tones()
+    )
 
 
 def synthesise(clock: PhaseClock, multiples: tuple[int, ...], fade: Fade, first_sample: int, n_samples: int) -> Floats:

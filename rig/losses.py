@@ -2,7 +2,7 @@
 
 The rule kept here: a count that came short is believed at once, and the looped-back drive is asked about the rest
 (`daq.clock.LossFinder`). What is recorded and what is declared as lost add up to what the device must have given.
-A device with a clock of its own says itself where its blocks belong, and is believed.
+A device that knows where its blocks belong among the played samples, and says so, is believed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from daq.block import Block
 from daq.clock import LossFinder
 from rig.forcing import Floats
+from rig.high_pass import HighPass
 from rig.profile import Profile
 
 CHUNK_CYCLES = 1.3  # of the forcing, looked at together
@@ -33,18 +34,17 @@ class LossAccount:
         Column of the looped-back drive in a frame.
     scale
         Its ``(volts_per_code, offset_v)``.
-    places
-        Whether the blocks say where they belong among the played samples.
     """
 
-    def __init__(
-        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, places: bool = False
-    ) -> None:
+    def __init__(self, profile: Profile, drive_column: int, scale: tuple[float, float]) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
         self._finder = LossFinder(rate_hz, chunk)
         self._column = drive_column
-        self._scale = scale if profile.backend.kind != "replay" and not places else (0.0, 0.0)
+        self._scale = scale if profile.backend.kind not in ("replay", "soundcard") else (0.0, 0.0)
+        self.lag_samples = 0
+        self.declares = False
+        self._capacitor = HighPass(profile.drive.highpass_hz, rate_hz)
         self._places: list[tuple[int, int]] = []
         self._heard_to = self._settled_to = 0
         self._short = self._settled_lost = 0
@@ -59,14 +59,14 @@ class LossAccount:
     @property
     def next_sample(self) -> int:
         """The played sample that the next frame belongs to."""
-        return self._heard_to if self._places else self._finder.next_sample
+        return self._heard_to if self._places else self._finder.next_sample - self.lag_samples
 
     @property
     def settled_sample(self) -> int:
         """The played sample up to which losses are settled."""
         if self._places:
             return self._settled_to
-        return self._finder.heard_samples + self._finder.lost_samples
+        return self._finder.heard_samples + self._finder.lost_samples - self.lag_samples
 
     @property
     def expected_samples(self) -> int:
@@ -75,11 +75,11 @@ class LossAccount:
 
     def played(self, drive_v: Floats) -> None:
         """Say what the device is about to play."""
-        self._finder.played(drive_v)
+        self._finder.played(self._capacitor(drive_v))
 
     def heard(self, block: Block, n_played: int) -> list[Block]:
         """Take in what came back for ``n_played`` samples; gives back the blocks that are settled, to be recorded."""
-        if block.place is None:
+        if block.place is None and not self.declares:
             self._short += n_played - len(block.codes)
         if not len(block.codes):
             return []
@@ -88,8 +88,16 @@ class LossAccount:
             self._short = 0
         else:
             self._heard_to = block.place + len(block.codes)
+            self._scale = (0.0, 0.0)
         volts = np.asarray(block.codes[:, self._column], np.float64) * self._scale[0] + self._scale[1]
         return self._noted(self._finder.heard(block, volts))
+
+    def driven(self, block: Block, drive_v: Floats) -> Floats:
+        """The drive under the frames of ``block``, which came back for ``drive_v``; it may lie behind."""
+        if block.place is None and not self.lag_samples:
+            return drive_v
+        first = self.next_sample - len(block.codes) if block.place is None else block.place
+        return self._finder.piece(first, first + len(block.codes))
 
     def flush(self) -> list[Block]:
         """The blocks that still waited, at the end."""
@@ -99,6 +107,7 @@ class LossAccount:
         """The recorded index of a played sample (of the next one recorded, where it was lost)."""
         if self._places:
             return self._placed(played)
+        played += self.lag_samples
         lost = 0
         for first_played, lost_in_all in self._losses:
             if played >= first_played:

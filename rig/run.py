@@ -18,7 +18,7 @@ from daq.block import Block
 from daq.recorder import RecorderProcess
 from daq.recording import RecordingWriter
 from rig.amplitude import AmplitudeLoop, ToneMeter, achieved_gamma
-from rig.backends.base import Backend, BackendError, Running, TwoClocked
+from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.clock_log import ClockLog
 from rig.interlock import Interlock
 from rig.losses import LossAccount
@@ -137,7 +137,7 @@ class _Run:
         self.why = ""
         drive = backend.channels.index("drive")
         self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None
-        self.account = LossAccount(profile, drive, backend.scales["drive"], places=self._clocks is not None)
+        self.account = LossAccount(profile, drive, backend.scales["drive"])
         self._programme: Programme = plan(profile)
         self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         self._sequencer = Sequencer(
@@ -171,6 +171,8 @@ class _Run:
 
     def drive(self) -> None:
         """Exchange blocks until the drive rests at zero."""
+        if isinstance(self._backend, Lagging):
+            self.account.lag_samples, self.account.declares = round(self._backend.lag_samples), True
         try:
             while not self._sequencer.done:
                 self._obey()
@@ -223,7 +225,7 @@ class _Run:
         self._motion = self._watch.update(block.codes[:, self._accelerometer], self._interlock.landed(block.codes))
         self._measure(block)
         self._note_marks()
-        trip = self._interlock.inspect(drive, block, self._motion)
+        trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
         if trip is None and not self._backend.simulated:
             trip = self._interlock.late(waited_s, len(block.codes))
         if trip is not None:

@@ -83,6 +83,18 @@ class TwoClocked(Protocol):
         """Raw readings of the two clocks since the start, `daq.block.CLOCK_DTYPE` rows."""
 
 
+@runtime_checkable
+class Lagging(Protocol):
+    """A back end whose frames lie behind what was handed over to be played, by as much all along.
+
+    Where it lost samples a block ends, and the next one declares them: it never comes short without saying where.
+    """
+
+    @property
+    def lag_samples(self) -> float:
+        """Samples from handing over to hearing, known once started."""
+
+
 class Running:
     """A back end started on entry and stopped on exit, whatever happened between."""
 

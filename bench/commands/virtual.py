@@ -1,0 +1,57 @@
+"""`bench virtual`: the simulated plant as a process of its own, behind a real audio driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    profile: str = typer.Argument(help="A sound-card profile's path, or the name of a shipped one."),
+    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the plant hides."),
+    seed: int = typer.Option(0, "--seed", help="Of the plant's noise."),
+    server: str = typer.Option("default", "--server", metavar="NAME", help="JACK server; started if it is not there."),
+    period: int = typer.Option(256, "--period", min=16, help="Frames of one period of a server that is started here."),
+    for_s: float | None = typer.Option(None, "--for", metavar="SECONDS", help="Leave by itself after so long."),
+    log: Path | None = typer.Option(None, "--log", metavar="FILE", help="Write down all that the plant gave, for tests."),
+) -> None:
+    """Start the plant as a sound card that `bench ramp` can run against, in real time; Ctrl-C ends it.
+
+    Example: bench virtual soundcard   (and in another terminal: bench ramp soundcard --out rehearsal.h5)
+
+    The drive, the interlocks and the stops are then those of a real run. Where --server is not "default", the other
+    terminal needs JACK_DEFAULT_SERVER set to the same name.
+
+    Exits 0 when it was ended, 2 when the call was wrong or JACK is not there.
+    """
+    import time
+
+    from bench.console import EXIT_USAGE, fail
+    from bench.profiles import load
+    from bench.signals import stop_on_signals
+    from daq.errors import InputError
+    from rig.sim.scenario import Scenario, load_scenario
+    from rig.virtual.jack import JackPlant, PlantLog, jack_server
+
+    try:
+        checked, _ = load(profile)
+        if checked.backend.kind != "soundcard":
+            raise InputError(f"{profile}: backend.kind is {checked.backend.kind}; wanted a sound card's profile")
+        hidden = Scenario("ideal") if scenario is None else load_scenario(scenario)
+        with (
+            stop_on_signals() as request,
+            jack_server(server, checked.sampling.rate_hz, period) as started,
+            PlantLog(log) as keep,
+            JackPlant(checked, hidden, seed, server, keep) as plant,
+        ):
+            typer.echo(
+                f"{checked.backend.device!r} on JACK server {server!r} ({'started' if started else 'was there'}), "
+                f"{checked.sampling.rate_hz:g} Hz: ready"
+            )
+            until = None if for_s is None else time.monotonic() + for_s
+            while request.wanted is None and plant.alive and (until is None or time.monotonic() < until):
+                time.sleep(0.1)
+            typer.echo(f"frames the server skipped: {plant.skipped_frames}")
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)

@@ -1,0 +1,184 @@
+"""The sound card: drive out and three channels in, full duplex, through PortAudio (`sounddevice`).
+
+The rule kept here: everything is counted in the card's own frames since the stream began. The callback copies to and
+from a ring at the frame it is at, and nothing else; what was handed over too late is not played later, so the drive
+keeps its phase, and frames that never came are declared where they are missing. The driver's word is not asked.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.block import Block, volts_per_code
+from daq.two_clocks import find_marker, start_marker
+from rig.backends.base import BackendError, checked_drive
+from rig.backends.card_ring import CardRing
+from rig.backends.portaudio import open_stream
+from rig.profile import Profile
+
+Floats = NDArray[np.float64]
+
+FIRST_S = 5.0  # until the first callback
+SILENCE_S = 0.5  # without a callback: the card is stuck, or gone
+STILL_S = 0.02  # every input frozen to the last bit while the drive moved: the card is gone
+MOVED_PART = 0.002  # of full scale: by so much the drive must have moved for that
+QUIET_S = 0.05  # before the marker
+ECHO_S = 1.0  # within which the marker must come back
+FADE_S = 0.1
+SWITCH_S = 0.0005  # longest time another thread keeps the callback from running
+
+
+class SoundcardBackend:
+    """One card, one clock: plays the drive on one output, records continuity, accelerometer and looped-back drive.
+
+    Parameters
+    ----------
+    profile
+        Its ``[backend]`` names the card and its channels, ``[channels]`` their ranges.
+    play_only
+        Whether nothing is recorded: another device does that (`rig.backends.serial_daq`).
+
+    Attributes
+    ----------
+    lag_samples : float
+        From a sample handed over to its frame, measured at the start; NaN before, and where nothing is recorded.
+    output_lag_samples : int
+        Of these, what this back end itself keeps ahead.
+    """
+
+    name = "soundcard"
+    simulated = False
+    scenario_sha256: str | None = None
+
+    def __init__(self, profile: Profile, *, play_only: bool = False) -> None:
+        table = profile.backend
+        wired = {} if play_only else {k: v for k, v in table.inputs.model_dump().items() if _has(profile, k)}
+        self.channels = tuple(wired)
+        self.rate_hz = profile.sampling.rate_hz
+        ranges = {name: getattr(profile.channels, name).range_v for name in self.channels}
+        self.scales = {name: (volts_per_code(range_v), 0.0) for name, range_v in ranges.items()}
+        self.lag_samples = float("nan")
+        self.output_lag_samples = max(1, round(table.buffer_s * self.rate_hz))
+        self._table, self._inputs = table, [wired[name] - 1 for name in self.channels]
+        self._stream: Any = None
+        self._ring = CardRing(self.rate_hz, max(self._inputs, default=-1) + 1)
+        self._changed = threading.Event()
+        self._due: int | None = None  # the frame up to which the caller has played
+        self._taken = self._given = 0
+        self._flags = 0
+
+    def start(self) -> None:
+        """Open the card, and find how long the drive takes to come back; raises `BackendError`."""
+        self.stop()
+        sys.setswitchinterval(SWITCH_S)
+        self._ring.reset()
+        self._flags = self._given = 0
+        self._due = None
+        self._stream = open_stream(
+            self._table.device, self.rate_hz, self._table.output, self._ring.n_inputs, self._ring.exchange, self._woke
+        )
+        try:
+            self._await(1, FIRST_S)
+            if self.channels:
+                self.lag_samples = self._listen()
+        except BackendError:
+            self.stop()
+            raise
+        self._due, self._given = None, 0
+
+    def exchange(self, drive_v: Floats) -> Block:
+        """Play ``drive_v`` (n,) after what was handed over before, and return the card's next n frames.
+
+        The frames lie `lag_samples` behind the drive. Where the card skipped frames the block ends, and the next says how
+        many they were.
+
+        Raises
+        ------
+        BackendError
+            When the card failed, went away, or is not started.
+        """
+        drive = checked_drive(drive_v)
+        if self._stream is None:
+            raise BackendError("not started")
+        if self._due is None:  # time begins with the first exchange, however long that took to come
+            self._due = self._taken = self._ring.at
+            self._ring.written = self._due + self.output_lag_samples
+        self._due += len(drive)
+        self._ring.write((drive / self._table.output_range_v).astype(np.float32))
+        self._await(self._due, SILENCE_S + len(drive) / self.rate_hz)
+        first, frames = self._ring.read(self._taken, self._due)
+        lost, self._taken = first - self._taken, first + len(frames)
+        if self.channels and self._ring.still(round(STILL_S * self.rate_hz), MOVED_PART):
+            raise BackendError(self._failed("every input is frozen while the drive moves"))
+        flags, self._flags = self._flags | self._ring.take_flags(), 0
+        codes = np.rint(frames[:, self._inputs] * 32768.0).clip(-32768, 32767).astype(np.int16)
+        block = Block(self._given, codes, flags=flags, clock_ns=time.monotonic_ns(), lost_before=lost)
+        self._given += len(codes)
+        return block
+
+    def stop(self) -> None:
+        """Fade what is being played to 0 V, and let the card go."""
+        stream, self._stream = self._stream, None
+        self._due = None
+        if stream is None:
+            return
+        if stream.active:
+            self._ring.fade_out(round(FADE_S * self.rate_hz))
+            until = time.monotonic() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
+            while stream.active and self._ring.at < self._ring.written and time.monotonic() < until:
+                time.sleep(0.002)
+        stream.abort(ignore_errors=True)
+        stream.close(ignore_errors=True)
+
+    def _woke(self, flags: int) -> None:
+        """Called after each callback, and with `BlockFlag` bits that the driver claims."""
+        self._flags |= flags
+        self._changed.set()
+
+    def _await(self, frame: int, patience_s: float) -> None:
+        """Until the card has reached ``frame``."""
+        until = time.monotonic() + patience_s
+        while self._ring.at < frame:
+            self._changed.clear()
+            if self._ring.at >= frame:
+                break
+            if not self._stream.active:
+                raise BackendError(self._failed("the stream ended"))
+            if not self._changed.wait(0.05) and time.monotonic() > until:
+                raise BackendError(self._failed(f"no samples for {patience_s:.2g} s"))
+        if self._ring.at - frame > self._ring.size // 2:
+            raise BackendError(self._failed("nobody took its samples for seconds"))
+
+    def _failed(self, what: str) -> str:
+        return (
+            f"sound card {self._table.device!r}: {what}; is it still plugged in, and its driver running? "
+            "`bench devices` lists what is there; then resume the run"
+        )
+
+    def _listen(self) -> float:
+        """Play the marker and find it in the looped-back drive: samples from handing over to hearing."""
+        marker = start_marker(self.rate_hz)
+        quiet = np.zeros(round(QUIET_S * self.rate_hz))
+        echo = np.zeros(round(ECHO_S * self.rate_hz))
+        block = self.exchange(np.concatenate([quiet, self._table.marker_v * marker, echo]))
+        heard = block.codes[:, self.channels.index("drive")] * self.scales["drive"][0]
+        found = find_marker(heard, marker)
+        if found is None:
+            raise BackendError(
+                f"sound card {self._table.device!r}: input {self._table.inputs.drive} (the looped-back drive) does not "
+                f"hear the start marker of {self._table.marker_v:g} V on output {self._table.output}; is the drive "
+                "looped back into it, and not turned round?"
+            )
+        return found - len(quiet)
+
+
+def _has(profile: Profile, channel: str) -> bool:
+    """Whether the profile records ``channel``."""
+    return getattr(profile.channels, channel) is not None
+

@@ -1,0 +1,1 @@
+"""The simulated plant as a process of its own, behind a real driver."""

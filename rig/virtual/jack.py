@@ -1,0 +1,210 @@
+"""The plant as a JACK client: one input (the drive), three outputs (continuity, accelerometer, looped-back drive).
+
+The rule kept here: the plant's time is the server's. A period that the server skipped is a period the plant went
+through without a drive, and nobody heard it.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from rig.profile import Profile
+from rig.sim.plant import Plant
+from rig.sim.scenario import Scenario
+from rig.high_pass import HighPass
+
+START_S = 5.0
+AC_CORNER_HZ = 5.0  # high-pass corner of the virtual card's inputs with ``coupling = "ac"``
+
+
+class PlantLog:
+    """All that the plant gave, period by period, written as NPZ (``frame``: the server's frame of each period's first,
+    ``codes``) on exit; nothing where ``path`` is None.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._frames: list[int] = []
+        self._codes: list[NDArray[np.int16]] = []
+
+    def keep(self, frame: int, codes: NDArray[np.int16]) -> None:
+        """One period."""
+        if self._path is not None:
+            self._frames.append(frame)
+            self._codes.append(codes)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._path is not None:
+            np.savez(self._path, frame=np.array(self._frames), codes=np.array(self._codes))
+
+
+class JackPlant:
+    """A plant behind the ports of the client ``profile.backend.device``.
+
+    Parameters
+    ----------
+    profile
+        Its ``[backend]`` gives the client's name and the full scale of the output, ``[channels]`` those of the inputs.
+    scenario, seed
+        As for the simulated rig.
+    server
+        Name of the JACK server.
+    log
+        Where all that the plant gave is kept.
+
+    Raises
+    ------
+    InputError
+        When there is no such server, or it runs at another rate.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        scenario: Scenario,
+        seed: int,
+        server: str,
+        log: PlantLog,
+    ) -> None:
+        rng = np.random.default_rng(seed)
+        Plant(scenario, profile.sampling.rate_hz, rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
+        self._plant = Plant(scenario, profile.sampling.rate_hz, rng)
+        self._profile, self._log = profile, log
+        self._client = jack_client(profile.backend.device, server, profile.sampling.rate_hz)
+        ports = {number: name for name, number in profile.backend.inputs.model_dump().items()}
+        self._names = [ports.get(number, "") for number in range(1, max(ports) + 1)]
+        self._amplifier = self._client.inports.register("amplifier")
+        self._outs = [self._client.outports.register(name or f"unused_{k}") for k, name in enumerate(self._names)]
+        self._range_v = profile.backend.output_range_v
+        self._output = HighPass(profile.drive.highpass_hz, self._plant.rate_hz)
+        self._inputs = {name: self._input(name) for name in self._plant.channels}
+        self._frame: int | None = None
+        self.skipped_frames = 0
+        self.alive = True
+        self._client.set_process_callback(self._process)
+        self._client.set_shutdown_callback(self._shut_down)
+
+    def _input(self, name: str) -> tuple[HighPass, float]:
+        """What the card's input does to a channel: its high-pass, and volts to full scale."""
+        channel = getattr(self._profile.channels, name)
+        if channel is None:
+            return HighPass(None, 1.0), 0.0
+        corner_hz = AC_CORNER_HZ if channel.coupling == "ac" else None
+        return HighPass(corner_hz, self._plant.rate_hz), self._plant.channel_scales[name] / channel.range_v
+
+    def _shut_down(self, status: Any, reason: str) -> None:
+        """The server went away."""
+        self.alive = False
+
+    def _process(self, frames: int) -> None:
+        """One period."""
+        now = self._client.last_frame_time
+        skipped = 0 if self._frame is None else (now - self._frame) % 2**32
+        if 0 < skipped < 2**31:
+            self.skipped_frames += skipped
+            self._exchange(np.zeros(skipped))
+        self._frame = (now + frames) % 2**32
+        codes = self._exchange(np.asarray(self._amplifier.get_array(), np.float64) * self._range_v)
+        for port, name in zip(self._outs, self._names, strict=True):
+            column = self._heard[name] if name in self._heard else 0.0
+            port.get_array()[:] = column
+        self._log.keep(now, codes)
+
+    def _exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
+        """The plant's answer, and what the card's inputs make of it."""
+        codes = self._plant.exchange(self._output(drive_v))
+        self._heard = {}
+        for k, name in enumerate(self._plant.channels):
+            high_pass, scale = self._inputs[name]
+            self._heard[name] = high_pass(codes[:, k] * scale)
+        return codes
+
+    def __enter__(self) -> Self:
+        self._client.activate()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._client.deactivate()
+        self._client.close()
+
+
+@contextmanager
+def jack_server(name: str, rate_hz: float, period: int) -> Iterator[bool]:
+    """The JACK server ``name`` with the dummy driver for as long as the block runs; gives whether it was started here.
+
+    A server of that name that is there already is used, and left alone.
+
+    Raises
+    ------
+    InputError
+        When there is none and none can be started.
+    """
+    if _answers(name):
+        yield False
+        return
+    jackd = shutil.which("jackd")
+    if jackd is None:
+        raise InputError("jackd: not installed; on Debian: apt-get install jackd2")
+    command = [jackd, "-r", "-n", name, "-d", "dummy", "-r", f"{rate_hz:.0f}", "-p", str(period)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + START_S
+        while not _answers(name):
+            if process.poll() is not None or time.monotonic() > until:
+                raise InputError(f"JACK server {name!r} does not start: try  {' '.join(command)}")
+            time.sleep(0.1)
+        yield True
+    finally:
+        process.terminate()
+        process.wait(10.0)
+
+
+def _answers(server: str) -> bool:
+    """Whether a server of that name is there."""
+    try:
+        _client("probe", server).close()
+    except InputError:
+        return False
+    return True
+
+
+def jack_client(name: str, server: str, rate_hz: float) -> Any:
+    """A client of the server, which must run at ``rate_hz``; raises `InputError`."""
+    client = _client(name, server)
+    if client.samplerate != rate_hz:
+        own_hz = client.samplerate
+        client.close()
+        raise InputError(
+            f"JACK server {server!r} runs at {own_hz} Hz, sampling.rate_hz is {rate_hz:g}: start it at the profile's rate"
+        )
+    return client
+
+
+def _client(name: str, server: str) -> Any:
+    """A client of the server; raises `InputError`."""
+    try:
+        import jack
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"JACK is not installed ({error}); on Debian: apt-get install jackd2, then pip install JACK-Client"
+        ) from error
+    jack.set_error_function(lambda text: None)
+    jack.set_info_function(lambda text: None)
+    try:
+        return jack.Client(name, no_start_server=True, servername=server, use_exact_name=True)
+    except jack.JackError as error:
+        raise InputError(f"JACK server {server!r} does not answer as {name!r} ({error})") from error
+

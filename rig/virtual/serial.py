@@ -1,0 +1,117 @@
+"""The plant behind two drivers: the drive comes by JACK, the frames leave by a pseudo-terminal, on a clock of their own.
+
+The rule kept here: between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
+alone has pseudo-terminals: elsewhere this is refused.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from rig.profile import Profile
+from rig.sim.scenario import Scenario
+from rig.sim.serial_device import SerialDevice
+from rig.virtual.jack import jack_client
+
+
+class JackSerialPlant:
+    """A plant that hears the client ``profile.backend.device`` and sends its frames to a pseudo-terminal.
+
+    Parameters
+    ----------
+    profile
+        Its ``[backend]`` gives the client's name and the full scale of the output.
+    scenario, seed
+        As for the simulated rig.
+    server
+        Name of the JACK server.
+    ppm, ppm_per_minute
+        As for `rig.sim.serial_device.SerialDevice`.
+
+    Attributes
+    ----------
+    port : str
+        Name of the terminal to read.
+    device : SerialDevice
+    skipped_frames : int
+        Frames the server skipped: the device went through them without a drive.
+
+    Raises
+    ------
+    InputError
+        When there is no such server, it runs at another rate, or the system has no pseudo-terminals.
+    """
+
+    def __init__(
+        self, profile: Profile, scenario: Scenario, seed: int, server: str, *, ppm: float, ppm_per_minute: float
+    ) -> None:
+        if not hasattr(os, "openpty"):
+            raise InputError("a virtual serial device needs pseudo-terminals, which this system does not have")
+        rate_hz = profile.sampling.rate_hz
+        rng = np.random.default_rng(seed)
+        SerialDevice(scenario, rate_hz, rng.spawn(1)[0]).play(np.zeros(256))  # compiled before it counts
+        self.device = SerialDevice(scenario, rate_hz, rng, ppm=ppm, ppm_per_minute=ppm_per_minute)
+        self._client = jack_client(profile.backend.device, server, rate_hz)
+        self._amplifier = self._client.inports.register("amplifier")
+        self._range_v = profile.backend.output_range_v
+        self._master, self._slave = os.openpty()
+        os.set_blocking(self._master, False)
+        _raw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._periods: queue.SimpleQueue[NDArray[np.float64] | None] = queue.SimpleQueue()
+        self._sender = threading.Thread(target=self._send, name="virtual serial", daemon=True)
+        self._frame: int | None = None
+        self.skipped_frames = 0
+        self.alive = True
+        self._client.set_process_callback(self._process)
+        self._client.set_shutdown_callback(self._shut_down)
+
+    def _shut_down(self, status: Any, reason: str) -> None:
+        """The server went away."""
+        self.alive = False
+
+    def _process(self, frames: int) -> None:
+        """One period: the drive goes to the device's thread."""
+        now = self._client.last_frame_time
+        skipped = 0 if self._frame is None else (now - self._frame) % 2**32
+        if 0 < skipped < 2**31:
+            self.skipped_frames += skipped
+            self._periods.put(np.zeros(skipped))
+        self._frame = (now + frames) % 2**32
+        self._periods.put(np.asarray(self._amplifier.get_array(), np.float64) * self._range_v)
+
+    def _send(self) -> None:
+        """The device: every period in, bytes out; what nobody reads is lost, as on a cable."""
+        while (drive_v := self._periods.get()) is not None:
+            wire = self.device.play(drive_v)
+            try:
+                os.write(self._master, wire)
+            except BlockingIOError:
+                continue
+
+    def __enter__(self) -> Self:
+        self._sender.start()
+        self._client.activate()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._client.deactivate()
+        self._client.close()
+        self._periods.put(None)
+        self._sender.join(5.0)
+        os.close(self._master)
+        os.close(self._slave)
+
+
+def _raw(terminal: int) -> None:
+    """Bytes as they are: no echo, no line ends. The module is POSIX's."""
+    import tty
+
+    tty.setraw(terminal)
