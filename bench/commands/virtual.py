@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from rig.profile import Profile
+    from rig.sim.scenario import Scenario
+    from rig.virtual.jack import JackPlant, PlantLog
+    from rig.virtual.serial import JackSerialPlant
 
 
 def command(
@@ -15,11 +22,13 @@ def command(
     period: int = typer.Option(256, "--period", min=16, help="Frames of one period of a server that is started here."),
     for_s: float | None = typer.Option(None, "--for", metavar="SECONDS", help="Leave by itself after so long."),
     log: Path | None = typer.Option(None, "--log", metavar="FILE", help="Write down all that the plant gave, for tests."),
+    ppm: float = typer.Option(80.0, "--ppm", help="By how much the clock of a virtual serial device is off."),
 ) -> None:
     """Start the plant as a sound card that `bench ramp` can run against, in real time; Ctrl-C ends it.
 
     Example: bench virtual soundcard   (and in another terminal: bench ramp soundcard --out rehearsal.h5)
 
+    Where the profile's back end is soundcard+serial, the frames leave by a pseudo-terminal that backend.port leads to.
     The drive, the interlocks and the stops are then those of a real run. Where --server is not "default", the other
     terminal needs JACK_DEFAULT_SERVER set to the same name.
 
@@ -32,18 +41,18 @@ def command(
     from bench.signals import stop_on_signals
     from daq.errors import InputError
     from rig.sim.scenario import Scenario, load_scenario
-    from rig.virtual.jack import JackPlant, PlantLog, jack_server
+    from rig.virtual.jack import PlantLog, jack_server
 
     try:
         checked, _ = load(profile)
-        if checked.backend.kind != "soundcard":
+        if checked.backend.kind not in ("soundcard", "soundcard+serial"):
             raise InputError(f"{profile}: backend.kind is {checked.backend.kind}; wanted a sound card's profile")
         hidden = Scenario("ideal") if scenario is None else load_scenario(scenario)
         with (
             stop_on_signals() as request,
             jack_server(server, checked.sampling.rate_hz, period) as started,
             PlantLog(log) as keep,
-            JackPlant(checked, hidden, seed, server, keep) as plant,
+            _plant(checked, hidden, seed, server, keep, ppm) as plant,
         ):
             typer.echo(
                 f"{checked.backend.device!r} on JACK server {server!r} ({'started' if started else 'was there'}), "
@@ -55,3 +64,16 @@ def command(
             typer.echo(f"frames the server skipped: {plant.skipped_frames}")
     except InputError as error:
         fail(str(error), EXIT_USAGE)
+
+
+def _plant(
+    profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog, ppm: float
+) -> JackPlant | JackSerialPlant:
+    """The plant behind the drivers that the profile names; raises `InputError`."""
+    if profile.backend.kind == "soundcard+serial":
+        from rig.virtual.serial import JackSerialPlant
+
+        return JackSerialPlant(profile, scenario, seed, server, ppm=ppm, ppm_per_minute=0.0)
+    from rig.virtual.jack import JackPlant
+
+    return JackPlant(profile, scenario, seed, server, log)

@@ -188,7 +188,7 @@ def jack_client(name: str, server: str, rate_hz: float) -> Any:
         own_hz = client.samplerate
         client.close()
         raise InputError(
-            f"JACK server {server!r} runs at {own_hz} Hz, sampling.rate_hz is {rate_hz:g}: start it at the profile's rate"
+            f"JACK server {server!r} runs at {own_hz} Hz, sampling.rate_hz is {rate_hz:g}: start it at that rate"
         )
     return client
 

@@ -1,4 +1,4 @@
-"""The plant behind two drivers: the drive comes by JACK, the frames leave by a pseudo-terminal, on a clock of their own.
+"""The plant behind two drivers: the drive comes by JACK, frames leave by a pseudo-terminal, on a clock of their own.
 
 The rule kept here: between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
 alone has pseudo-terminals: elsewhere this is refused.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -38,7 +39,7 @@ class JackSerialPlant:
     Attributes
     ----------
     port : str
-        Name of the terminal to read.
+        Name of the terminal; ``profile.backend.port`` is a link to it while the block runs.
     device : SerialDevice
     skipped_frames : int
         Frames the server skipped: the device went through them without a drive.
@@ -65,6 +66,10 @@ class JackSerialPlant:
         os.set_blocking(self._master, False)
         _raw(self._slave)
         self.port = os.ttyname(self._slave)
+        self._link = Path(profile.backend.port)
+        if self._link.exists() or self._link.is_symlink():
+            self._client.close()
+            raise InputError(f"backend.port = {str(self._link)!r} is there already; name a path that is not")
         self._periods: queue.SimpleQueue[NDArray[np.float64] | None] = queue.SimpleQueue()
         self._sender = threading.Thread(target=self._send, name="virtual serial", daemon=True)
         self._frame: int | None = None
@@ -97,11 +102,13 @@ class JackSerialPlant:
                 continue
 
     def __enter__(self) -> Self:
+        self._link.symlink_to(self.port)
         self._sender.start()
         self._client.activate()
         return self
 
     def __exit__(self, *exc: object) -> None:
+        self._link.unlink(missing_ok=True)
         self._client.deactivate()
         self._client.close()
         self._periods.put(None)
