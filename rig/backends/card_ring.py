@@ -1,7 +1,7 @@
-"""What a card plays and hears, by the card's own frame: two rings that a callback copies from and to.
+"""What a card plays and hears: two rings that a callback copies from and to.
 
-The rule kept here: a frame has one place, for ever. A drive sample that comes after its frame is not played; a frame
-that the driver skipped is in neither ring, and `CardRing.read` ends before it.
+The rule kept here: the drive is played by the card's time, and what comes after its time is not played; what is heard
+is kept in the order it came, and samples that the driver skipped are declared where they are missing.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ Samples = NDArray[np.float32]
 
 HELD_S = 8.0  # of frames
 DECAY_S = 0.005  # to zero, where the drive came too late
+SURE_CALLS = 6  # in a row that find frames missing, before they are
 
 
 class CardRing:
@@ -31,10 +32,12 @@ class CardRing:
 
     Attributes
     ----------
-    at : int
-        The card's next frame; only the callback moves it.
+    received : int
+        Frames that came; only the callback moves it.
+    lost : int
+        Frames that the driver skipped; only the callback moves it.
     written : int
-        The frame after the last drive sample handed over; only the writer moves it.
+        The card's frame after the last drive sample handed over; only the writer moves it.
     """
 
     def __init__(self, rate_hz: float, n_inputs: int) -> None:
@@ -44,28 +47,42 @@ class CardRing:
         self._in: Samples = np.zeros((self.size, n_inputs), np.float32)
         n = max(1, round(DECAY_S * rate_hz))
         self._decay: Samples = (np.cos(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2).astype(np.float32)
-        self._rate_hz = rate_hz
         self.reset()
 
     def reset(self) -> None:
         """As new."""
-        self.at = self.written = 0
+        self.received = self.lost = self.written = 0
+        self._taken = self._lost_taken = 0
         self._out[:] = 0.0
         self._last = np.float32(0.0)
-        self._skips: deque[tuple[int, int]] = deque(maxlen=1024)
-        self._origin_s: float | None = None
+        self._losses: deque[tuple[int, int]] = deque()
+        self._doubts: deque[tuple[int, int]] = deque()
+        self._origin: int | None = None
         self._late = False
 
-    def exchange(self, heard: Samples | None, out: Samples, time_s: float | None) -> None:
-        """The callback's work: play the frames from `at` on into ``out`` (n,), keep ``heard`` (n, n_inputs).
+    @property
+    def at(self) -> int:
+        """The card's next frame: what came and what was skipped."""
+        return self.received + self.lost
+
+    @property
+    def known(self) -> int:
+        """The card's frame up to which it is certain what was skipped."""
+        doubts = self._doubts
+        return (doubts[0][0] if doubts else self.received) + self.lost
+
+    def exchange(self, heard: Samples | None, out: Samples, counter: int | None) -> None:
+        """The callback's work: play into ``out`` (n,), keep ``heard`` (n, n_inputs).
 
         Parameters
         ----------
-        time_s
-            The driver's clock when the callback was due, where a driver that skips callbacks tells it (see `_skipped`).
+        counter
+            The driver's own count of frames, where it skips callbacks when it is late; else None.
         """
         n = len(out)
-        at = self.at + (self._skipped(time_s, n) if time_s is not None else 0)
+        if counter is not None:
+            self._reckon(counter)
+        at = self.at
         ready = min(max(self.written - at, 0), n)
         place = at % self.size
         first = min(ready, self.size - place)
@@ -76,10 +93,11 @@ class CardRing:
         if ready < n:
             self._run_dry(out[ready:])
         if heard is not None:
+            place = self.received % self.size
             first = min(n, self.size - place)
             self._in[place : place + first] = heard[:first]
             self._in[: n - first] = heard[first:]
-        self.at = at + n
+        self.received += n
 
     def _run_dry(self, rest: Samples) -> None:
         """Nothing was handed over for these frames: soft to zero."""
@@ -89,18 +107,35 @@ class CardRing:
         self._late |= bool(self._last != 0.0)
         self._last = np.float32(0.0)
 
-    def _skipped(self, time_s: float, n: int) -> int:
-        """Frames the driver skipped: whole callbacks, by which its clock is ahead of the frames counted.
+    def _reckon(self, counter: int) -> None:
+        """Compare the driver's count with what came.
 
-        A callback may come late, never early, so the least delay so far is where the clock really stands.
+        A callback that runs late reads a count that is too high, never one too low: what stays missing for some calls
+        on end is missing, and was so since the first of them.
         """
-        delay_s = time_s - self.at / self._rate_hz
-        if self._origin_s is None or delay_s < self._origin_s:
-            self._origin_s = delay_s
-        skipped = int((delay_s - self._origin_s) * self._rate_hz / n + 0.02) * n
-        if skipped:
-            self._skips.append((self.at, skipped))
-        return skipped
+        if self._origin is None:
+            self._origin = counter
+        missing = (counter - self._origin - self.received) % 2**32
+        if missing >= 2**31:  # the first calls were late themselves
+            self._origin += missing - 2**32 - self.lost
+            missing = self.lost
+        if missing <= self.lost:
+            self._doubts.clear()
+            return
+        self._doubts.append((self.received, missing))
+        if len(self._doubts) == SURE_CALLS:
+            sure = min(missing for _, missing in self._doubts)
+            at, _ = self._doubts.popleft()
+            if sure > self.lost:
+                self._losses.append((at, sure - self.lost))
+                self.lost = sure
+
+    def begin(self, ahead: int) -> int:
+        """Forget what came so far; the next drive is played ``ahead`` frames from now. Returns the card's frame."""
+        self._losses.clear()
+        self._taken, self._lost_taken = self.received, self.lost
+        self.written = self.at + ahead
+        return self._taken + self._lost_taken
 
     def write(self, drive: Samples) -> None:
         """Hand over drive samples (n,), to be played from `written` on; those whose frame is over are left out."""
@@ -114,17 +149,19 @@ class CardRing:
         self._out[: len(rest) - first] = rest[first:]
         self.written += len(drive)
 
-    def read(self, first: int, stop: int) -> tuple[int, Samples]:
-        """Frames from ``first`` on to ``stop``, or to where some were skipped: where they begin, and (n, n_inputs)."""
-        while self._skips and sum(self._skips[0]) <= first:
-            self._skips.popleft()
-        for at, n in tuple(self._skips):
-            if at <= first:
-                first = min(max(first, at + n), stop)
-            else:
-                stop = min(stop, at)
-                break
-        return first, self._in[np.arange(first, stop) % self.size]
+    def take(self, until: int) -> tuple[int, Samples]:
+        """What was skipped before them, and the next frames (n, n_inputs): to the card's frame ``until``, or a skip."""
+        losses = tuple(self._losses)
+        lost = sum(n for at, n in losses if at <= self._taken)
+        ends = [at for at, _ in losses if at > self._taken]
+        stop = min([until - self._lost_taken - lost, self.known - self.lost, *ends])
+        if stop <= self._taken:
+            return 0, np.zeros((0, self.n_inputs), np.float32)
+        for _ in range(sum(at <= self._taken for at, _ in losses)):
+            self._losses.popleft()
+        frames: Samples = self._in[np.arange(self._taken, stop) % self.size]
+        self._taken, self._lost_taken = stop, self._lost_taken + lost
+        return lost, frames
 
     def take_flags(self) -> int:
         """`BlockFlag.UNDERFLOW` where drive came too late since the last call."""
@@ -133,10 +170,10 @@ class CardRing:
 
     def still(self, n: int, moved: float) -> bool:
         """Whether all inputs were one and the same for ``n`` frames while the drive moved by more than ``moved``."""
-        frames = np.arange(self.at - n, self.at)
-        if frames[0] < 0:
+        if self.received < n:
             return False
-        heard, played = self._in[frames % self.size], self._out[frames % self.size]
+        heard = self._in[np.arange(self.received - n, self.received) % self.size]
+        played = self._out[np.arange(self.at - n, self.at) % self.size]
         return bool(np.ptp(played) > moved and not np.ptp(heard, axis=0).any())
 
     def fade_out(self, n: int) -> None:
@@ -144,4 +181,3 @@ class CardRing:
         tail = self._out[np.arange(self.written - n, self.written) % self.size][::-1]
         if self.written > self.at and tail.any():
             self.write(tail * (np.cos(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2).astype(np.float32))
-

@@ -5,6 +5,7 @@ The rule kept here: what PortAudio says no to becomes a `BackendError` that name
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,10 +17,9 @@ from daq.block import BlockFlag
 from rig.backends.base import BackendError
 
 Samples = NDArray[np.float32]
-Exchange = Callable[[Samples | None, Samples, float | None], None]
+Exchange = Callable[[Samples | None, Samples, int | None], None]
 
-SKIPPING = "JACK Audio Connection Kit"
-"""The driver that skips whole callbacks when it is late, and whose clock says so."""
+JACK = "JACK Audio Connection Kit"
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,70 @@ class Card:
     rate_hz: float
 
 
+class CardStream:
+    """A running stream, and what counts its frames."""
+
+    def __init__(self, stream: Any, counter: FrameCounter | None) -> None:
+        self._stream, self._counter = stream, counter
+
+    @property
+    def active(self) -> bool:
+        """Whether the driver still calls."""
+        return bool(self._stream.active)
+
+    def close(self) -> None:
+        """Let the card go, and PortAudio with it: it aborts the program where its server went away before it did."""
+        alive = self.active
+        self._stream.abort(ignore_errors=True)
+        self._stream.close(ignore_errors=True)
+        if self._counter is not None:
+            self._counter.close()
+        _release(alive=alive)
+
+
+class FrameCounter:
+    """The JACK server's count of frames at the start of its present period.
+
+    JACK leaves out the callbacks of a client that is late, and PortAudio does not say how many.
+    """
+
+    def __init__(self) -> None:
+        import jack
+
+        try:
+            self._client = jack.Client("shakerbench-clock", no_start_server=True)
+        except jack.JackError as error:
+            raise BackendError(f"the JACK server does not answer ({error})") from error
+
+    def __call__(self) -> int:
+        return int(self._client.last_frame_time)
+
+    def close(self) -> None:
+        """Let the server go."""
+        self._client.close()
+
+
 def cards() -> list[Card]:
     """Every card that is there now; raises `BackendError` where PortAudio is not installed."""
     sounddevice = _scan()
     drivers = [api["name"] for api in sounddevice.query_hostapis()]
-    return [
-        Card(d["name"], drivers[d["hostapi"]], d["max_input_channels"], d["max_output_channels"], d["default_samplerate"])
-        for d in sounddevice.query_devices()
+    listed = [
+        Card(
+            name=device["name"],
+            driver=drivers[device["hostapi"]],
+            inputs=device["max_input_channels"],
+            outputs=device["max_output_channels"],
+            rate_hz=device["default_samplerate"],
+        )
+        for device in sounddevice.query_devices()
     ]
+    _release()
+    return listed
 
 
 def open_stream(
     device: str, rate_hz: float, output: int, n_inputs: int, exchange: Exchange, woke: Callable[[int], None]
-) -> Any:
+) -> CardStream:
     """A running stream on ``device``: full duplex, or output alone where ``n_inputs`` is 0.
 
     Parameters
@@ -57,7 +108,8 @@ def open_stream(
     output
         The output that plays, from 1; those before it stay silent.
     exchange
-        Called in the driver's thread: heard (n, n_inputs) or None, array (n,) to fill, the driver's clock or None.
+        Called in the driver's thread: heard (n, n_inputs) or None, array (n,) to fill, the driver's count of frames
+        where it skips callbacks when it is late.
     woke
         Called after it, with `BlockFlag` bits that the driver claims.
 
@@ -67,20 +119,17 @@ def open_stream(
         When there is no such card, or it refuses.
     """
     sounddevice = _scan()
-
-    def callback(heard: Samples | None, out: Samples, time_s: float | None, status: Any) -> None:
-        exchange(heard, out[:, output - 1], time_s)
-        woke(_flags(status) if status else 0)
-
+    count: FrameCounter | None = None
     try:
         driver = sounddevice.query_hostapis(sounddevice.query_devices(device, "output")["hostapi"])["name"]
-        skipping = driver == SKIPPING
+        count = _counter(driver)
 
-        def duplex(heard: Samples, out: Samples, frames: int, times: Any, status: Any) -> None:
-            callback(heard, out, times.currentTime if skipping else None, status)
+        def duplex(heard: Samples | None, out: Samples, frames: int, times: Any, status: Any) -> None:
+            exchange(heard, out[:, output - 1], count() if count is not None else None)
+            woke(_flags(status) if status else 0)
 
         def simplex(out: Samples, frames: int, times: Any, status: Any) -> None:
-            callback(None, out, times.currentTime if skipping else None, status)
+            duplex(None, out, frames, times, status)
 
         options = {"samplerate": rate_hz, "dtype": "float32", "latency": "low", "blocksize": 0}
         if n_inputs:
@@ -91,12 +140,14 @@ def open_stream(
             stream = sounddevice.OutputStream(device=device, channels=output, callback=simplex, **options)
         stream.start()
     except (sounddevice.PortAudioError, ValueError) as error:
+        if count is not None:
+            count.close()
         there = ", ".join(repr(card.name) for card in cards()) or "none"
         raise BackendError(
             f"sound card {device!r}: cannot be opened at {rate_hz:g} Hz with {n_inputs} inputs and {output} outputs "
             f"({error}); cards that are there: {there}"
         ) from error
-    return stream
+    return CardStream(stream, count)
 
 
 def _flags(status: Any) -> int:
@@ -106,6 +157,18 @@ def _flags(status: Any) -> int:
     return int(over) | int(under)
 
 
+def _counter(driver: str) -> FrameCounter | None:
+    """What counts the frames of a driver that leaves callbacks out; None where none is needed, or cannot be had."""
+    if driver != JACK:
+        return None
+    try:
+        return FrameCounter()
+    except (ImportError, OSError) as error:
+        raise BackendError(
+            f"JACK leaves out callbacks, and what counts them is missing ({error}): pip install JACK-Client"
+        ) from error
+
+
 def _scan() -> Any:
     """`sounddevice` with a fresh list: PortAudio looks for cards only when it begins."""
     try:
@@ -113,8 +176,19 @@ def _scan() -> Any:
     except OSError as error:
         raise BackendError(f"PortAudio is not installed ({error}); on Debian: apt-get install libportaudio2") from error
     try:
-        sounddevice._terminate()
+        _release()
         sounddevice._initialize()
     except sounddevice.PortAudioError as error:
         raise BackendError(f"PortAudio does not start ({error})") from error
     return sounddevice
+
+
+def _release(*, alive: bool = True) -> None:
+    """End PortAudio; where its driver is gone it could only abort, so it is left as it is, at exit too."""
+    import sounddevice
+
+    if not alive:
+        atexit.unregister(sounddevice._exit_handler)
+        return
+    while sounddevice._initialized:
+        sounddevice._terminate()

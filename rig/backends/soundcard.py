@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from daq.block import Block, volts_per_code
 from daq.two_clocks import find_marker, start_marker
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
-from rig.backends.portaudio import open_stream
+from rig.backends.portaudio import CardStream, open_stream
 from rig.profile import Profile
 
 Floats = NDArray[np.float64]
@@ -66,11 +65,11 @@ class SoundcardBackend:
         self.lag_samples = float("nan")
         self.output_lag_samples = max(1, round(table.buffer_s * self.rate_hz))
         self._table, self._inputs = table, [wired[name] - 1 for name in self.channels]
-        self._stream: Any = None
+        self._stream: CardStream | None = None
         self._ring = CardRing(self.rate_hz, max(self._inputs, default=-1) + 1)
         self._changed = threading.Event()
         self._due: int | None = None  # the frame up to which the caller has played
-        self._taken = self._given = 0
+        self._given = 0
         self._flags = 0
 
     def start(self) -> None:
@@ -95,8 +94,8 @@ class SoundcardBackend:
     def exchange(self, drive_v: Floats) -> Block:
         """Play ``drive_v`` (n,) after what was handed over before, and return the card's next n frames.
 
-        The frames lie `lag_samples` behind the drive. Where the card skipped frames the block ends, and the next says how
-        many they were.
+        The frames lie `lag_samples` behind the drive. Where the card skipped frames the block ends, and the next says
+        how many they were.
 
         Raises
         ------
@@ -107,13 +106,11 @@ class SoundcardBackend:
         if self._stream is None:
             raise BackendError("not started")
         if self._due is None:  # time begins with the first exchange, however long that took to come
-            self._due = self._taken = self._ring.at
-            self._ring.written = self._due + self.output_lag_samples
+            self._due = self._ring.begin(self.output_lag_samples)
         self._due += len(drive)
         self._ring.write((drive / self._table.output_range_v).astype(np.float32))
         self._await(self._due, SILENCE_S + len(drive) / self.rate_hz)
-        first, frames = self._ring.read(self._taken, self._due)
-        lost, self._taken = first - self._taken, first + len(frames)
+        lost, frames = self._ring.take(self._due)
         if self.channels and self._ring.still(round(STILL_S * self.rate_hz), MOVED_PART):
             raise BackendError(self._failed("every input is frozen while the drive moves"))
         flags, self._flags = self._flags | self._ring.take_flags(), 0
@@ -133,8 +130,7 @@ class SoundcardBackend:
             until = time.monotonic() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
             while stream.active and self._ring.at < self._ring.written and time.monotonic() < until:
                 time.sleep(0.002)
-        stream.abort(ignore_errors=True)
-        stream.close(ignore_errors=True)
+        stream.close()
 
     def _woke(self, flags: int) -> None:
         """Called after each callback, and with `BlockFlag` bits that the driver claims."""
@@ -144,11 +140,11 @@ class SoundcardBackend:
     def _await(self, frame: int, patience_s: float) -> None:
         """Until the card has reached ``frame``."""
         until = time.monotonic() + patience_s
-        while self._ring.at < frame:
+        while self._ring.known < frame:
             self._changed.clear()
-            if self._ring.at >= frame:
+            if self._ring.known >= frame:
                 break
-            if not self._stream.active:
+            if self._stream is None or not self._stream.active:
                 raise BackendError(self._failed("the stream ended"))
             if not self._changed.wait(0.05) and time.monotonic() > until:
                 raise BackendError(self._failed(f"no samples for {patience_s:.2g} s"))
@@ -164,21 +160,24 @@ class SoundcardBackend:
     def _listen(self) -> float:
         """Play the marker and find it in the looped-back drive: samples from handing over to hearing."""
         marker = start_marker(self.rate_hz)
-        quiet = np.zeros(round(QUIET_S * self.rate_hz))
-        echo = np.zeros(round(ECHO_S * self.rate_hz))
-        block = self.exchange(np.concatenate([quiet, self._table.marker_v * marker, echo]))
-        heard = block.codes[:, self.channels.index("drive")] * self.scales["drive"][0]
+        piece = round(QUIET_S * self.rate_hz)
+        quiet = np.zeros(piece)
+        column, scale = self.channels.index("drive"), self.scales["drive"][0]
+        block = self.exchange(np.concatenate([quiet, self._table.marker_v * marker, quiet]))
+        heard: Floats = np.asarray(block.codes[:, column] * scale, np.float64)
         found = find_marker(heard, marker)
+        while found is None and len(heard) < ECHO_S * self.rate_hz:
+            heard = np.concatenate([heard, self.exchange(quiet).codes[:, column] * scale])
+            found = find_marker(heard, marker)
         if found is None:
             raise BackendError(
                 f"sound card {self._table.device!r}: input {self._table.inputs.drive} (the looped-back drive) does not "
                 f"hear the start marker of {self._table.marker_v:g} V on output {self._table.output}; is the drive "
                 "looped back into it, and not turned round?"
             )
-        return found - len(quiet)
+        return found - piece
 
 
 def _has(profile: Profile, channel: str) -> bool:
     """Whether the profile records ``channel``."""
     return getattr(profile.channels, channel) is not None
-

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
+from rig.high_pass import HighPass
 from rig.profile import Profile
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
-from rig.high_pass import HighPass
 
 START_S = 5.0
 AC_CORNER_HZ = 5.0  # high-pass corner of the virtual card's inputs with ``coupling = "ac"``
@@ -119,8 +119,7 @@ class JackPlant:
         self._frame = (now + frames) % 2**32
         codes = self._exchange(np.asarray(self._amplifier.get_array(), np.float64) * self._range_v)
         for port, name in zip(self._outs, self._names, strict=True):
-            column = self._heard[name] if name in self._heard else 0.0
-            port.get_array()[:] = column
+            port.get_array()[:] = self._heard.get(name, 0.0)
         self._log.keep(now, codes)
 
     def _exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
@@ -129,7 +128,7 @@ class JackPlant:
         self._heard = {}
         for k, name in enumerate(self._plant.channels):
             high_pass, scale = self._inputs[name]
-            self._heard[name] = high_pass(codes[:, k] * scale)
+            self._heard[name] = high_pass(np.asarray(codes[:, k] * scale, np.float64))
         return codes
 
     def __enter__(self) -> Self:

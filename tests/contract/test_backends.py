@@ -20,6 +20,7 @@ from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
+from rig.backends.soundcard import SoundcardBackend
 from rig.sim.daqmx import Bench
 from rig.sim.faults import FaultyBackend
 from rig.sim.scenario import Scenario
@@ -79,9 +80,11 @@ BACKENDS: dict[str, Callable[[Path], Backend]] = {
 }
 
 
-@pytest.fixture(params=sorted(BACKENDS))
+@pytest.fixture(params=[*sorted(BACKENDS), "soundcard"])
 def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
-    """Each back end in turn, not started."""
+    """Each back end in turn, not started; the sound card's is the real driver, with the plant in another process."""
+    if request.param == "soundcard":
+        return SoundcardBackend(request.getfixturevalue("virtual_card"))
     return BACKENDS[request.param](tmp_path)
 
 

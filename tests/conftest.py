@@ -1,0 +1,79 @@
+"""The plant behind a real audio driver, for every test that needs one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bench.profiles import load
+from rig.profile import Profile, parse_profile
+
+Started = tuple[Profile, str, subprocess.Popen[str]]
+
+
+def _missing() -> str:
+    """What this machine lacks to run the audio driver; empty where nothing."""
+    if shutil.which("jackd") is None:
+        return "no jackd on this machine (Debian: apt-get install jackd2)"
+    try:
+        import jack  # noqa: F401
+        import sounddevice  # noqa: F401
+    except (ImportError, OSError) as error:
+        return f"no audio driver on this machine ({error}; Debian: apt-get install libportaudio2 jackd2)"
+    return ""
+
+
+@contextmanager
+def virtual_rig(folder: Path, *changes: tuple[str, str], period: int = 1024) -> Iterator[Started]:
+    """`bench virtual` on a JACK server of its own: the profile as changed, its text, and the process.
+
+    The period and the buffer are generous, because a machine that runs tests is busy.
+    """
+    missing = _missing()
+    if missing:
+        pytest.skip(missing)
+    _, text = load("soundcard")
+    for old, new in (("rate_hz = 48000", "rate_hz = 20000"), ("buffer_s = 0.02", "buffer_s = 0.15"), *changes):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "card.toml"
+    path.write_text(text, encoding="utf-8")
+    server = f"bench-{os.getpid()}-{time.monotonic_ns() % 10**6}"
+    code = "from bench.cli import main; main()"
+    call = [sys.executable, "-c", code, "virtual", str(path), "--server", server, "--period", str(period)]
+    process = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
+    before = os.environ.get("JACK_DEFAULT_SERVER")
+    os.environ["JACK_DEFAULT_SERVER"] = server
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if "ready" not in line:
+            pytest.skip("a JACK server cannot be started on this machine (shared memory, or no rights)")
+        yield parse_profile(text, "card.toml"), text, process
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+        os.environ.pop("JACK_DEFAULT_SERVER")
+        if before is not None:
+            os.environ["JACK_DEFAULT_SERVER"] = before
+
+
+@pytest.fixture(scope="session")
+def virtual_card(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Profile]:
+    """A sound card's profile, and the plant that answers to it as long as the tests run."""
+    with virtual_rig(tmp_path_factory.mktemp("card")) as (profile, _, _):
+        yield profile
+
+
+@pytest.fixture
+def rehearse(tmp_path: Path) -> Callable[..., object]:
+    """`virtual_rig` in this test's own folder."""
+    return lambda *changes, **options: virtual_rig(tmp_path, *changes, **options)
