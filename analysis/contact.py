@@ -32,8 +32,8 @@ CLOSES, OPENS, DIP = -1, 1, 0  # kinds of crossing
 class Levels:
     """Levels of the continuity circuit in volts, measured where they can be, declared otherwise.
 
-    ``noise_v`` is the standard deviation on a plateau. With AC coupling the levels would be functions of time; the one
-    place to say so is `measure_levels`.
+    ``noise_v`` is the standard deviation on a plateau. Behind a coupling capacitor they are those that
+    `analysis.ac_contact` puts back.
     """
 
     closed_v: float

@@ -175,6 +175,31 @@ def test_a_run_is_on_one_time_base(tmp_path: Path) -> None:
         assert abs(place_of_first - round(place_of_first)) < 1.0
 
 
+def test_the_closed_loop_runs_on_frames_of_another_clock(tmp_path: Path) -> None:
+    """Gamma of two tones, their phase included, reaches its target though frames come late and by another clock."""
+    _, text = load("simulated")
+    for old, new in (
+        ("start = 0.4, stop = 2.6, steps = 23", "start = 0.2, stop = 0.4, steps = 2"),
+        ("ratio = 1 ", "ratio = 3 "),
+        ("value = 2.0, uncertainty = 0.01", "value = 1.8, uncertainty = 0.01"),
+        ("phase_deg = { value = 0.0", "phase_deg = { value = 8.0"),
+        ("# [control]", "[control]"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    profile = parse_profile(text)
+    backend, _, _ = wired(device())
+    writer = RecordingWriter(
+        tmp_path / "run.h5", profile.setup(), profile_text=text, channels=backend.channels, backend=backend.name,
+        simulated=False, scales=backend.scales,
+    )  # fmt: skip
+    summary = run_ramp(profile, backend, writer)
+    assert (summary.how, summary.why) == ("complete", "")
+    with open_recording(tmp_path / "run.h5") as recording:
+        steps = recording.steps
+    np.testing.assert_allclose(steps["achieved_gamma"], steps["gamma"], rtol=0.006)
+
+
 def test_lost_frames_are_declared_and_the_run_goes_on(tmp_path: Path) -> None:
     """A cable that swallows a few hundred bytes: a gap of as many samples, steps still where they were played."""
     backend, _, port = wired(device(ppm=0.0, ppm_per_minute=0.0))
