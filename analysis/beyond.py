@@ -18,16 +18,17 @@ from analysis.beyond_words import in_words
 from analysis.covariates import covariates
 from analysis.fit import Fitter
 from analysis.likelihood import Key, Residuals, Values, Whitener, World, plate_effects
-from analysis.robust import log_odds, robust_loss, robust_weight
+from analysis.robust import robust_loss
 from analysis.splines import (
     SHARP,
     TAILS,
     Stack,
     Tried,
+    best_start,
     constant_of,
     newton_step,
     slopes_of,
-    stiffness_of,
+    spread_of,
     table_of,
     try_covariate,
     try_in_flight,
@@ -41,7 +42,6 @@ from analysis.terms import (
     event_term,
     event_terms,
     knots_of,
-    penalty_of,
     ranges_of,
     spoken,
 )
@@ -51,13 +51,14 @@ from model.roll import Predicted
 
 Array = NDArray[np.float64]
 
-FINALISTS = 4
-FIRST_TAILS = (0.9, 0.7, 0.5, 0.5)  # of the first looks within the flight: see `analysis.splines.TAILS`
-NEAR = 0.25  # of the best first look's gain: who is nearer is looked at again
+FINALISTS = 5
+FIRST_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # of the first looks within the flight: see `analysis.splines.TAILS`
+NEAR = 0.4  # of the best first look's gain: who is nearer is looked at again
 ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
 LIKE = {"since_impact_s": "dwell_s", "impact_mps": "previous_impact_mps"}  # nearest covariate of a whole flight
 SOME = 0.01  # from nothing at all no step leads down
+GAP_SIGMAS = 1.0  # by which openings move for the contact's gap to be doubted
 GOOD = 1.15  # held-out scatter over uncertainty below which no second base is tried
 
 
@@ -164,12 +165,12 @@ def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDAr
         if _scatter(best, train) < GOOD:
             break
     gain = Compared.of(_known_loss(world, explanation, train), best.per_step, train)
-    if gain.gain < max(FROZEN.gain_nats, FROZEN.gain_sigmas * gain.error):
+    if not gain.beyond(FROZEN.gain_nats, FROZEN.gain_sigmas):
         return None
     kept = best.explanation.candidates
     flat = _Search(world, fitter, explanation, kept, train, tables).polished(_flat(best.curve, len(world.evidence)))
     constant = Compared.of(flat.per_step, best.per_step, train)
-    if constant.gain < max(FROZEN.gain_nats, FROZEN.gain_sigmas * constant.error):
+    if not constant.beyond(FROZEN.gain_nats, FROZEN.gain_sigmas):
         return None
     rivals = [p for p in found if p is not best and _tied(p, best, train)]
     return _told(world, best, gain, constant, rivals, tables)
@@ -190,7 +191,7 @@ def _scatter(p: _Polished, train: NDArray[np.bool_]) -> float:
 
 def _tied(p: _Polished, best: _Polished, train: NDArray[np.bool_]) -> bool:
     lead = Compared.of(p.per_step, best.per_step, train)
-    return lead.gain < max(FROZEN.tie_nats, FROZEN.tie_sigmas * lead.error)
+    return not lead.beyond(FROZEN.tie_nats, FROZEN.tie_sigmas)
 
 
 def _flat(curve: Curve, n: int) -> Curve:
@@ -222,8 +223,25 @@ class _Search:
         self.dwell = tables["dwell_s"]
 
     def first_looks(self) -> list[Tried]:
-        """All terms on all covariates; those near the best."""
-        stack = Stack.of(self.world, self.values, self.train)
+        """All terms on all covariates; those near the best.
+
+        Where openings hang on the contact's gap they are looked at with and without: a wrong model bends the gap.
+        """
+        both = Stack.of(self.world, self.values, self.train)
+        found = self._looked(both)
+        if self._gap_shows(both):
+            seen = {(t.curve.term.name, t.curve.term.of) for t in found[:FINALISTS]}
+            again = self._looked(both.landings())
+            found = found[:FINALISTS] + [t for t in again if (t.curve.term.name, t.curve.term.of) not in seen]
+        return found
+
+    def _gap_shows(self, stack: Stack) -> bool:
+        """Whether the contact's own imperfections move openings by more than these are known."""
+        rest = {k: v for k, v in self.values.items() if not effect(k[0]).effect.nuisance}
+        r = stack.residuals(self.world, self.values) - stack.residuals(self.world, rest)
+        return bool(stack.first.any() and np.median(np.abs(r / stack.sigma_s)[stack.first]) > GAP_SIGMAS)
+
+    def _looked(self, stack: Stack) -> list[Tried]:
         ahead = stack.loss(stack.residuals(self.world, self.values))
         judged = self.world.evidence.judged
         tried: list[Tried] = []
@@ -256,6 +274,7 @@ class _Search:
         if term.name != "force":
             values = np.full_like(curve.values, max(constant, SOME)) if start is None else start.at(curve.knots)
             curve = curve.moved(values * (self.world.gravity if term.against_motion else 1.0))
+        curve = best_start(self.world, self.values, stack, curve, self.dwell)
         return try_in_flight(self.world, self.values, stack, curve, self.dwell, FIRST_TAILS)
 
     def polished(self, curve: Curve) -> _Polished:
@@ -264,6 +283,10 @@ class _Search:
         passes = SHARP if curve.term.columns else SHARP[:2]  # a prediction a pass where each flight has its own value
         for tails in ((TAILS[-1], *passes), passes):
             stack = Stack.of(Spliced(self.world, [curve], self.dwell), values, self.train)
+            if curve.term.name != "threshold" and len(tails) > len(passes) and self._gap_shows(stack):
+                stack = stack.landings()
+            if len(tails) == len(passes):
+                curve = curve.finer()
             curve = try_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
             spliced = Spliced(self.world, [curve], self.dwell)
             twin = Fitter(spliced, self.fitter.priors, self.train)
@@ -280,7 +303,7 @@ class _Search:
         }
         whitener = Whitener.of(spliced, values)
         explanation = Explanation(self.kept, fitted, whitener, losses)
-        return _Polished(curve, _spread(curve, stack, r, jacobian), spliced, explanation)
+        return _Polished(curve, spread_of(curve, stack, r, jacobian), spliced, explanation)
 
     def _held_out(
         self, curve: Curve, values: Mapping[Key, float], stack: Stack, r: Array, jacobian: Array
@@ -313,15 +336,6 @@ def _known_loss(world: World, explanation: Explanation, train: NDArray[np.bool_]
     stack = Stack.of(world, values, train)
     events = stack.by_step(stack.residuals(world, values), ev.measured.step, len(ev.steps))
     return np.asarray(events + _plate_loss(world, values))
-
-
-def _spread(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
-    """Standard deviation of the curve at its knots."""
-    width = stack.widths(r)
-    weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
-    stiff = stiffness_of(curve.values, 10.0 * curve.term.nudge) * penalty_of(len(curve.values))
-    normal = (jacobian * weight[:, None]).T @ jacobian + stiff
-    return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, rcond=1e-14)), 0.0)))
 
 
 def _told(

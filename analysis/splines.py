@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from analysis.likelihood import FARTHEST_PERIODS, Residuals, Values, World
 from analysis.robust import LEAST_EXCESS_S, excess_of, log_odds, robust_loss, robust_weight
-from analysis.terms import EVENT_GRIDS, Curve, Spliced, Term, basis_of, event_term, penalty_of
+from analysis.terms import EVENT_GRIDS, FIRST_KNOTS, Curve, Spliced, Term, basis_of, event_term, penalty_of
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,11 @@ TAILS = (0.9, 0.8, 0.65)  # share of residuals that sets the width, pass by pass
 SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # to the middle
 ROUGHNESS = 0.1  # how far second differences may go, relative to the spread of the curve
 HALVINGS = 4
+START_SIZES: dict[str, Array] = {
+    "force": np.concatenate([np.geomspace(0.05, 20.0, 7), -np.geomspace(0.05, 20.0, 7)]),
+    "friction": np.geomspace(0.005, 2.0, 8),
+    "restitution": np.geomspace(0.03, 0.9, 7),
+}
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,11 @@ class Stack:
         step = ev.measured.step[event]
         sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
         return cls(event, np.arange(len(event)) < len(opening), sigma, ev.steps.plate.period_s[step], train[step])
+
+    def landings(self) -> Stack:
+        """The landings alone: they know nothing of a contact's gap, which a wrong model bends to late openings."""
+        rows = ~self.first
+        return Stack(self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows])
 
     def residuals(self, world: World, values: Values) -> Array:
         """Of this stack, cut at the farthest."""
@@ -173,8 +183,9 @@ def _descend(curve: Curve, stack: Stack, look: Callable[[Curve], tuple[Array, Ar
 
 
 def stiffness_of(values: Array, least: float) -> float:
-    """Weight of the penalty for a curve of this spread."""
-    return 1.0 / (ROUGHNESS * max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)) ** 2
+    """Weight of the penalty for a curve of this spread; with more knots than usual each may bend less."""
+    rough = ROUGHNESS * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
+    return 1.0 / (rough * max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)) ** 2
 
 
 def newton_step(curve: Curve, stack: Stack, r: Array, jacobian: Array, tail: float = 0.5) -> Array:
@@ -193,6 +204,22 @@ def _penalised(curve: Curve, stack: Stack, r: Array, width: Array) -> float:
     bend = curve.values @ penalty_of(len(curve.values)) @ curve.values
     data = float(np.sum(robust_loss(z, odds)[stack.train]))
     return data + 0.5 * stiffness_of(curve.values, 10.0 * curve.term.nudge) * float(bend)
+
+
+def best_start(world: World, values: Values, stack: Stack, curve: Curve, dwell_s: Array) -> Curve:
+    """``curve`` or a plain shape of some size in its place, whichever predicts best.
+
+    A strong term sends flights to other landings than a weak one: a descent from nothing ends in between. The shapes
+    are even, proportional to the covariate, to its square, and falling to nothing.
+    """
+    x = curve.knots / float(np.max(np.abs(curve.knots)))
+    falls = (curve.knots[-1] - curve.knots) / (curve.knots[-1] - curve.knots[0])
+    unit = world.gravity if curve.term.against_motion else 1.0
+    sizes = unit * START_SIZES[curve.term.name]
+    shapes = (np.ones_like(x), x, x * np.abs(x), falls)
+    starts = [curve, *(curve.moved(size * shape) for shape in shapes for size in sizes)]
+    losses = [stack.loss(stack.residuals(Spliced(world, [c], dwell_s), values)) for c in starts]
+    return starts[int(np.argmin(losses))]
 
 
 def try_in_flight(
@@ -228,3 +255,12 @@ def slopes_of(world: World, values: Values, stack: Stack, curve: Curve, dwell_s:
         moved = Curve(curve.term, curve.knots, values_moved, curve.basis)
         out[:, i] = (stack.residuals(Spliced(world, [moved], dwell_s), values) - r) / nudge
     return out
+
+
+def spread_of(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
+    """Standard deviation of the curve at its knots."""
+    width = stack.widths(r)
+    weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
+    stiff = stiffness_of(curve.values, 10.0 * curve.term.nudge) * penalty_of(len(curve.values))
+    normal = (jacobian * weight[:, None]).T @ jacobian + stiff
+    return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, rcond=1e-14)), 0.0)))

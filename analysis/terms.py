@@ -20,6 +20,7 @@ from model.effects.smooth_force import KNOTS
 Array = NDArray[np.float64]
 
 MOST_KNOTS = 12  # of a term with one value for each flight
+FIRST_KNOTS = 12  # of a term within the flight, at first
 
 
 @dataclass(frozen=True)
@@ -130,11 +131,19 @@ class Curve:
     @classmethod
     def even(cls, term: Term, span: tuple[float, float], n: int) -> Curve:
         """A term within the flight, nothing as yet, with even knots; ``n`` flights."""
-        return cls(term, np.linspace(*span, KNOTS), np.zeros(KNOTS), np.zeros((n, KNOTS)))
+        return cls(term, np.linspace(*span, FIRST_KNOTS), np.zeros(FIRST_KNOTS), np.zeros((n, FIRST_KNOTS)))
 
     def moved(self, values: Array) -> Curve:
         """The same with other values, kept within bounds."""
         return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis)
+
+    def finer(self) -> Curve:
+        """The same within the flight with a knot more between any two, as many as can be: a bend may be sharp."""
+        k = 2 * len(self.knots) - 1
+        if self.term.columns or k > KNOTS:
+            return self
+        knots = np.linspace(self.knots[0], self.knots[-1], k)
+        return Curve(self.term, knots, self.at(knots), np.zeros((len(self.basis), k)))
 
     def at(self, x: Array) -> Array:
         """Value of the term where the covariate is ``x``."""
@@ -254,5 +263,5 @@ def _put(out: Array, curve: Curve, dwell_s: Array) -> None:
         out[:, place[term.effect, "lag_s"]] = dwell_s
     out[:, place[term.effect, "start"]] = curve.knots[0]
     out[:, place[term.effect, "spacing"]] = curve.knots[1] - curve.knots[0]
-    for i, value in enumerate(curve.values):
-        out[:, place[term.effect, f"c{i}"]] = value
+    for i in range(KNOTS):
+        out[:, place[term.effect, f"c{i}"]] = curve.values[min(i, len(curve.values) - 1)]

@@ -8,7 +8,7 @@ from numba import njit
 
 from model.effects.base import Effect, Parameter, Row
 
-KNOTS = 12
+KNOTS = 23
 
 EFFECT = Effect(
     name="smooth_restitution",
