@@ -33,7 +33,7 @@ def profile_text(port: str) -> str:
     text = text.replace("start = 0.4, stop = 2.6, steps = 23", "start = 0.8, stop = 2.0, steps = 7")
     text = text.replace("hold_cycles = 20", "hold_cycles = 80")
     return text.replace(
-        'kind = "simulated"', f'kind = "soundcard+serial"\ndevice = "shaker"\nport = "{port}"\nbuffer_s = 0.04\n'
+        'kind = "simulated"', f'kind = "soundcard+serial"\ndevice = "shaker"\nport = "{port}"\n'
     )
 
 
@@ -66,8 +66,6 @@ def plant(server: str, port: str, out: str) -> None:
 
 def run(kill_s: float | None) -> int:
     """Start everything, run, compare."""
-    import sounddevice
-
     from bench.commands.ramp import make_backend, record
     from rig.profile import parse_profile
     from rig.virtual.jack import jack_server
@@ -90,7 +88,6 @@ def run(kill_s: float | None) -> int:
                   f"{wall:.1f} s, {100 * (time.process_time() - cpu) / wall:.0f} % of a core")  # fmt: skip
             process.stdin.close()
             process.wait(20.0)
-        sounddevice._terminate()  # before the server goes
         if kill_s is None:
             compare(path, events)
         else:
@@ -109,13 +106,14 @@ def compare(path: Path, events: Path) -> None:
 
     with open_recording(path) as recording:
         flights, rows, gaps = flights_of(recording), recording.clock_map, recording.gaps
+        lag_ms = 1e3 * float(recording.steps["first_sample"][0]) / RATE_HZ
         jumps = int(np.count_nonzero(recording.clock_readings["jump"]))
     true = np.load(events)
     seen = ~flights.has(FlightFlag.FALSE | FlightFlag.WITNESS | FlightFlag.CUT)
     print(f"flights {len(flights)}, frames the server skipped {int(true['skipped'])}, jumps of the clocks {jumps}; "
           f"rate {rows['rate'][0] * 1e6:.3f} to {rows['rate'][-1] * 1e6:.3f} ppm, "
           f"known to {rows['rate_uncertainty'].max() * 1e6:.3f}, "
-          f"offset to {rows['uncertainty'].max() / RATE_HZ * 1e6:.3f} us")  # fmt: skip
+          f"offset to {rows['uncertainty'].max() / RATE_HZ * 1e6:.3f} us; frames {lag_ms:.1f} ms late")  # fmt: skip
     shift = None
     for name, own in (("left_s", flights.takeoff_s[seen]), ("landed_s", flights.landing_s[seen])):
         times = played_s(own, rows, gaps, RATE_HZ)

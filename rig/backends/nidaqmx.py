@@ -2,7 +2,7 @@
 
 Needs NI's driver and the extra ``shakerbench[nidaqmx]``. The rule kept here: the output runs on the inputs' own sample
 clock, so one clock counts both; an output that is late or a buffer that overflows is the driver's error, and stops the
-run. Frames come `LEAD_S` behind the drive (what lies in the output buffer), and each block says so by its place.
+run. Frames come behind the drive by what lies in the output buffer, and each block says so by its place.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from daq.block import CHANNELS, Block
 from rig.backends.base import BackendError, checked_drive
 from rig.profile import Profile
 
-LEAD_S = 0.1  # of drive kept in the output buffer
 BUFFER_S = 4.0
 PATIENCE_S = 1.0  # a read or write that takes longer means a device that stands still
 FULL = 32767
@@ -40,6 +39,8 @@ class NiDaqmxBackend:
         Where the drive goes, as ``Dev1/ao0``.
     drive_range_v
         Full scale of the output.
+    lead_s
+        Drive kept in the output buffer; the interlock sees the plate so much later.
     daqmx
         The package `nidaqmx`; a test hands in one of its own.
 
@@ -61,6 +62,7 @@ class NiDaqmxBackend:
         output: str,
         *,
         drive_range_v: float = 10.0,
+        lead_s: float = 0.02,
         daqmx: Any = None,
     ) -> None:
         self._nidaqmx = _package() if daqmx is None else daqmx
@@ -72,7 +74,7 @@ class NiDaqmxBackend:
         self._inputs: Any = None
         self._outputs: Any = None
         self._given = 0
-        self._lead = round(LEAD_S * rate_hz)
+        self._lead = round(lead_s * rate_hz)
         self.scales = self._calibration()
 
     def start(self) -> None:
@@ -190,9 +192,9 @@ def of_profile(profile: Profile) -> NiDaqmxBackend:
     wired = {name: channel for name, channel in wired.items() if channel is not None}
     terminals = {name: channel.terminal for name, channel in wired.items()}
     ranges_v = {name: channel.range_v for name, channel in wired.items()}
-    table = profile.backend
+    table, rate_hz = profile.backend, profile.sampling.rate_hz
     return NiDaqmxBackend(
-        profile.sampling.rate_hz, terminals, ranges_v, table.device, drive_range_v=table.output_range_v
+        rate_hz, terminals, ranges_v, table.device, drive_range_v=table.output_range_v, lead_s=table.buffer_s
     )
 
 

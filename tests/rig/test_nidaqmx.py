@@ -11,19 +11,20 @@ import pytest
 from bench.profiles import load
 from daq.recording import RecordingWriter, open_recording, verify
 from rig.backends.base import BackendError, Running
-from rig.backends.nidaqmx import LEAD_S, NiDaqmxBackend
+from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.profile import parse_profile
 from rig.run import run_ramp
 from rig.sim.daqmx import Bench
 
 RATE = 20000.0
+LEAD = 2000
 TERMINALS = {"continuity": "Dev1/ai0", "accelerometer": "Dev1/ai1", "drive": "Dev1/ai2"}
 RANGES_V = dict.fromkeys(TERMINALS, 10.0)
 
 
 def on(bench: Bench, rate_hz: float = RATE, terminals: dict[str, str] = TERMINALS) -> NiDaqmxBackend:
-    """The back end on a bench."""
-    return NiDaqmxBackend(rate_hz, terminals, RANGES_V, "Dev1/ao0", daqmx=bench.package)
+    """The back end on a bench, with 0.1 s of drive in its buffer."""
+    return NiDaqmxBackend(rate_hz, terminals, RANGES_V, "Dev1/ao0", lead_s=LEAD / RATE, daqmx=bench.package)
 
 
 def test_frames_come_behind_the_drive_and_say_so() -> None:
@@ -33,10 +34,9 @@ def test_frames_come_behind_the_drive_and_say_so() -> None:
     with Running(backend):
         blocks = [backend.exchange(piece) for piece in np.split(played, [100, 3100, 3101])]
     heard = np.concatenate([block.codes[:, 2] for block in blocks]) * backend.scales["drive"][0]
-    assert [block.place for block in blocks] == [first - round(LEAD_S * RATE) for first in (0, 100, 3100, 3101)]
-    lead = round(LEAD_S * RATE)
-    assert np.abs(heard[lead:] - played[: heard.size - lead]).max() < 0.01
-    assert np.abs(heard[:lead]).max() < 0.01
+    assert [block.place for block in blocks] == [first - LEAD for first in (0, 100, 3100, 3101)]
+    assert np.abs(heard[LEAD:] - played[: heard.size - LEAD]).max() < 0.01
+    assert np.abs(heard[:LEAD]).max() < 0.01
 
 
 def test_a_whole_run_has_its_steps_where_they_are(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_a_whole_run_has_its_steps_where_they_are(tmp_path: Path) -> None:
     assert verify(tmp_path / "run.h5").state == "complete"
     with open_recording(tmp_path / "run.h5") as recording:
         heard, steps = recording.read_v("drive"), recording.steps
-    assert steps["first_sample"][0] == round(LEAD_S * RATE)
+    assert steps["first_sample"][0] == LEAD
     for step in steps:
         hold = heard[step["first_sample"] + step["settle_samples"] : step["first_sample"] + step["n_samples"]]
         assert np.ptp([np.abs(piece).max() for piece in np.array_split(hold, 10)]) < 0.005
