@@ -39,7 +39,6 @@ from analysis.terms import (
     Curve,
     Spliced,
     Term,
-    event_term,
     event_terms,
     knots_of,
     ranges_of,
@@ -53,11 +52,13 @@ Array = NDArray[np.float64]
 
 FINALISTS = 5
 FIRST_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # of the first looks within the flight: see `analysis.splines.TAILS`
+FINER = 2  # of the finalists that are tried with finer knots
 NEAR = 0.4  # of the best first look's gain: who is nearer is looked at again
 ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
 LIKE = {"since_impact_s": "dwell_s", "impact_mps": "previous_impact_mps"}  # nearest covariate of a whole flight
 SOME = 0.01  # from nothing at all no step leads down
+OVER_NAMED_SIGMAS = 1.0  # standard errors of the gain over named effects, refused already by what they leave
 GAP_SIGMAS = 1.0  # by which openings move for the contact's gap to be doubted
 GOOD = 1.15  # held-out scatter over uncertainty below which no second base is tried
 
@@ -154,21 +155,29 @@ def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDAr
     Returns
     -------
     Discovery or None
-        None where no term gains beyond doubt on held-out steps, over the named effects and over its own constant.
+        None where no term gains on held-out steps over the named effects, and beyond doubt over its own constant.
+        Of terms that do as well, the straightest.
     """
+
+    def held_out(p: _Polished) -> float:
+        return float(p.per_step[train].sum())
+
     tables = covariates(world, explanation.fitted.values)
     found: list[_Polished] = []
     for kept in _bases(explanation):
         search = _Search(world, fitter, explanation, kept, train, tables)
-        found += [search.polished(t.curve) for t in search.first_looks()]
-        best = min(found, key=lambda p: float(p.per_step[train].sum()))
+        here = sorted((search.polished(t.curve) for t in search.first_looks()), key=held_out)
+        found += here + [search.polished(p.curve.finer()) for p in here[:FINER] if not p.curve.term.columns]
+        least = min(map(held_out, found))
+        alike = [p for p in found if held_out(p) < least + FROZEN.tie_nats]
+        best = min(alike, key=lambda p: p.curve.bend)
         if _scatter(best, train) < GOOD:
             break
     gain = Compared.of(_known_loss(world, explanation, train), best.per_step, train)
-    if not gain.beyond(FROZEN.gain_nats, FROZEN.gain_sigmas):
+    if not gain.beyond(FROZEN.gain_nats, OVER_NAMED_SIGMAS):
         return None
     kept = best.explanation.candidates
-    flat = _Search(world, fitter, explanation, kept, train, tables).polished(_flat(best.curve, len(world.evidence)))
+    flat = _Search(world, fitter, explanation, kept, train, tables).polished(best.curve.flat())
     constant = Compared.of(flat.per_step, best.per_step, train)
     if not constant.beyond(FROZEN.gain_nats, FROZEN.gain_sigmas):
         return None
@@ -192,14 +201,6 @@ def _scatter(p: _Polished, train: NDArray[np.bool_]) -> float:
 def _tied(p: _Polished, best: _Polished, train: NDArray[np.bool_]) -> bool:
     lead = Compared.of(p.per_step, best.per_step, train)
     return not lead.beyond(FROZEN.tie_nats, FROZEN.tie_sigmas)
-
-
-def _flat(curve: Curve, n: int) -> Curve:
-    """The same term without its covariate."""
-    term = event_term(curve.term.name, curve.term.of)
-    middle = float(np.median(curve.values)) / (9.81 if curve.term.against_motion else 1.0)
-    sign = -1.0 if curve.term.name == "force" and not curve.term.columns else 1.0
-    return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((n, 1)))
 
 
 class _Search:
@@ -285,8 +286,6 @@ class _Search:
             stack = Stack.of(Spliced(self.world, [curve], self.dwell), values, self.train)
             if curve.term.name != "threshold" and len(tails) > len(passes) and self._gap_shows(stack):
                 stack = stack.landings()
-            if len(tails) == len(passes):
-                curve = curve.finer()
             curve = try_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
             spliced = Spliced(self.world, [curve], self.dwell)
             twin = Fitter(spliced, self.fitter.priors, self.train)
@@ -351,7 +350,8 @@ def _told(
     judged = world.evidence.judged
     seen = tables[curve.term.of][judged] if curve.term.columns else np.zeros(0)
     half = 1.96 * best.spread
-    names = dict.fromkeys(spoken(p.curve.term)[0] for p in rivals if p.curve.term.of != curve.term.of)
+    names = dict.fromkeys(spoken(p.curve.term)[0] for p in rivals)
+    names.pop(words, None)
     return Discovery(
         curve.term.name,
         words,

@@ -21,10 +21,11 @@ def in_words(curve: Curve) -> str:
     words, unit, scale = spoken(curve.term)
     x = np.linspace(curve.knots[0], curve.knots[-1], POINTS)
     y = curve.at(x)
-    if (curve.term.columns and curve.term.name == "force") or curve.term.name != "force":
-        name = curve.term.words
-    else:
-        name, y = "a downward pull", -y
+    name = curve.term.words
+    if curve.term.name == "force":
+        y = y if curve.term.columns else -y
+        name = "a downward pull" if abs(np.max(y)) >= abs(np.min(y)) else "an upward push"
+        y = y if name == "a downward pull" else -y
     span = float(np.ptp(y))
     if span <= 0.0:
         return f"{name} is {_number(y[0], curve.term.unit)} whatever the {words}"

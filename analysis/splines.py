@@ -24,9 +24,9 @@ SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # to the middle
 ROUGHNESS = 0.1  # how far second differences may go, relative to the spread of the curve
 HALVINGS = 4
 START_SIZES: dict[str, Array] = {
-    "force": np.concatenate([np.geomspace(0.05, 20.0, 7), -np.geomspace(0.05, 20.0, 7)]),
-    "friction": np.geomspace(0.005, 2.0, 8),
-    "restitution": np.geomspace(0.03, 0.9, 7),
+    "force": np.concatenate([np.geomspace(0.05, 20.0, 6), -np.geomspace(0.05, 20.0, 6)]),
+    "friction": np.geomspace(0.005, 2.0, 6),
+    "restitution": np.geomspace(0.03, 0.9, 6),
 }
 
 

@@ -137,6 +137,16 @@ class Curve:
         """The same with other values, kept within bounds."""
         return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis)
 
+    @property
+    def bend(self) -> float:
+        """How much the curve turns, over its mean slope: 0 for a straight line, 4 for a hump."""
+        span = float(np.ptp(self.values))
+        if len(self.values) < 3 or span == 0.0:
+            return 0.0
+        place = np.linspace(self.knots[0], self.knots[-1], len(self.knots))
+        turns = np.abs(np.diff(self.at(place), 2)).sum() * (len(place) - 1)
+        return float(turns / span)
+
     def finer(self) -> Curve:
         """The same within the flight with a knot more between any two, as many as can be: a bend may be sharp."""
         k = 2 * len(self.knots) - 1
@@ -144,6 +154,13 @@ class Curve:
             return self
         knots = np.linspace(self.knots[0], self.knots[-1], k)
         return Curve(self.term, knots, self.at(knots), np.zeros((len(self.basis), k)))
+
+    def flat(self) -> Curve:
+        """The same term without its covariate, at its middle."""
+        middle = float(np.median(self.values)) / (9.81 if self.term.against_motion else 1.0)
+        sign = -1.0 if self.term.name == "force" and not self.term.columns else 1.0
+        term = event_term(self.term.name, self.term.of)
+        return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((len(self.basis), 1)))
 
     def at(self, x: Array) -> Array:
         """Value of the term where the covariate is ``x``."""
