@@ -57,7 +57,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     """Flights from what the pass found."""
     takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, rate_hz, n_samples)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
-    flags |= step_flags | _gaps(found.plate, takeoff, landing) | _missed(found.missed / rate_hz, landing)
+    flags |= step_flags | _gaps(found.plate, takeoff, landing) | _missed(found, landing, rate_hz)
     plate = found.plate
     takeoff, takeoff_sigma = _unseen_contacts(
         plate, setup.g_mps2.value, takeoff, takeoff_sigma, landing, step, unseen_contact_s(report, rate_hz)
@@ -195,10 +195,13 @@ def _gaps(plate: PlateMotion, takeoff: Floats, landing: Floats) -> Ints:
     return flags
 
 
-def _missed(evidence_s: Floats, landing: Floats) -> Ints:
-    """Flag `UNSURE` where, since the last landing, an edge of an AC-coupled circuit must have been missed."""
+def _missed(found: Scan, landing: Floats, rate_hz: float) -> Ints:
+    """Flag `UNSURE` where, since the last landing, an edge of an AC-coupled circuit was missed, or may be in a gap."""
     flags = np.zeros(landing.size, dtype=np.int64)
-    touched = np.searchsorted(landing, evidence_s)
+    if found.survey.coupling is None:
+        return flags
+    evidence = np.concatenate([found.missed, found.plate.gaps[:, 0]])
+    touched = np.searchsorted(landing, evidence / rate_hz)
     flags[touched[touched < landing.size]] = int(FlightFlag.UNSURE)
     return flags
 

@@ -33,6 +33,7 @@ QUIET_S = 0.1  # of silence before the marker, and at least after it
 MARKER_WAIT_S = 4.0  # within which the marker must come back
 MARGIN_FRAMES = 2  # of the device's frames kept between what came and what is asked for
 FADE_S = 0.2
+WRONG_RATE = 0.02  # relative: no two quartzes differ by so much
 WINDOW_S = 0.05
 SLIPPED = 0.75  # of a sample: by so much the clocks part before a block holds a frame more or less
 
@@ -325,16 +326,26 @@ class SoundcardSerialBackend:
             if played >= least:
                 found = find_marker(np.concatenate(pieces), marker)
         if found is None:
-            raise BackendError(
-                f"serial DAQ {self._reader.name}: its channel 'drive' does not hear the start marker of "
-                f"{self._marker_v:g} V; is the drive looped back into it?"
-            )
+            raise BackendError(self._deaf((self._reader.newest - newest) / played))
         slip = len(quiet) - played - (begin + found)
         self._whole, self._played, self._given = round(slip), 0, 0
         self._lag = -(self._reader.position + self._whole)  # the next row comes behind the drive by so much, and stays
         self._tail = np.zeros(0)
         window = max(64, round(WINDOW_S * self.rate_hz))
         self._tracker = ClockTracker(slip, self._reader.position, window, self.rate_hz)
+
+    def _deaf(self, rows_a_sample: float) -> str:
+        """What to say when the marker was not found: it is not there, or it is stretched."""
+        if abs(rows_a_sample - 1.0) > WRONG_RATE:
+            rate_hz = rows_a_sample * self.rate_hz
+            return (
+                f"serial DAQ {self._reader.name}: sends about {rate_hz:.0f} rows a second, sampling.rate_hz is "
+                f"{self.rate_hz:g}; set the device's timer, or the profile, so that they agree"
+            )
+        return (
+            f"serial DAQ {self._reader.name}: its channel 'drive' does not hear the start marker of "
+            f"{self._marker_v:g} V; is the drive looped back into it, and not turned round?"
+        )
 
     def _fade_out(self) -> None:
         """Bring the drive to rest through the card: the last of it backwards, which joins on, ever smaller."""

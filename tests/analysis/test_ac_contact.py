@@ -151,6 +151,34 @@ def test_flights_behind_a_capacitor_are_those_on_a_wire(twins: tuple[Path, Path,
     assert np.sqrt(np.mean((b.takeoff_s - a.takeoff_s) ** 2)) < 3e-6
 
 
+def test_after_lost_samples_the_next_landing_is_not_trusted(
+    twins: tuple[Path, Path, Path, float], tmp_path: Path
+) -> None:
+    """70 ms lost behind a capacitor: what comes before the next landing is unsure, two landings later all is well."""
+    lost = 1400
+    with open_recording(twins[1]) as recording:
+        codes = np.column_stack([recording.codes(name) for name in recording.channels])
+        at = recording.n_samples // 2
+        with RecordingWriter(
+            tmp_path / "gap.h5", recording.setup, profile_text="", channels=recording.channels, backend="test",
+            simulated=True,
+        ) as writer:  # fmt: skip
+            writer.append(Block(0, codes[:at]))
+            writer.append(Block(at, codes[at + lost :], lost_before=lost))
+            for step in recording.steps:
+                writer.mark_step(step)
+        whole = flights_of(recording)
+    with open_recording(tmp_path / "gap.h5") as recording:
+        torn = flights_of(recording)
+    gap_s = at / RATE
+    after = torn.landing_s > gap_s
+    assert torn.has(FlightFlag.UNSURE)[after][0]
+    later = np.flatnonzero(after & ~torn.has(FlightFlag.WITNESS))[2:]  # of the contact circuit alone
+    true = whole.landing_s[whole.landing_s > gap_s + lost / RATE]
+    off = np.abs(torn.landing_s[later][:, None] + lost / RATE - true[None, :]).min(axis=1)
+    assert later.size > 10 and off.max() < 5e-5
+
+
 def test_a_missed_edge_makes_its_flight_unsure(twins: tuple[Path, Path, Path, float]) -> None:
     """The flight whose take-off was missed is not in the table, and the one after it is marked."""
     with open_recording(twins[1]) as coupled, open_recording(twins[2]) as crept:

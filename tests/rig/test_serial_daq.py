@@ -236,6 +236,16 @@ def test_a_drive_that_is_not_looped_back_is_refused() -> None:
         backend.exchange(np.zeros(10))
 
 
+def test_a_device_at_another_rate_is_refused_by_its_rate() -> None:
+    """A device whose timer runs at half the rate: the start says what it sends, not that its loop-back is missing."""
+    half = device(ppm=0.0, ppm_per_minute=0.0)
+    play = half.play
+    half.play = lambda drive_v: play(drive_v[::2])
+    backend, _, _ = wired(half)
+    with pytest.raises(BackendError, match=r"sends about (99\d\d|10\d\d\d) rows a second, sampling.rate_hz is 20000"):
+        backend.start()
+
+
 def test_unplugged_in_mid_run_the_drive_fades_out_and_the_data_stay(tmp_path: Path) -> None:
     """Unplugged: the run fails and names the device, the drive goes to zero without a jump, the frames are kept."""
     backend, card, port = wired(device())
