@@ -158,7 +158,7 @@ def test_after_lost_samples_the_next_landing_is_not_trusted(
     lost = 1400
     with open_recording(twins[1]) as recording:
         codes = np.column_stack([recording.codes(name) for name in recording.channels])
-        at = recording.n_samples // 2
+        at = recording.n_samples // 4
         with RecordingWriter(
             tmp_path / "gap.h5", recording.setup, profile_text="", channels=recording.channels, backend="test",
             simulated=True,
