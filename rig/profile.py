@@ -116,7 +116,7 @@ class BackendTable(Frozen):
 
     kind: Literal["simulated", "replay", "soundcard", "soundcard+serial", "nidaqmx"] = "simulated"
     block_samples: int = Field(default=1024, ge=16, le=65536, description="largest block exchanged at once")
-    device: str = Field(default="", description="sound card: a part of its name (`bench devices` lists them); NI: Dev1/ao0")
+    device: str = Field(default="", description="sound card: words of its name, see `bench devices`; NI: Dev1/ao0")
     output: int = Field(default=1, ge=1, description="sound card: the output that drives the amplifier, from 1")
     output_range_v: float = Field(default=10.0, gt=0, description="volts at full scale of the output")
     inputs: InputTable = InputTable()
@@ -130,7 +130,7 @@ class BackendTable(Frozen):
         """Refuse a kind whose device is not named."""
         for key in NAMED.get(self.kind, ()):
             if not getattr(self, key):
-                raise ValueError(f"{key}: missing; a {self.kind} is chosen by name, `bench devices` lists what is there")
+                raise ValueError(f"{key}: missing; a {self.kind} is chosen by name; `bench devices` lists them")
         return self
 
 

@@ -21,7 +21,7 @@ def command(
     server: str = typer.Option("default", "--server", metavar="NAME", help="JACK server; started if it is not there."),
     period: int = typer.Option(256, "--period", min=16, help="Frames of one period of a server that is started here."),
     for_s: float | None = typer.Option(None, "--for", metavar="SECONDS", help="Leave by itself after so long."),
-    log: Path | None = typer.Option(None, "--log", metavar="FILE", help="Write down all that the plant gave, for tests."),
+    log: Path | None = typer.Option(None, "--log", metavar="FILE", help="Keep all that the plant gave, for tests."),
     ppm: float = typer.Option(80.0, "--ppm", help="By how much the clock of a virtual serial device is off."),
 ) -> None:
     """Start the plant as a sound card that `bench ramp` can run against, in real time; Ctrl-C ends it.

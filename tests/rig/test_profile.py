@@ -12,7 +12,7 @@ from daq.errors import InputError
 from daq.setup import Setup
 from rig.profile import json_schema, load_profile, load_setup, parse_profile
 
-SHIPPED = ("c2", "c3", "paper", "simulated", "slow_sweep")
+SHIPPED = ("c2", "c3", "paper", "simulated", "slow_sweep", "soundcard")
 GOOD = (shipped_folder() / "simulated.toml").read_text(encoding="utf-8")
 
 
@@ -91,7 +91,7 @@ def test_every_fault_is_named_at_once() -> None:
         ("{ start = 0.4, stop = 2.6, steps = 23 }", "[]", "ramp.gamma: wanted 1 to 100000 gammas, came 0"),
         ("steps = 23", "steps = 1", "ramp.gamma: one step cannot go from 0.4 to 2.6"),
         ("drive_v = 9.5", "drive_v = true", "limits.drive_v: wanted a number, came true"),
-        ('kind = "simulated"', 'kind = "labjack"', "backend.kind: wanted 'simulated' or 'replay'"),
+        ('kind = "simulated"', 'kind = "labjack"', "backend.kind: wanted 'simulated', 'replay'"),
         ("frequency_hz = 25.37", "frequency_hz = 3000.0", "wanted at least 8 samples in a cycle of the fastest tone"),
         ("rate_hz = 20000", "rate_hz = ", "not valid TOML"),
     ],
