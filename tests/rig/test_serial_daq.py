@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from bench.profiles import load
-from daq.block import Block, volts_per_code
+from daq.block import Block, BlockFlag, volts_per_code
 from daq.recording import RecordingWriter, open_recording, verify
 from daq.serial_frames import SerialFrame, encode_frame
 from daq.two_clocks import played_s
@@ -224,6 +224,17 @@ def test_lost_frames_are_declared_and_the_run_goes_on(tmp_path: Path) -> None:
         a, n = int(step["first_sample"] + step["settle_samples"]), int(step["n_samples"] - step["settle_samples"])
         pieces = np.array_split(heard[a : a + n], 5)
         assert np.ptp([np.abs(piece).max() for piece in pieces]) < 0.01 * step["gamma"]
+
+
+def test_a_card_that_skips_is_written_down() -> None:
+    """Frames that the card never played cost no sample of the device, and the block says that the drive was late."""
+    backend, card, _ = wired(device())
+    with Running(backend):
+        assert backend.exchange(np.zeros(400)).flags == 0
+        exchange = card.exchange
+        card.exchange = lambda drive_v: Block(0, exchange(drive_v).codes[:100])
+        block = backend.exchange(np.zeros(400))
+        assert (block.flags, len(block.codes), block.lost_before) == (BlockFlag.UNDERFLOW, 400, 0)
 
 
 def test_a_drive_that_is_not_looped_back_is_refused() -> None:
