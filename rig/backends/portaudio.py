@@ -5,7 +5,6 @@ The rule kept here: what PortAudio says no to becomes a `BackendError` that name
 
 from __future__ import annotations
 
-import atexit
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -44,14 +43,25 @@ class CardStream:
         """Whether the driver still calls."""
         return bool(self._stream.active)
 
-    def close(self) -> None:
-        """Let the card go, and PortAudio with it: it aborts the program where its server went away before it did."""
-        alive = self.active
+    def close(self, *, alive: bool) -> None:
+        """Let the card go, and PortAudio with it.
+
+        Parameters
+        ----------
+        alive
+            Whether the driver still calls. One that went away is left as it is, at exit too: PortAudio would wait for
+            it for ever, or abort the program.
+        """
+        if not alive:
+            import sounddevice
+
+            sounddevice._initialized = 0  # so that nobody ends it
+            return
         self._stream.abort(ignore_errors=True)
         self._stream.close(ignore_errors=True)
         if self._counter is not None:
             self._counter.close()
-        _release(alive=alive)
+        _release()
 
 
 class FrameCounter:
@@ -183,12 +193,9 @@ def _scan() -> Any:
     return sounddevice
 
 
-def _release(*, alive: bool = True) -> None:
-    """End PortAudio; where its driver is gone it could only abort, so it is left as it is, at exit too."""
+def _release() -> None:
+    """End PortAudio."""
     import sounddevice
 
-    if not alive:
-        atexit.unregister(sounddevice._exit_handler)
-        return
     while sounddevice._initialized:
         sounddevice._terminate()

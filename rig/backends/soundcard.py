@@ -125,12 +125,16 @@ class SoundcardBackend:
         self._due = None
         if stream is None:
             return
-        if stream.active:
-            self._ring.fade_out(round(FADE_S * self.rate_hz))
-            until = time.monotonic() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
-            while stream.active and self._ring.at < self._ring.written and time.monotonic() < until:
-                time.sleep(0.002)
-        stream.close()
+        self._ring.fade_out(round(FADE_S * self.rate_hz))
+        alive, until = self._calls(), time.monotonic() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
+        while alive and self._ring.at < self._ring.written and time.monotonic() < until:
+            alive = self._calls()
+        stream.close(alive=alive)
+
+    def _calls(self) -> bool:
+        """Whether the driver calls within `SILENCE_S`."""
+        self._changed.clear()
+        return self._changed.wait(SILENCE_S)
 
     def _woke(self, flags: int) -> None:
         """Called after each callback, and with `BlockFlag` bits that the driver claims."""
