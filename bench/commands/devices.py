@@ -1,0 +1,78 @@
+"""`bench devices`: what is plugged in, and which profile fits."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rig.backends.portaudio import Card
+    from rig.profile import Profile
+
+
+def command(
+    profiles: list[str] = typer.Argument(None, metavar="[PROFILE]...", help="Profiles to hold against what is there."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The list for a machine; - prints it."),
+) -> None:
+    """List sound cards and serial ports, and which profiles (the shipped ones, and those named) fit them.
+
+    Example: bench devices my_rig.toml
+
+    Exits 0, also when nothing is there; 2 when a profile cannot be read.
+    """
+    from serial.tools.list_ports import comports
+
+    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.profiles import load, shipped_names
+    from daq.errors import InputError
+    from rig.backends.base import BackendError
+    from rig.backends.portaudio import cards
+
+    try:
+        known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *(profiles or [])])]
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    try:
+        there, why = cards(), ""
+    except BackendError as error:
+        there, why = [], str(error)
+    ports = [(port.device, port.description) for port in comports()]
+    listed = [asdict(card) | {"profiles": [p.name for p in known if fits(p, card)]} for card in there]
+    serial = [
+        {"port": port, "description": text, "profiles": [p.name for p in known if p.backend.port == port]}
+        for port, text in ports
+    ]
+    write_json({"cards": listed, "ports": serial, "problem": why}, json)
+    if json != "-":
+        _show(listed, serial, why)
+
+
+def fits(profile: Profile, card: Card) -> bool:
+    """Whether the profile's sound card can be ``card``: its name, and enough channels."""
+    table = profile.backend
+    if not table.kind.startswith("soundcard") or table.device.lower() not in card.name.lower():
+        return False
+    inputs = table.inputs.model_dump().values() if table.kind == "soundcard" else [0]
+    return card.outputs >= table.output and card.inputs >= max(inputs)
+
+
+def _show(cards: list[dict[str, Any]], ports: list[dict[str, Any]], why: str) -> None:
+    """Two tables."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if cards:
+        table = Table("sound card", "driver", "in", "out", "rate (Hz)", "profiles that fit", box=None, pad_edge=False)
+        for card in cards:
+            keys = ("name", "driver", "inputs", "outputs", "rate_hz")
+            table.add_row(*(str(card[key]) for key in keys), ", ".join(card["profiles"]))
+        console.print(table)
+    else:
+        console.print(f"no sound card{': ' + why if why else ''}")
+    for p in ports:
+        console.print(f"serial port {p['port']}  {p['description']}")
+    if not ports:
+        console.print("no serial port")
