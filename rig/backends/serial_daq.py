@@ -289,7 +289,8 @@ class SoundcardSerialBackend:
         scale, offset_v = self.scales["drive"]
         tracker.heard(first, codes[:, self._drive].astype(np.float64) * scale + offset_v)
         flags = heard.flags & BlockFlag.UNDERFLOW
-        if heard.lost_before or len(heard.codes) < len(drive):  # frames that the card skipped: so much of the drive was never played
+        # frames that the card skipped: so much of the drive was never played
+        if heard.lost_before or len(heard.codes) < len(drive):
             flags |= BlockFlag.UNDERFLOW
         block = Block(
             self._given, codes, flags=flags, clock_ns=time.monotonic_ns(), lost_before=lost, place=first + self._whole
