@@ -36,6 +36,8 @@ from analysis.splines import (
 from analysis.terms import (
     EVENT_GRIDS,
     IN_FLIGHT,
+    SOFT,
+    STIFF,
     Curve,
     Spliced,
     Term,
@@ -52,13 +54,12 @@ Array = NDArray[np.float64]
 
 FINALISTS = 5
 FIRST_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # of the first looks within the flight: see `analysis.splines.TAILS`
-FINER = 2  # of the finalists that are tried with finer knots
+AGAIN = 2  # of the finalists that are tried softer, and with finer knots
 NEAR = 0.4  # of the best first look's gain: who is nearer is looked at again
 ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
 LIKE = {"since_impact_s": "dwell_s", "impact_mps": "previous_impact_mps"}  # nearest covariate of a whole flight
 SOME = 0.01  # from nothing at all no step leads down
-OVER_NAMED_SIGMAS = 1.0  # standard errors of the gain over named effects, refused already by what they leave
 GAP_SIGMAS = 1.0  # by which openings move for the contact's gap to be doubted
 GOOD = 1.15  # held-out scatter over uncertainty below which no second base is tried
 
@@ -139,6 +140,10 @@ class _Polished:
     def per_step(self) -> Array:
         return self.explanation.per_step
 
+    @property
+    def held_out(self) -> float:
+        return float(self.per_step[self.explanation.fitted.fitter.train].sum())
+
 
 def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDArray[np.bool_]) -> Discovery | None:
     """Look for a smooth term that explains what the named effects do not.
@@ -155,26 +160,25 @@ def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDAr
     Returns
     -------
     Discovery or None
-        None where no term gains on held-out steps over the named effects, and beyond doubt over its own constant.
-        Of terms that do as well, the straightest.
+        None where no term gains on held-out steps over the named effects and its constant; of equals the straightest.
     """
-
-    def held_out(p: _Polished) -> float:
-        return float(p.per_step[train].sum())
-
     tables = covariates(world, explanation.fitted.values)
     found: list[_Polished] = []
     for kept in _bases(explanation):
         search = _Search(world, fitter, explanation, kept, train, tables)
-        here = sorted((search.polished(t.curve) for t in search.first_looks()), key=held_out)
-        found += here + [search.polished(p.curve.finer()) for p in here[:FINER] if not p.curve.term.columns]
-        least = min(map(held_out, found))
-        alike = [p for p in found if held_out(p) < least + FROZEN.tie_nats]
+        looks = search.first_looks()
+        here = sorted((search.polished(t.curve.with_roughness(STIFF)) for t in looks), key=lambda p: p.held_out)
+        found += here + [search.polished(p.curve.with_roughness(SOFT)) for p in here[:AGAIN]]
+        found += [search.polished(p.curve.finer()) for p in here[:AGAIN] if not p.curve.term.columns]
+        least = min(p.held_out for p in found)
+        alike = [p for p in found if p.held_out < least + FROZEN.gain_nats]
         best = min(alike, key=lambda p: p.curve.bend)
+        same = [p for p in found if p.curve.term == best.curve.term and _tied(p, best, train)]
+        best = min(same, key=lambda p: _scatter(p, train))  # how stiff, the folds tell only roughly
         if _scatter(best, train) < GOOD:
             break
     gain = Compared.of(_known_loss(world, explanation, train), best.per_step, train)
-    if not gain.beyond(FROZEN.gain_nats, OVER_NAMED_SIGMAS):
+    if gain.gain < FROZEN.gain_nats:  # the named effects have been refused already, by what they leave
         return None
     kept = best.explanation.candidates
     flat = _Search(world, fitter, explanation, kept, train, tables).polished(best.curve.flat())
@@ -308,8 +312,7 @@ class _Search:
         self, curve: Curve, values: Mapping[Key, float], stack: Stack, r: Array, jacobian: Array
     ) -> Residuals:
         """Residuals of each step with the curve that the other folds give."""
-        step = self.world.evidence.measured.step
-        out = Spliced(self.world, [curve], self.dwell).residuals(values)
+        step, out = self.world.evidence.measured.step, Spliced(self.world, [curve], self.dwell).residuals(values)
         for fold in self.fitter.folds:
             seen = replace(stack, train=stack.train & ~fold[step[stack.event]])
             other = curve.moved(curve.values + newton_step(curve, seen, r, jacobian))

@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 
 TAILS = (0.9, 0.8, 0.65)  # share of residuals that sets the width, pass by pass: from all of them
 SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # to the middle
-ROUGHNESS = 0.1  # how far second differences may go, relative to the spread of the curve
 HALVINGS = 4
 START_SIZES: dict[str, Array] = {
     "force": np.concatenate([np.geomspace(0.05, 20.0, 6), -np.geomspace(0.05, 20.0, 6)]),
@@ -182,9 +181,10 @@ def _descend(curve: Curve, stack: Stack, look: Callable[[Curve], tuple[Array, Ar
     return Tried(curve, stack.loss(r))
 
 
-def stiffness_of(values: Array, least: float) -> float:
+def stiffness_of(curve: Curve) -> float:
     """Weight of the penalty for a curve of this spread; with more knots than usual each may bend less."""
-    rough = ROUGHNESS * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
+    values, least = curve.values, 10.0 * curve.term.nudge
+    rough = curve.roughness * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
     return 1.0 / (rough * max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)) ** 2
 
 
@@ -193,7 +193,7 @@ def newton_step(curve: Curve, stack: Stack, r: Array, jacobian: Array, tail: flo
     width = stack.widths(r, tail)
     z, j = r / width, jacobian / width[:, None]
     weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
-    pull = stiffness_of(curve.values, 10.0 * curve.term.nudge) * penalty_of(len(curve.values))
+    pull = stiffness_of(curve) * penalty_of(len(curve.values))
     normal = (j * weight[:, None]).T @ j + pull
     normal += 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(normal))
     return np.asarray(np.linalg.lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
@@ -203,7 +203,7 @@ def _penalised(curve: Curve, stack: Stack, r: Array, width: Array) -> float:
     z, odds = r / width, log_odds(width, stack.period_s)
     bend = curve.values @ penalty_of(len(curve.values)) @ curve.values
     data = float(np.sum(robust_loss(z, odds)[stack.train]))
-    return data + 0.5 * stiffness_of(curve.values, 10.0 * curve.term.nudge) * float(bend)
+    return data + 0.5 * stiffness_of(curve) * float(bend)
 
 
 def best_start(world: World, values: Values, stack: Stack, curve: Curve, dwell_s: Array) -> Curve:
@@ -252,7 +252,7 @@ def slopes_of(world: World, values: Values, stack: Stack, curve: Curve, dwell_s:
     for i in range(len(curve.values)):
         values_moved = curve.values.copy()
         values_moved[i] += nudge
-        moved = Curve(curve.term, curve.knots, values_moved, curve.basis)
+        moved = Curve(curve.term, curve.knots, values_moved, curve.basis, curve.roughness)
         out[:, i] = (stack.residuals(Spliced(world, [moved], dwell_s), values) - r) / nudge
     return out
 
@@ -261,6 +261,6 @@ def spread_of(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
     """Standard deviation of the curve at its knots."""
     width = stack.widths(r)
     weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
-    stiff = stiffness_of(curve.values, 10.0 * curve.term.nudge) * penalty_of(len(curve.values))
+    stiff = stiffness_of(curve) * penalty_of(len(curve.values))
     normal = (jacobian * weight[:, None]).T @ jacobian + stiff
     return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, rcond=1e-14)), 0.0)))

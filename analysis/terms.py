@@ -20,6 +20,7 @@ from model.effects.smooth_force import KNOTS
 Array = NDArray[np.float64]
 
 MOST_KNOTS = 12  # of a term with one value for each flight
+SOFT, STIFF = 0.1, 0.02  # how far second differences may go, relative to the spread of the curve
 FIRST_KNOTS = 12  # of a term within the flight, at first
 
 
@@ -127,6 +128,7 @@ class Curve:
     knots: Array
     values: Array
     basis: Array
+    roughness: float = SOFT
 
     @classmethod
     def even(cls, term: Term, span: tuple[float, float], n: int) -> Curve:
@@ -135,7 +137,7 @@ class Curve:
 
     def moved(self, values: Array) -> Curve:
         """The same with other values, kept within bounds."""
-        return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis)
+        return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis, self.roughness)
 
     @property
     def bend(self) -> float:
@@ -146,6 +148,10 @@ class Curve:
         place = np.linspace(self.knots[0], self.knots[-1], len(self.knots))
         turns = np.abs(np.diff(self.at(place), 2)).sum() * (len(place) - 1)
         return float(turns / span)
+
+    def with_roughness(self, roughness: float) -> Curve:
+        """The same that may bend more or less: what few flights hold up is, in a stiff one, held up by the rest."""
+        return Curve(self.term, self.knots, self.values, self.basis, roughness)
 
     def finer(self) -> Curve:
         """The same within the flight with a knot more between any two, as many as can be: a bend may be sharp."""
