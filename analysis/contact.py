@@ -147,6 +147,7 @@ class CrossingScan:
 def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
     """Hysteresis over one piece; ``state`` and ``lowest`` live on between pieces."""
     low, high, dip = thresholds
+    settled = 0.5 * (1.0 + dip)
     s, s_dip = state
     least = lowest[0]
     n = 0
@@ -164,7 +165,7 @@ def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-
             where[n], kind[n] = first + i, CLOSES
             n += 1
         elif s == OPENING:
-            if v > dip:
+            if v > settled:  # a noisy slow edge may pass the dip's threshold more than once
                 s = OPEN
         elif s == OPEN:
             if v < dip:

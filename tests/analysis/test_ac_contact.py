@@ -37,9 +37,11 @@ def square(edges_s: np.ndarray, n: int, tau_s: float = 2e-5, first: float = 0.0)
     return out
 
 
-def restored(volts: np.ndarray, coupling: Coupling, cuts: int = 3) -> tuple[Crossings, LevelRestorer]:
+def restored(
+    volts: np.ndarray, coupling: Coupling, cuts: int = 3, rate_hz: float = RATE
+) -> tuple[Crossings, LevelRestorer]:
     """Crossings of a signal handed over in pieces."""
-    restorer, scan = LevelRestorer(coupling, RATE), CrossingScan(coupling.levels)
+    restorer, scan = LevelRestorer(coupling, rate_hz), CrossingScan(coupling.levels)
     edges = np.linspace(0, volts.size, cuts + 1).astype(int)
     for first, last in pairwise(edges):
         index = np.clip(np.arange(first - PAD, last + PAD), 0, volts.size - 1)
@@ -73,6 +75,26 @@ def test_every_edge_is_found_behind_a_capacitor_and_none_that_is_not_there(corne
     assert np.sqrt(np.mean(error**2)) < 1.1 * np.sqrt(np.mean(wired_error**2))
     np.testing.assert_allclose(edges.uncertainty_s, wired.uncertainty_s, rtol=0.3)
     assert restorer.missed == []
+
+
+@pytest.mark.parametrize("rate_hz", [48_000.0, 96_000.0])
+def test_at_the_rates_of_sound_cards(rate_hz: float) -> None:
+    """The same at 48 and 96 kHz, where an edge takes several samples: spans are seconds, not samples."""
+    rng = np.random.default_rng(7)
+    true = np.cumsum(rng.uniform(3e-3, 40e-3, 100))
+    t = np.arange(int((true[-1] + 0.02) * rate_hz)) / rate_hz
+    clean = np.zeros(t.size)
+    for k, edge in enumerate(true):
+        clean += (1 - 2 * (k % 2)) * np.where(t >= edge, -np.expm1(-np.maximum(t - edge, 0.0) / 2e-5), 0.0)
+    volts = high_pass(clean, 8.0 * RATE / rate_hz) + 0.02 * rng.standard_normal(t.size)
+    coupling = measure_coupling([volts], 1.0, rate_hz)
+    assert coupling.corner_hz == pytest.approx(8.0, rel=0.1)
+    assert coupling.levels.open_v == pytest.approx(1.0, rel=0.02)
+    crossings, restorer = restored(volts, coupling, rate_hz=rate_hz)
+    assert restorer.missed == []
+    np.testing.assert_array_equal(crossings.kind, np.tile([OPENS, CLOSES], 50))
+    edges, _, _ = time_edges(crossings, coupling.levels, rate_hz)
+    assert np.sqrt(np.mean((edges.time_s - true) ** 2)) < 5e-6
 
 
 def test_a_recording_that_begins_in_the_air_is_known_by_its_first_edge() -> None:
