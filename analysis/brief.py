@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from analysis.contact import BEFORE, CLOSES, DIP, OPENS, Crossings, Edges, EdgeShape, Levels
+from analysis.contact import AFTER, BEFORE, CLOSES, DIP, OPENS, Crossings, Edges, EdgeShape, Levels
 from analysis.impacts import Impacts
 
 Floats = npt.NDArray[np.float64]
 
 FAR = 1 << 30
+LEAD = 4  # samples before a crossing that are looked at
 STARTS = 25  # grid points a parameter in the search for a start
 LONGEST = 3.0  # samples
 MOST_MISFIT = 12.0  # times the noise beyond which the samples show no single dent
@@ -141,12 +142,12 @@ def refine_brief(
     time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
     added = []
     for k in np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)])):
-        start = int(sample[k]) - BEFORE
+        start = int(sample[k]) - LEAD
         after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the next contact is none of this one's
-        n = int(min(crossings.window.shape[1], (after[0] - start - 1) if after.size else FAR))
-        own = crossings.window[k, : max(n, BEFORE + 2)].astype(np.float64)
+        n = int(min(LEAD + AFTER, (after[0] - start - 1) if after.size else FAR))
+        own = crossings.window[k, BEFORE - LEAD :][: max(n, LEAD + 2)].astype(np.float64)
         prior = _prior(impacts, start, float(sample[k]), rate_hz)
-        fit = brief_contact(own, noise, tau, (BEFORE - 2.5, float(BEFORE)), prior)
+        fit = brief_contact(own, noise, tau, (LEAD - 2.5, float(LEAD)), prior)
         if fit is None:
             continue
         closing, opening = (start + fit[0]) / rate_hz, (start + fit[2]) / rate_hz

@@ -16,7 +16,7 @@ from numba import njit
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-BEFORE, AFTER = 4, 8  # samples of continuity kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
+BEFORE, AFTER = 12, 8  # samples of continuity kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
 VISIBLE = 5.0  # standard deviations of noise from which a sample counts as moved
 FAR = 1 << 30  # samples: no neighbour
 AT_ONCE = 8192  # edges fitted at a time: memory stays bounded

@@ -85,7 +85,7 @@ def test_at_the_rates_of_sound_cards(rate_hz: float) -> None:
     t = np.arange(int((true[-1] + 0.02) * rate_hz)) / rate_hz
     clean = np.zeros(t.size)
     for k, edge in enumerate(true):
-        clean += (1 - 2 * (k % 2)) * np.where(t >= edge, -np.expm1(-np.maximum(t - edge, 0.0) / 2e-5), 0.0)
+        clean += (1 - 2 * (k % 2)) * np.where(t >= edge, -np.expm1(-np.maximum(t - edge, 0.0) / 5e-5), 0.0)
     volts = high_pass(clean, 8.0 * RATE / rate_hz) + 0.02 * rng.standard_normal(t.size)
     coupling = measure_coupling([volts], 1.0, rate_hz)
     assert coupling.corner_hz == pytest.approx(8.0, rel=0.1)
