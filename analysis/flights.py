@@ -57,7 +57,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     """Flights from what the pass found."""
     takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, rate_hz, n_samples)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
-    flags |= step_flags | _gaps(found.plate, takeoff, landing) | _missed(found, landing, rate_hz)
+    flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
     plate = found.plate
     takeoff, takeoff_sigma = _unseen_contacts(
         plate, setup.g_mps2.value, takeoff, takeoff_sigma, landing, step, unseen_contact_s(report, rate_hz)
@@ -186,13 +186,15 @@ def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_h
     return np.where(outside, -1, step), flags.astype(np.int64)
 
 
-def _gaps(plate: PlateMotion, takeoff: Floats, landing: Floats) -> Ints:
-    """Flag `GAP` where samples were lost in the flight or at its edges."""
-    flags = np.zeros(takeoff.size, dtype=np.int64)
-    for sample, _ in plate.gaps:
-        at = sample / plate.rate_hz
-        flags[(takeoff <= at + 2.0 / plate.rate_hz) & (landing >= at - 2.0 / plate.rate_hz)] |= int(FlightFlag.GAP)
-    return flags
+def _gaps(found: Scan, takeoff: Floats, landing: Floats) -> Ints:
+    """Flag `GAP` where samples were lost, or made up, in the flight or at its edges."""
+    margin_s = 2.0 / found.plate.rate_hz
+    at_s = found.plate.gaps[:, 0] / found.plate.rate_hz
+    touched = np.zeros(takeoff.size, dtype=np.bool_)
+    for begins, ends in ((at_s, at_s), (found.made_up[:, 0], found.made_up[:, 1])):
+        begun = np.searchsorted(begins, landing + margin_s, side="right")
+        touched |= begun > np.searchsorted(ends, takeoff - margin_s)
+    return np.where(touched, int(FlightFlag.GAP), 0).astype(np.int64)
 
 
 def _missed(found: Scan, landing: Floats, rate_hz: float) -> Ints:

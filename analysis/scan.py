@@ -20,7 +20,7 @@ from analysis.learning import learn
 from analysis.plate_motion import PlateMotion
 from analysis.stream import PAD, Piece, pieces, survey_pieces
 from analysis.waveform import Waveform, white_noise
-from daq.block import STEP_DTYPE
+from daq.block import STEP_DTYPE, BlockFlag
 from daq.errors import InputError
 from daq.recording import Recording
 
@@ -47,7 +47,10 @@ class Survey:
 
 @dataclass(frozen=True)
 class Scan:
-    """Everything one pass found; ``missed`` are samples by which an edge of the contact must have been missed."""
+    """Everything one pass found; ``missed`` are samples by which an edge of the contact must have been missed.
+
+    ``made_up``, shape (n, 2), are spans in seconds whose samples, or whose drive, nobody vouches for.
+    """
 
     survey: Survey
     steps: npt.NDArray[np.void]
@@ -56,6 +59,7 @@ class Scan:
     impacts: Impacts
     plate: PlateMotion
     missed: Ints
+    made_up: npt.NDArray[np.float64]
 
 
 def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:
@@ -139,7 +143,9 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
     seen = NO_IMPACTS if witness is None else witness.impacts()
     plate = PlateMotion(folder.finish(), _noise_mps2(recording, known), recording.rate_hz, recording.gaps)
     missed = np.array([] if restorer is None else restorer.missed, np.int64)
-    return Scan(known, steps, (contact or empty).crossings(), starts_open, seen, plate, missed)
+    filled = recording.blocks[recording.blocks["flags"] & BlockFlag.FILLED != 0]
+    spans = np.column_stack([filled["first_sample"], filled["first_sample"] + filled["n_samples"]]) / recording.rate_hz
+    return Scan(known, steps, (contact or empty).crossings(), starts_open, seen, plate, missed, spans)
 
 
 def _noise_mps2(recording: Recording, known: Survey) -> float:

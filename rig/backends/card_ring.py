@@ -180,4 +180,4 @@ class CardRing:
         """Follow what was handed over by its last ``n`` samples backwards, ever smaller."""
         tail = self._out[np.arange(self.written - n, self.written) % self.size][::-1]
         if self.written > self.at and tail.any():
-            self.write(tail * (np.cos(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2).astype(np.float32))
+            self.write(tail * (0.5 + 0.5 * np.cos(np.pi * np.arange(1, n + 1) / n)).astype(np.float32))
