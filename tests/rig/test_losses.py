@@ -9,6 +9,7 @@ import pytest
 
 from daq.block import Block, BlockFlag
 from daq.recording import RecordingWriter, open_recording, verify
+from rig.losses import LossAccount
 from rig.run import run_ramp
 from rig.sim.faults import Fault, FaultyBackend, LostFrames, RepeatedBlock
 
@@ -83,3 +84,26 @@ def test_frames_that_never_come_back_make_the_file_suspect(make_profile, fake_ri
     rig = fake_rig(profile)
     record(profile, FaultyBackend(rig, [LostFrames(1000, 10**6)]), recording_path)
     assert verify(recording_path).suspect
+
+
+def test_blocks_that_say_their_place_are_believed(make_profile) -> None:
+    """Frames that lie behind the drive, slip by one and lose some: each played sample is found where it is."""
+    account = LossAccount(make_profile(), 2, (1.0, 0.0))
+    blocks = [
+        Block(0, np.zeros((100, 3), np.int16), place=-30),
+        Block(100, np.zeros((101, 3), np.int16), place=70),
+        Block(201, np.zeros((100, 3), np.int16), place=170),  # the clocks have parted by a frame
+        Block(301, np.zeros((60, 3), np.int16), place=310, lost_before=40),
+    ]
+    kept = []
+    for block in blocks:
+        account.played(np.arange(100.0))
+        kept += account.heard(block, 100)
+    kept += account.flush()
+    assert [(block.first_sample, block.lost_before) for block in kept] == [(0, 0), (100, 0), (201, 0), (301, 40)]
+    assert (account.lost_samples, account.expected_samples) == (40, 401)
+    assert (account.next_sample, account.settled_sample) == (370, 370)
+    assert [account.recorded(played) for played in (-30, 0, 69, 70, 169, 170, 269)] == [0, 30, 99, 100, 199, 201, 300]
+    assert [account.recorded(played) for played in (280, 309, 310, 369)] == [301, 301, 301, 360]  # lost ones: the next
+    assert [account.counted(recorded) for recorded in (0, 300, 301, 360)] == [0, 300, 341, 400]
+    assert np.array_equal(account.driven(blocks[1], np.zeros(100)), np.r_[70:100, 0:71])
