@@ -30,12 +30,14 @@ BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
 STOPS_S = (0.012, 0.03, 0.05, 0.08)  # for how long the run's process is stopped, in turn
 
 
-def profile_text(hold: int, rate_hz: int, *, simulated: bool = False) -> str:
-    """The shipped sound-card profile with the loop closed; the same ramp on the in-process rig."""
+def profile_text(hold: int, rate_hz: int, *, simulated: bool = False, closed: bool = True) -> str:
+    """The shipped sound-card profile, with the loop on gamma closed or not; the same ramp on the in-process rig."""
     from bench.profiles import load
 
     _, text = load("soundcard")
-    text = text.replace("# [control]", "[control]").replace("hold_cycles = 20", f"hold_cycles = {hold}")
+    text = text.replace("hold_cycles = 20", f"hold_cycles = {hold}")
+    if closed:
+        text = text.replace("# [control]", "[control]")
     text = text.replace("rate_hz = 48000", f"rate_hz = {rate_hz}").replace("steps = 23", "steps = 12")
     if simulated:
         text = text[: text.index("[backend]")] + '[backend]\nkind = "simulated"\n'
@@ -103,7 +105,7 @@ def flights(recording: Path) -> None:
     unmarked = sum(
         bool(np.any((found.takeoff_s <= g) & (found.landing_s >= g) & ~marked)) for g in gaps_s
     )
-    print(f"{len(gaps_s)} gaps, {touch.sum()} in a flight; {marked.sum()} flights marked, {unmarked} touch one unmarked")
+    print(f"{len(gaps_s)} gaps, {touch.sum()} in a flight; {marked.sum()} flights marked; {unmarked} gaps unmarked")
 
 
 def beside(recording: Path, simulated: Path) -> None:
@@ -136,7 +138,7 @@ def ramp(path: Path, out: Path, *, provoke: bool = False) -> None:
     began = time.monotonic()
     turn = 0
     while process.poll() is None:
-        time.sleep(0.5)
+        time.sleep(1.0 + 0.037 * turn)
         if provoke and time.monotonic() - began > 4.0:
             process.send_signal(signal.SIGSTOP)
             time.sleep(STOPS_S[turn % len(STOPS_S)])
@@ -169,6 +171,7 @@ def unplug(folder: Path, path: Path) -> None:
 
 
 def main() -> None:
+    """Run what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["run", "xruns", "unplug"])
     parser.add_argument("--hold", type=int, default=60, help="cycles of each of 12 steps")
@@ -180,7 +183,8 @@ def main() -> None:
         folder = options.keep or Path(scratch)
         folder.mkdir(exist_ok=True)
         out = folder / "card.h5"
-        with virtual(folder, profile_text(options.hold, options.rate), options.period) as path:
+        text = profile_text(options.hold, options.rate, closed=options.what != "xruns")
+        with virtual(folder, text, options.period) as path:
             if options.what == "unplug":
                 return unplug(folder, path)
             ramp(path, out, provoke=options.what == "xruns")

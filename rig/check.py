@@ -98,7 +98,7 @@ class Check:
         part = delay / rate_hz * self._profile.forcing.frequency_hz
         seen = f"{delay:.2f} samples, {1e3 * delay / rate_hz:.1f} ms, {part:.2f} of a forcing cycle"
         remedy = "over one cycle the interlock comes too late: a smaller backend.buffer_s, a faster driver"
-        return [Finding("output latency and loop-back delay", seen, part <= 1.0, remedy)], round(delay)
+        return [Finding("output latency and loop-back delay", seen, bool(part <= 1.0), remedy)], round(delay)
 
     def _tone(self, peak_g: float, delay: int) -> tuple[slice, dict[str, Floats]]:
         """A tone of ``peak_g`` that fades in and out: where it held, as heard, and what was heard."""
@@ -130,7 +130,7 @@ class Check:
         kept = 1.0 / (1.0 - 1j * (profile.drive.highpass_hz or 0.0) / frequencies_hz[k])
         gain = abs(loop / (sent * kept))
         remedy = "backend.output_range_v or the drive channel's range_v does not fit; measure both with a voltmeter"
-        findings = [Finding("loop-back gain", f"{gain:.4f}", abs(gain - 1.0) <= GAIN_OFF, remedy)]
+        findings = [Finding("loop-back gain", f"{gain:.4f}", bool(abs(gain - 1.0) <= GAIN_OFF), remedy)]
         if gain < 0.1:
             return [*findings, Finding("accelerometer", "not judged without the loop-back", None, remedy)]
         scale = profile.drive.g_per_volt
@@ -152,7 +152,7 @@ class Check:
             ),
             Finding(
                 "accelerometer sensitivity", f"{abs(ratio):.4f} of what drive.g_per_volt asks for",
-                off <= max(SCALE_OFF, 3.0 * doubt),
+                bool(off <= max(SCALE_OFF, 3.0 * doubt)),
                 "calibrate drive.g_per_volt, or channels.accelerometer.sensitivity (by a flip test), again",
             ),
         ]  # fmt: skip
@@ -185,7 +185,8 @@ class Check:
             resting = float(np.median(rest["continuity"]))
             seen = f"closed {closed_v:.2f} V, open {open_v:.2f} V, at rest {resting:.2f} V"
             fine = worst < LEVEL_OFF * abs(swing_v) and abs(resting - channel.closed_v) < LEVEL_OFF * abs(swing_v)
-            findings.append(Finding("contact levels", seen, fine, "set open_v and closed_v to what a voltmeter reads"))
+            remedy = "set open_v and closed_v to what a voltmeter reads"
+            findings.append(Finding("contact levels", seen, bool(fine), remedy))
         return findings
 
     def _noise(self, rest: dict[str, Floats]) -> list[Finding]:
