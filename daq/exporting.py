@@ -19,19 +19,20 @@ from numpy.typing import NDArray
 from daq.columns import CHUNK_SAMPLES, ColumnWriter
 from daq.errors import InputError
 from daq.reader import Recording
+from daq.resampled import Resampled
 
 Kind = Literal["csv", "npz", "h5"]
 Progress = Callable[[int], None]
 _ROWS = 16384
 
 
-def export(recording: Recording, out: Path, kind: Kind, progress: Progress | None = None) -> None:
+def export(recording: Recording | Resampled, out: Path, kind: Kind, progress: Progress | None = None) -> None:
     """Write ``out``.
 
     Parameters
     ----------
     recording
-        Open recording.
+        Open recording, or a view of it at another rate (CSV and NPZ).
     out
         File to create; an ending ``.gz`` of a CSV packs it.
     kind
@@ -53,6 +54,8 @@ def export(recording: Recording, out: Path, kind: Kind, progress: Progress | Non
         raise InputError(f"{out}: the folder {out.parent} does not exist; create it first.")
     tell = progress if progress is not None else lambda _: None
     if kind == "h5":
+        if isinstance(recording, Resampled):
+            raise InputError(f"{out}: HDF5 holds the recording as it is; another rate is written as CSV or NPZ.")
         _export_h5(recording, out, tell)
         return
     part = out.with_name(out.name + ".part")
@@ -68,7 +71,7 @@ def _pieces(n: int, rows: int) -> list[tuple[int, int]]:
     return [(a, min(a + rows, n)) for a in range(0, n, rows)]
 
 
-def _digits(recording: Recording, channel: str) -> str:
+def _digits(recording: Recording | Resampled, channel: str) -> str:
     """Format that keeps a channel's numbers: a thousandth of a code, or all of a float."""
     factor, _ = recording.scale(channel)
     if recording.codes(channel, 0, 1).dtype.kind == "f":
@@ -76,7 +79,7 @@ def _digits(recording: Recording, channel: str) -> str:
     return f"%.{max(0, math.ceil(3 - math.log10(factor)))}f"
 
 
-def _export_csv(recording: Recording, part: Path, tell: Progress, *, packed: bool) -> None:
+def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
     names = recording.channels
     line = ",".join(["%.9f", *(_digits(recording, name) for name in names)]) + "\n"
     with (gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n")) as file:
@@ -87,7 +90,7 @@ def _export_csv(recording: Recording, part: Path, tell: Progress, *, packed: boo
             tell(b)
 
 
-def _export_npz(recording: Recording, part: Path, tell: Progress, *, packed: bool) -> None:
+def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
     del packed  # an NPZ is packed by itself
 
     def write(archive: zipfile.ZipFile, name: str, read: Callable[[int, int], NDArray[Any]]) -> None:
