@@ -18,6 +18,7 @@ from bench.commands.ramp import make_backend
 from daq.recording import open_recording
 from rig.backends.base import BackendError, Lagging, Running
 from rig.backends.soundcard import SoundcardBackend
+from rig.check import Check
 from rig.profile import BackendTable, Profile
 from rig.sequencer import commanded, fades_of_changes
 
@@ -86,6 +87,13 @@ def test_time_goes_on_while_nobody_asks(virtual_card: Profile) -> None:
     last = np.concatenate(heard)[-4 * n :]
     expected = wave[8 * n - lag : 12 * n - lag]
     assert np.abs(last - expected).max() < 5e-3
+
+
+def test_check_refuses_a_latency_over_a_cycle(virtual_card: Profile) -> None:
+    """`bench check` through the driver: all is as the profile says, but 0.15 s of buffer are too late for a stop."""
+    findings = Check(virtual_card, SoundcardBackend(virtual_card)).run()
+    assert {finding.what for finding in findings if not finding.passed} == {"output latency and loop-back delay"}
+    assert len(findings) == 12
 
 
 def test_a_ramp_is_what_the_plant_gave(rehearse: Callable[..., Any], tmp_path: Path) -> None:

@@ -1,0 +1,51 @@
+"""The account of a device that lags behind its drive and declares its own losses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from daq.block import Block
+from rig.losses import LossAccount
+from rig.profile import Profile
+
+LAG, SCALE = 60, 1e-3
+
+
+def run(account: LossAccount, losses: dict[int, int], blocks: int = 40) -> list[Block]:
+    """A sine played in blocks of 100, heard `LAG` frames later; before block k, ``losses[k]`` samples are gone."""
+    drive = np.sin(2 * np.pi * np.arange(100 * blocks) / 79.0)
+    heard = np.concatenate([np.zeros(LAG), drive])
+    out: list[Block] = []
+    given = 0
+    for k in range(blocks):
+        account.played(drive[100 * k : 100 * (k + 1)])
+        lost = losses.get(k, 0)
+        codes = np.rint(heard[100 * k + lost : 100 * (k + 1), np.newaxis] / SCALE).astype(np.int16)
+        out += account.heard(Block(given, codes, lost_before=lost), 100)
+        given += len(codes)
+    return out + account.flush()
+
+
+def test_steps_lie_where_their_drive_was_heard(make_profile: Callable[..., Profile]) -> None:
+    """A played sample is recorded `LAG` frames later; after a declared loss, earlier by what was lost."""
+    account = LossAccount(make_profile(), 0, (SCALE, 0.0))
+    account.lag_samples, account.declares = LAG, True
+    blocks = run(account, {10: 30})
+    assert account.lost_samples == 30 == sum(block.lost_before for block in blocks)
+    assert sum(len(block.codes) for block in blocks) == 3970 and account.expected_samples == 4000
+    assert account.recorded(500) == 560 and account.recorded(2000) == 2030
+    assert account.recorded(1000 - LAG) == 1000  # the first sample lost: the next one recorded
+    assert account.next_sample == 4000 - LAG
+
+
+def test_a_short_block_is_no_loss_of_its_own(make_profile: Callable[..., Profile]) -> None:
+    """A device that declares may give frames late: nothing is counted that it did not declare."""
+    account = LossAccount(make_profile(), 0, (SCALE, 0.0))
+    account.lag_samples, account.declares = LAG, True
+    account.played(np.zeros(200))
+    account.heard(Block(0, np.zeros((40, 1), np.int16)), 100)
+    account.heard(Block(40, np.zeros((160, 1), np.int16)), 100)
+    account.flush()
+    assert account.lost_samples == 0 and account.expected_samples == 200
