@@ -6,12 +6,13 @@ A new back end joins by one function in `BACKENDS` that builds it on fakes, with
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench.commands.ramp import make_backend
 from bench.profiles import load
 from daq.block import Block
 from daq.recording import RecordingWriter
@@ -80,12 +81,17 @@ BACKENDS: dict[str, Callable[[Path], Backend]] = {
 }
 
 
-@pytest.fixture(params=[*sorted(BACKENDS), "soundcard"])
-def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
-    """Each back end in turn, not started; the sound card's is the real driver, with the plant in another process."""
+@pytest.fixture(params=[*sorted(BACKENDS), "soundcard", "soundcard+serial by drivers"])
+def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]:
+    """Each back end in turn, not started; the last two through the real drivers, with the plant in another process."""
     if request.param == "soundcard":
-        return SoundcardBackend(request.getfixturevalue("virtual_card"))
-    return BACKENDS[request.param](tmp_path)
+        yield SoundcardBackend(request.getfixturevalue("virtual_card"))
+    elif request.param in BACKENDS:
+        yield BACKENDS[request.param](tmp_path)
+    else:
+        both = ('kind = "soundcard"', f'kind = "soundcard+serial"\nport = "{(tmp_path / "port").as_posix()}"')
+        with request.getfixturevalue("rehearse")(both) as (profile, _, _):
+            yield make_backend(profile)
 
 
 def drive(n: int, first: int = 0) -> np.ndarray:
