@@ -24,6 +24,8 @@ DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge 
 CLIPPED_FRACTION = 0.04  # of a cycle; an impact alone may touch the converter's limit
 FLAT_PART = 0.02  # of the converter's range: below, equal codes are the converter's steps
 AC_SILENT_PART = 0.1  # of the swing to either side of 0 V in which an AC-coupled contact circuit says nothing new
+AC_EDGE_PART = 0.5  # of the swing: a step that size is an edge
+AC_EDGE_S = 2e-4  # in which it is made
 AIRBORNE_GAMMA_PEAK = 3.0  # a ball that never leaves the plate above this, friction and all, is a wire
 
 
@@ -61,6 +63,10 @@ class Interlock:
         self._contact_levels = _contact_levels(profile, scales)
         continuity = profile.channels.continuity
         self._opens_upwards = continuity is None or continuity.open_v > continuity.closed_v
+        self._edge_code = math.inf
+        if continuity is not None and continuity.coupling == "ac" and "continuity" in scales:
+            self._edge_code = AC_EDGE_PART * abs(continuity.open_v - continuity.closed_v) / scales["continuity"][0]
+        self._before_edge = np.zeros(max(2, round(AC_EDGE_S * profile.sampling.rate_hz)))
         self._n_seen = 0
         self._clamped_v = 0.0
         self._since_open = self._since_closed = self._flying = 0
@@ -186,10 +192,16 @@ class Interlock:
         return f"clipped input: {name} lay at a limit for {len(self._clipped[name])} samples of one cycle"
 
     def _open(self, codes: NDArray[np.int16], levels: tuple[float, float], before: bool) -> NDArray[np.bool_]:
-        """Whether the circuit is open, frame by frame; a frame between the two levels says what the one before said."""
-        x, (closed, opened) = codes[:, self._column["continuity"]], levels
+        """Whether the circuit is open, frame by frame; a frame between the two levels says what the one before said.
+
+        Behind a capacitor an edge says it as well: where the ball hardly touches, the open level is near 0 V.
+        """
+        x, (closed, opened) = codes[:, self._column["continuity"]].astype(np.float64), levels
         sign = 1.0 if self._opens_upwards else -1.0
         is_open, is_closed = sign * x > sign * opened, sign * x <= sign * closed
+        if math.isfinite(self._edge_code):
+            step = sign * (x - np.concatenate([self._before_edge, x])[: len(x)])
+            is_open, is_closed = is_open | (step > self._edge_code), is_closed | (step < -self._edge_code)
         last = np.maximum.accumulate(np.where(is_open | is_closed, np.arange(1, len(x) + 1), 0))
         known: NDArray[np.bool_] = np.concatenate([[before], is_open])[last]
         return known
@@ -200,6 +212,8 @@ class Interlock:
             return None
         is_open = self._open(codes, self._contact_levels, self._ended_open)
         self._ended_open = bool(is_open[-1]) if len(is_open) else self._ended_open
+        volts = np.concatenate([self._before_edge, codes[:, self._column["continuity"]]])
+        self._before_edge = volts[-len(self._before_edge) :]
         n, limit = len(codes), self._limits.contact_cycles * self._cycle
         closed_at, open_at = np.flatnonzero(~is_open), np.flatnonzero(is_open)
         self._since_closed = n - 1 - int(closed_at[-1]) if closed_at.size else self._since_closed + n

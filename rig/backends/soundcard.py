@@ -7,6 +7,7 @@ keeps its phase, and frames that never came are declared where they are missing.
 
 from __future__ import annotations
 
+import gc
 import sys
 import threading
 import time
@@ -76,6 +77,8 @@ class SoundcardBackend:
         """Open the card, and find how long the drive takes to come back; raises `BackendError`."""
         self.stop()
         sys.setswitchinterval(SWITCH_S)
+        gc.collect()
+        gc.freeze()  # what is there now is not looked through again while the callback waits
         self._ring.reset()
         self._flags = self._given = 0
         self._due = None

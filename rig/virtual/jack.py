@@ -6,6 +6,7 @@ through without a drive, and nobody heard it.
 
 from __future__ import annotations
 
+import gc
 import shutil
 import subprocess
 import time
@@ -132,6 +133,8 @@ class JackPlant:
         return codes
 
     def __enter__(self) -> Self:
+        gc.collect()
+        gc.freeze()  # what is there now is not looked through again while the server waits
         self._client.activate()
         return self
 

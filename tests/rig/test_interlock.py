@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from daq.block import Block
+from rig.high_pass import HighPass
 from rig.interlock import Interlock
+from rig.motion import MotionWatch
 from rig.run import run_ramp
 
 LONG = ("hold_cycles = 3", "hold_cycles = 30")
@@ -131,3 +134,26 @@ def test_behind_a_capacitor_the_contact_is_read_by_the_sign(make_profile, fake_r
     landed = [interlock.landed(piece) for piece in np.array_split(codes, 37)]
     wanted = 500 + np.flatnonzero(np.diff(level) < 0) + 1
     assert np.array_equal(np.flatnonzero(np.concatenate(landed)), wanted)
+
+
+@pytest.mark.parametrize(("brief", "trips"), [(True, False), (False, True)])
+def test_behind_a_capacitor_a_ball_that_hardly_touches_is_in_flight(make_profile, fake_rig, brief, trips) -> None:
+    """Contacts of 2 samples in two cycles leave the open level at 0 V, and are seen; no contact at all is a fault."""
+    profile = make_profile(("[channels.continuity]", '[channels.continuity]\ncoupling = "ac"'), *GENEROUS)
+    rig = fake_rig(profile)
+    interlock = Interlock(profile, rig.channels, rig.scales)
+    scale = rig.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+    watch = MotionWatch(profile, scale)
+    n, cycle = 60 * 79, 2000 / 25.37
+    level = np.where(np.arange(n) % 158 < 2, 0.0, 5.0) if brief else np.zeros(n)
+    drive = 2.0 * np.sin(2 * np.pi * np.arange(n) / cycle)
+    codes = np.zeros((n, 3), np.int16)
+    noise = 0.002 * np.random.default_rng(0).standard_normal(n)
+    codes[:, 0] = np.rint((HighPass(5.0, 2000.0)(level) + noise) / rig.scales["continuity"][0])
+    codes[:, 1] = np.rint(drive * 2.0 * 9.80665 / scale)
+    reasons = []
+    for first in range(0, n, 19):
+        piece = slice(first, first + 19)
+        motion = watch.update(codes[piece, 1], interlock.landed(codes[piece]))
+        reasons.append(interlock.inspect(drive[piece], Block(first, codes[piece]), motion))
+    assert any(reason and "contact" in reason for reason in reasons) == trips
