@@ -13,7 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from analysis.contact import CLOSES, Edges
-from analysis.waveform import ECHO, FINE, LEAD, LENGTH, SHORTEST_MASK_S, Waveform
+from analysis.waveform import FINE, LEAD, LENGTH, SHORTEST_MASK_S, Waveform
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -60,7 +60,7 @@ class ImpactScan:
     def __init__(self, waveform: Waveform, rate_hz: float) -> None:
         self.waveform, self.rate_hz = waveform, rate_hz
         shifts = np.arange(-SHIFTS, SHIFTS + 1)
-        points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, ECHO * FINE - 1)
+        points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, len(waveform.fine) - 1)
         bank = waveform.fine[points] @ waveform.projector
         self._norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
         self._bank = bank / self._norms[:, None]
@@ -89,7 +89,7 @@ class ImpactScan:
 
     def subtract(self, volts: npt.NDArray[np.float32], first: int, pad: int) -> None:
         """Take the waveforms of all impacts found so far out of a piece, in place."""
-        start = (first - pad) - ECHO
+        start = (first - pad) - len(self.waveform.fine) // FINE
         table = self._found[-1]
         table = table[np.searchsorted(table[:, 0], start) :]
         _subtract(volts, first - pad, table, self.waveform.fine)
@@ -146,16 +146,17 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
 def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
     """Time each candidate ``found`` (index into ``x``; ``x[0]`` is sample ``offset``); rows go to ``out[n:]``."""
     own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
-    shifts = bank.shape[0]
+    shifts, longest = bank.shape[0], fine.shape[0] // FINE
     for c in range(found.shape[0]):
         index = found[c]
         echo[:] = 0.0
         for back in range(n - 1, -1, -1):
             lag = index + offset - out[back, 0]
-            if lag > ECHO:
+            if lag > longest:
                 break
             _echo(lag, out[back, 1], fine, echo)
-        loud = np.sqrt(np.sum((projector @ echo) ** 2)) if n > 0 and index + offset - out[n - 1, 0] <= ECHO else 0.0
+        rings = n > 0 and index + offset - out[n - 1, 0] <= longest
+        loud = np.sqrt(np.sum((projector @ echo) ** 2)) if rings else 0.0
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
         score = bank @ own
@@ -192,7 +193,7 @@ def _subtract(x, offset, table, fine):  # type: ignore[no-untyped-def]
     """Take every impact's waveform out of ``x`` (``x[0]`` is sample ``offset``)."""
     for row in range(table.shape[0]):
         begin = int(np.ceil(table[row, 0])) - LEAD
-        for sample in range(max(begin, offset), min(begin + ECHO, offset + x.shape[0])):
+        for sample in range(max(begin, offset), min(begin + fine.shape[0] // FINE, offset + x.shape[0])):
             position = (sample - table[row, 0] + LEAD) * FINE
             j = int(np.floor(position))
             if 0 <= j < fine.shape[0] - 1:

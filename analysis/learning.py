@@ -13,7 +13,7 @@ from numba import njit
 
 from analysis.impacts import ImpactScan
 from analysis.stream import PAD, Piece
-from analysis.waveform import ECHO, LEAD, Waveform, learn_waveform
+from analysis.waveform import LEAD, Waveform, echo_samples, learn_waveform
 from daq.tones import fit_tones
 
 Floats = npt.NDArray[np.float64]
@@ -34,7 +34,8 @@ def learn(looked: list[Piece], noise_v: float, steps: npt.NDArray[np.void], rate
     places = [_onsets(volts, fitted, noise_v) for volts, fitted in known]
     waveform = None
     for turn in range(ROUNDS):
-        rows = [_snippets(volts, fitted, own) for (volts, fitted), own in zip(known, places, strict=True)]
+        echo = echo_samples(rate_hz)
+        rows = [_snippets(volts, fitted, own, echo) for (volts, fitted), own in zip(known, places, strict=True)]
         snippets, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
         strong = np.argsort(-np.abs(snippets).max(axis=1))[:MOST] if len(snippets) else np.zeros(0, np.int64)
         waveform = learn_waveform(snippets[strong], fractions[strong], noise_v, rate_hz, few)
@@ -66,11 +67,13 @@ def _onsets(volts: Floats, fitted: npt.NDArray[np.bool_], noise_v: float) -> Flo
     return np.asarray(first[enough] - 0.5, dtype=np.float64)
 
 
-def _snippets(volts: Floats, fitted: npt.NDArray[np.bool_], places: Floats) -> tuple[Floats, Floats]:
+def _snippets(
+    volts: Floats, fitted: npt.NDArray[np.bool_], places: Floats, echo: int
+) -> tuple[Floats, Floats]:
     """Accelerometer around impacts far from others, and their place before the sample."""
-    alone = (np.append(np.diff(places), np.inf) > ECHO) & (np.diff(places, prepend=-np.inf) > ECHO)
+    alone = (np.append(np.diff(places), np.inf) > echo) & (np.diff(places, prepend=-np.inf) > echo)
     sample = np.ceil(places).astype(np.int64)
-    index = sample[:, None] + np.arange(-LEAD, ECHO - LEAD)
+    index = sample[:, None] + np.arange(-LEAD, echo - LEAD)
     inside = alone & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
     index, fractions = index[inside], (sample - places)[inside]
     usable = fitted[index].all(axis=1)

@@ -14,7 +14,8 @@ Floats = npt.NDArray[np.float64]
 
 LEAD, TAIL = 12, 36  # samples of the accelerometer kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
-ECHO = 128  # samples of the waveform learnt: an impact's ringing must not be taken for the next impact
+ECHO = 128  # samples of the waveform learnt, at least: an impact's ringing must not be taken for the next impact
+ECHO_S = 6.4e-3  # and seconds
 FINE = 8  # template points per sample
 UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
 LOUD = 2.2  # root mean square over two samples, in noise of a point, that is waveform and not noise
@@ -30,7 +31,7 @@ class Waveform:
 
     Attributes
     ----------
-    fine : array, shape (ECHO * FINE,)
+    fine : array, shape (n * FINE,)
         Mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``.
     taps : float32 array, shape (LENGTH,)
         Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
@@ -70,6 +71,11 @@ def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
     return np.asarray(u[:, size > 1e-4 * size[0]])
 
 
+def echo_samples(rate_hz: float) -> int:
+    """Samples of the waveform that are learnt."""
+    return max(ECHO, round(ECHO_S * rate_hz))
+
+
 def learn_waveform(
     snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float, tones_hz: Floats
 ) -> Waveform | None:
@@ -77,7 +83,7 @@ def learn_waveform(
 
     Parameters
     ----------
-    snippets : array, shape (n, ECHO)
+    snippets : array, shape (n, echo_samples(rate_hz))
         Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
     fractions : array, shape (n,)
         How long before column ``LEAD`` the landing was, in samples, in [0, 1).
@@ -119,9 +125,10 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
 
     With it, the noise of a point.
     """
-    position = (np.arange(ECHO)[None, :] + fractions[:, None]) * FINE
-    weight = np.maximum(size, 0.0)[:, None] * np.ones(ECHO)
-    points = ECHO * FINE
+    echo = flat.shape[1]
+    position = (np.arange(echo)[None, :] + fractions[:, None]) * FINE
+    weight = np.maximum(size, 0.0)[:, None] * np.ones(echo)
+    points = echo * FINE
     low = np.floor(position).astype(np.int64)
     share = position - low
     top, bottom = np.zeros(points + 2), np.zeros(points + 2)
