@@ -20,6 +20,7 @@ from rig.ramp import forbidden, peaks, plan
 from rig.sequencer import largest_block
 
 REST_S = 0.5
+ECHO_S = 0.5  # longest delay of the loop-back that is looked for
 QUIET_PEAK = 0.3  # of g: the ball stays down
 FLIGHT_PEAK = 1.6  # of g: the ball takes off
 FADE_CYCLES, SETTLE_CYCLES, HOLD_CYCLES = 8, 8, 20
@@ -87,9 +88,9 @@ class Check:
     def _loopback(self) -> tuple[list[Finding], int]:
         """Delay of the looped-back drive, from a chirp."""
         rate_hz = self._profile.sampling.rate_hz
-        quiet, marker = np.zeros(round(0.1 * rate_hz)), start_marker(rate_hz)
+        quiet, marker = np.zeros(round(ECHO_S * rate_hz)), start_marker(rate_hz)
         marker_v = self._profile.backend.marker_v
-        heard = self._play(np.concatenate([quiet, marker_v * marker, quiet, quiet]))["drive"]
+        heard = self._play(np.concatenate([quiet, marker_v * marker, quiet]))["drive"]
         found = find_marker(heard, marker)
         if found is None:
             remedy = "loop the amplifier's input back into the drive channel; see that it is not turned round"
