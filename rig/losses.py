@@ -41,7 +41,7 @@ class LossAccount:
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
         self._finder = LossFinder(rate_hz, chunk)
         self._column = drive_column
-        self._scale = scale if profile.backend.kind not in ("replay", "soundcard") else (0.0, 0.0)
+        self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0
         self.declares = False
         self._capacitor = HighPass(profile.drive.highpass_hz, rate_hz)
