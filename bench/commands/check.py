@@ -24,7 +24,7 @@ def command(
 
     Exits 0 when everything passed, 1 when something did not, 2 when the call was wrong.
     """
-    from bench.commands.ramp import make_backend
+    from bench.commands.ramp import make_backend, warm_up
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.profiles import load
     from daq.errors import InputError
@@ -36,6 +36,8 @@ def command(
         if checked.backend.kind == "replay":
             raise InputError(f"{profile}: backend.kind is replay: there is no rig to check")
         backend = make_backend(checked, scenario=scenario, seed=seed)
+        if not backend.simulated:
+            warm_up(checked)
         findings = Check(checked, backend).run()
     except InputError as error:
         fail(str(error), EXIT_USAGE)

@@ -165,6 +165,8 @@ def record(
         "scenario_sha256": backend.scenario_sha256,
         "expected_samples": plan(profile).n_samples,
     }
+    if not backend.simulated:
+        warm_up(profile)
     with stop_on_signals() as request, _progress(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
@@ -175,6 +177,27 @@ def record(
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
         return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+
+
+def warm_up(profile: Profile) -> None:
+    """One short step of ``profile`` on the simulated rig: nothing is left to be compiled while a device waits."""
+    from tempfile import TemporaryDirectory
+
+    from daq.recording import RecordingWriter
+    from rig.backends.simulated import SimulatedBackend
+    from rig.run import run_ramp
+    from rig.sim.scenario import Scenario
+
+    short = profile.ramp.model_copy(
+        update={"gamma": (max(profile.ramp.gammas()),), "order": None, "settle_cycles": 2, "hold_cycles": 8}
+    )
+    rig = SimulatedBackend(profile.sampling.rate_hz, Scenario("ideal"), 0)
+    with TemporaryDirectory() as folder:
+        writer = RecordingWriter(
+            Path(folder) / "warm.h5", profile.setup(), profile_text="", channels=rig.channels, scales=rig.scales,
+            backend=rig.name, simulated=True,
+        )  # fmt: skip
+        run_ramp(profile.model_copy(update={"ramp": short}), rig, writer)
 
 
 @contextmanager
