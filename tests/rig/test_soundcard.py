@@ -131,7 +131,7 @@ def test_a_driver_that_dies_ends_the_run_and_keeps_it(rehearse: Callable[..., An
         command = [*BENCH, "ramp", str(tmp_path / "run.toml"), "--out", str(out)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, env=dict(os.environ))
         try:
-            while not out.exists() or out.stat().st_size < 60_000:
+            while not out.exists() or out.stat().st_size < 200_000:
                 assert process.poll() is None, process.communicate()
                 time.sleep(0.05)
             virtual.terminate()
