@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
-from analysis.platedata import PlateData, expected, rung
+from analysis.platedata import SQUARED, PlateData, expected, rung
 from analysis.robust import NEVER, excess_of, log_odds, plate_scale, robust_loss
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
@@ -202,7 +202,8 @@ class World:
         opening = np.where(self.opens, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.judged, ev.measured.landing_s - p.landing_s, np.nan)
         mode = rung(ev.plate, ev.steps.plate, p.rung)
-        known = ev.plate.sigma / np.hypot(ev.plate.sigma, MODE_PART * mode)
+        vague = MODE_PART * mode * np.where(np.isin(ev.plate.kind, SQUARED), 2.0, 1.0)
+        known = ev.plate.sigma / np.hypot(ev.plate.sigma, vague)
         plate = known * (ev.plate.value - expected(ev.plate, self.by_step(values)) - mode)
         return Residuals(opening, landing, plate, p)
 
