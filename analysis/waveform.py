@@ -160,7 +160,10 @@ def _from_onset(fine: Floats, sigma_v: float) -> Floats:
     """The waveform moved so that its rise, drawn back to zero, begins at ``LEAD * FINE``; nothing before it."""
     size = np.abs(fine)
     top = float(size.max())
-    early, late = (_rise(size, min(max(part * top, ONSET_SIGMAS * sigma_v), 0.7 * top)) for part in (0.1, 0.3))
+    low, high = (min(max(part * top, ONSET_SIGMAS * sigma_v), 0.7 * top) for part in (0.1, 0.3))
+    late = _rise(size, high, 0)
+    quiet = np.flatnonzero(size[: int(late) + 1] <= low)  # what is loud long before is another landing's ringing
+    early = _rise(size, low, int(quiet[-1]) if quiet.size else 0)
     onset = early - 0.5 * max(late - early, 0.0)
     grid = np.arange(fine.size)
     moved = np.interp(grid + onset - LEAD * FINE, grid, fine, left=0.0, right=0.0)
@@ -168,9 +171,9 @@ def _from_onset(fine: Floats, sigma_v: float) -> Floats:
     return np.asarray(moved)
 
 
-def _rise(size: Floats, level: float) -> float:
-    """Where ``size`` first reaches ``level``, between points."""
-    k = max(int(np.argmax(size > level)), 1)
+def _rise(size: Floats, level: float, first: int) -> float:
+    """Where ``size`` first reaches ``level`` from point ``first`` on, between points."""
+    k = max(first + int(np.argmax(size[first:] > level)), 1)
     return k - (float(size[k]) - level) / max(float(size[k] - size[k - 1]), 1e-300)
 
 

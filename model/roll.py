@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -258,7 +259,8 @@ def one_ahead(
     out, _ = told(tones, measured.wanted)
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan
-    return Predicted(*out.T, rung)
+    columns: tuple[Any, ...] = (*out.T, rung)
+    return Predicted(*columns)
 
 
 @dataclass(frozen=True)
