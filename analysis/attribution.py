@@ -256,15 +256,17 @@ class Attributor:
         free = tuple(k for k in candidate.free if k not in taken)
         if not free:
             return None
-        starts = self._starts(best, candidate, free)
+        listed = self._starts(best, candidate, free)
         promised, led = self._promised(best, candidate, free)
-        starts = sorted([*starts, *led], key=lambda pair: pair[0])
+        starts = sorted([*listed, *led], key=lambda pair: pair[0])
         level = self._quick(best.whitener, best.fitted.values)
         ahead = level - starts[0][0]
         added = (*best.candidates, Candidate(candidate.names, free))
-        if ahead >= HOPELESS_NATS:
-            return self._judged(added, self._from(best, (*best.free, *free), starts[0][1]))
         cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
+        if ahead >= HOPELESS_NATS:
+            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else starts[:1])]
+            fits = [self._from(best, (*best.free, *free), p) for p in begun]
+            return self._judged(added, min(fits, key=lambda x: self._quick(best.whitener, x.values)))
         if not cheap and promised < HOPELESS_NATS:
             return None
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)

@@ -227,7 +227,11 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
                 tone = steps.plate.omega_radps[i, j] if kind in (GAIN, PHASE) else omega
                 rows.append((kind, i, 0.0, sigma, tone, scale / 9.80665, scale))
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    return PlateData(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), *table[:, 2:].T)
+    kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+    multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
+    value, error, omega_radps, asked, first = table[:, 2:].T
+    ratio, share = steps.ratio[step], np.ones(len(step))
+    return PlateData(kind, step, value, error, omega_radps, asked, first, multiple, ratio, share)
 
 
 def as_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:

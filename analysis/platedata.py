@@ -17,6 +17,7 @@ from analysis.plate import StepPlate
 from daq.setup import Setup
 from model.effects import registry
 from model.roll import PlateSteps
+from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,9 @@ class PlateData:
         What the drive asks of the first tone, in units of g (0 where unknown).
     scale
         Amplitude of the first tone, m/s^2.
+    multiple, ratio, share
+        Which multiple of the forcing the tone is, which one the second forcing tone is (1: there is none), and how
+        large the drive asks for that one, over the first.
     """
 
     kind: NDArray[np.int64]
@@ -54,6 +58,9 @@ class PlateData:
     omega_radps: Array
     accel_g: Array
     scale: Array
+    multiple: NDArray[np.int64]
+    ratio: NDArray[np.int64]
+    share: Array
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -82,7 +89,22 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
         rows += _tone_rows(i, s, asked, first)
         rows += _instrument_rows(i, s, setup, asked, first)
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    return PlateData(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), *table[:, 2:].T), tuple(notes)
+    kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+    first_radps = np.array([s.omega_radps for s in fitted])
+    multiple = np.rint(table[:, 4] / first_radps[step]).astype(np.int64)
+    ratio = np.array([s.ratio for s in fitted], dtype=np.int64)[step]
+    share = np.array([_second_share(s, power) for s in fitted])[step]
+    value, sigma, omega_radps, accel_g, first = table[:, 2:].T
+    rows_as_table = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, ratio, share)
+    return rows_as_table, tuple(notes)
+
+
+def _second_share(s: StepPlate, power: int) -> float:
+    """How large the drive asks for the second forcing tone, over the first, as accelerations."""
+    if s.drive is None or s.ratio == 1 or abs(s.drive.amplitudes[0]) == 0.0:
+        return 1.0
+    second = s.drive.amplitudes[s.multiples.index(s.ratio)]
+    return float(abs(second / s.drive.amplitudes[0]) * s.ratio**power)
 
 
 def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> complex | None:
@@ -224,7 +246,7 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
     out = np.zeros(len(data))
     for entry in registry():
         table = values.get(entry.effect.name)
-        if table is None or not entry.hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
+        if table is None or not entry.hooks.keys() & {"harmonics", *PLAIN_HOOKS_OF_KIND}:
             continue
         points = np.array(list(table.values()))
         for point in np.unique(points, axis=1).T:
@@ -263,7 +285,6 @@ def _logarithm_of_transfer(
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "transfer": (GAIN, float),
     "reading": (GAIN, lambda factor: float(np.log(factor))),
-    "harmonics": (SECOND, lambda pair: float(pair[0] ** 2)),
     "hum_mps2": (HUM, lambda size: size**2),
     "modulation": (MODULATION, lambda depth: depth**2),
     "gate": (GATE, lambda change: float(np.log1p(change))),
@@ -279,7 +300,20 @@ def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[st
             _logarithm_of_transfer(out, data, rows, hooks[name](p, data.omega_radps[rows], data.accel_g[rows]))
             continue
         kind, share = PLAIN_HOOKS_OF_KIND[name]
-        said = hooks[name](p)
-        out[rows & (data.kind == kind)] += share(said)
-        if name == "harmonics":
-            out[rows & (data.kind == THIRD)] += said[1] ** 2
+        out[rows & (data.kind == kind)] += share(hooks[name](p))
+    if "harmonics" in hooks:
+        _add_harmonics(out, data, rows, hooks["harmonics"], p)
+
+
+def _add_harmonics(out: Array, data: PlateData, among: NDArray[np.bool_], hook: Any, p: dict[str, float]) -> None:
+    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square."""
+
+    def added(rows: NDArray[np.bool_]) -> NDArray[np.complex128]:
+        accel_g = np.where(data.accel_g > 0.0, data.accel_g, data.scale / STANDARD_GRAVITY_MPS2)[rows]
+        return np.asarray(hook(p, data.multiple[rows], data.ratio[rows], data.share[rows], accel_g))
+
+    forced = among & np.isin(data.kind, (GAIN, PHASE))
+    asked = np.where(data.multiple[forced] == 1, 1.0, data.share[forced])
+    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced) / asked)
+    alone = among & np.isin(data.kind, (SECOND, THIRD))
+    out[alone] += np.abs(added(alone)) ** 2

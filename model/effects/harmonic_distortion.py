@@ -1,9 +1,10 @@
 """The plate moves at multiples of the forcing that nobody asked for.
-The rule kept here: amplitudes of acceleration relative to the first tone.
+The rule kept here: either each harmonic keeps its part of the first tone, or drive and plate are bent by a polynomial.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,22 +12,61 @@ from numpy.typing import NDArray
 
 from model.effects.base import Effect, Parameter
 
+SIZES = (0.002, 0.01, 0.05)
+BENDS = tuple(sign * 0.001 * 3.0**k for sign in (-1.0, 1.0) for k in range(5))  # to begin with, per g
+POINTS = 64  # of one period, for the polynomial's harmonics: exact up to the 63rd
+
 EFFECT = Effect(
     name="harmonic_distortion",
     summary="the plate also moves at multiples of the forcing frequency",
     parameters=(
         Parameter(
-            "second", "1", 0.0, 1.0, 0.005, calibration=1e-4, power=0.5, meaning="second harmonic over first tone"
+            "second", "1", 0.0, 1.0, 0.005, scan=SIZES, calibration=1e-4, power=0.5,
+            meaning="second harmonic over first tone",
         ),
-        Parameter("third", "1", 0.0, 1.0, 0.005, calibration=1e-4, power=0.5, meaning="third harmonic over first tone"),
+        Parameter(
+            "third", "1", 0.0, 1.0, 0.005, scan=SIZES, calibration=1e-4, power=0.5,
+            meaning="third harmonic over first tone",
+        ),
+        Parameter(
+            "phase_rad", "rad", -np.pi, np.pi, 0.5, scan=(-0.5 * np.pi, 0.0, 0.5 * np.pi, np.pi), shape=True,
+            meaning="of the harmonic that falls on the second forcing tone, against that tone",
+        ),
+        Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, scan=(0.0, *BENDS), meaning="of acceleration squared"),
+        Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, scan=(0.0, *BENDS), meaning="of acceleration cubed"),
     ),
-    variants=(("second", "third"),),
+    variants=(("second", "third"), ("quadratic_per_g", "cubic_per_g2"), ("second", "third", "phase_rad")),
     seen_in=("plate",),
-    confused_with={"gain_compression": "amplitude of the first tone"},
-    reference="non-linear suspension and amplifier",
-)
+    confused_with={"gain_compression": "harmonics", "phase_lag": "c = 1: at c = 2 one harmonic falls on a tone"},
+    reference="non-linear suspension and amplifier, to third order",
+)  # fmt: skip
 
 
-def harmonics(p: Mapping[str, float]) -> NDArray[np.float64]:
-    """Amplitude of the 2nd and 3rd harmonic relative to the first tone."""
-    return np.array([p["second"], p["third"]])
+@functools.lru_cache(maxsize=1024)
+def powers(ratio: int, share: float, multiple: int) -> tuple[complex, complex]:
+    """Part of ``multiple`` in the square and the cube of ``sin x + share sin(ratio x)``; a sine's part is real."""
+    x = 2.0 * np.pi * np.arange(POINTS) / POINTS
+    wave = np.sin(x) + (share * np.sin(ratio * x) if ratio > 1 else 0.0)
+    square, cube = (2j * np.mean(wave**n * np.exp(-1j * multiple * x)) for n in (2, 3))
+    return complex(square), complex(cube)
+
+
+def harmonics(
+    p: Mapping[str, float],
+    multiple: NDArray[np.int64],
+    ratio: NDArray[np.int64],
+    share: NDArray[np.float64],
+    accel_g: NDArray[np.float64],
+) -> NDArray[np.complex128]:
+    """What is added to each ``multiple`` of the forcing, over the first tone of ``accel_g``; all shapes (k,).
+
+    The second forcing tone is the ``ratio``-th multiple and ``share`` times as large as the first.
+    """
+    turn = np.where(multiple == ratio, np.exp(1j * p["phase_rad"]), 1.0)
+    out = turn * np.where(multiple == 2, p["second"], np.where(multiple == 3, p["third"], 0.0))
+    if p["quadratic_per_g"] == 0.0 and p["cubic_per_g2"] == 0.0:
+        return np.asarray(out)
+    parts = np.array(
+        [powers(int(c), round(float(s), 3), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
+    ).reshape(-1, 2)
+    return np.asarray(out + p["quadratic_per_g"] * accel_g * parts[:, 0] + p["cubic_per_g2"] * accel_g**2 * parts[:, 1])
