@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from benchmarks.scoring.truth import OTHER_PARAMETERS, expected_covariate, expected_names
+from benchmarks.scoring.truth import AT_ONE, OTHER_PARAMETERS, expected_covariate, expected_names
 
 Row = dict[str, Any]
 
@@ -128,7 +128,7 @@ def parameters(row: Row) -> list[Row]:
         for effect, parameter, factor in OTHER_PARAMETERS.get(key, ()):
             found = tables.get(effect, {}).get(parameter)
             if found is not None and value:
-                true = value * factor
+                true = value * factor * (AT_ONE.get(key, 1.0) if row["c"] == 1 else 1.0)
                 out.append({
                     "key": key, "off": abs(found["value"] / true - 1.0),
                     "inside": found["low"] <= true <= found["high"], "truth": true, "found": found,

@@ -53,13 +53,21 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "table_resonance.hz": (("table_resonance", "frequency_hz", 1.0),),
     "drive_gain.relative": (("drive_gain", "relative", 1.0),),
     "phase_lag.delay_s": (("phase_lag", "delay_s", 1.0),),
-    "harmonic_distortion.second": (("harmonic_distortion", "second", 1.0),),
-    "harmonic_distortion.third": (("harmonic_distortion", "third", 1.0),),
+    "harmonic_distortion.second": (("harmonic_distortion", "second", 4.0),),
+    "harmonic_distortion.third": (("harmonic_distortion", "third", 9.0),),
+    "gain_compression.per_gamma2": (("gain_compression", "per_g2", 1.0),),
     "mains_hum.g": (("mains_hum", "amplitude_mps2", G),),
     "amplitude_modulation.depth": (("amplitude_modulation", "depth", 1.0),),
     "accelerometer_gain.relative": (("accelerometer_gain", "relative", 1.0),),
     "accelerometer_offset.g": (("accelerometer_offset", "offset_mps2", G),),
     "contact_latency.delay_s": (("contact_latency", "delay_s", 1.0),),
+}
+
+AT_ONE: Mapping[str, float] = {
+    # at c = 1 both tones are one of twice the size, by which the library measures
+    "gain_compression.per_gamma2": 0.25,
+    "harmonic_distortion.second": 0.5,
+    "harmonic_distortion.third": 0.5,
 }
 
 
