@@ -32,9 +32,12 @@ def _missing() -> str:
 
 
 @contextmanager
-def virtual_rig(folder: Path, *changes: tuple[str, str], period: int = 1024) -> Iterator[Started]:
-    """`bench virtual` on a JACK server of its own: the profile as changed, its text, and the process.
+def virtual_rig(
+    folder: Path, *changes: tuple[str, str], period: int = 1024, server: str | None = None
+) -> Iterator[Started]:
+    """`bench virtual` on a JACK server of its own, or a named one: the profile as changed, its text, and the process.
 
+    Where the audio driver is not installed the test skips; where it is, and the rig does not come up, the test fails.
     The period and the buffer are generous, because a machine that runs tests is busy.
     """
     missing = _missing()
@@ -44,19 +47,20 @@ def virtual_rig(folder: Path, *changes: tuple[str, str], period: int = 1024) -> 
     for old, new in (("rate_hz = 48000", "rate_hz = 20000"), ("buffer_s = 0.02", "buffer_s = 0.15"), *changes):
         assert old in text, old
         text = text.replace(old, new)
-    path = folder / "card.toml"
+    path, log = folder / "card.toml", folder / "virtual.log"
     path.write_text(text, encoding="utf-8")
-    server = f"bench-{os.getpid()}-{time.monotonic_ns() % 10**6}"
+    server = server or f"bench-{os.getpid()}-{time.monotonic_ns() % 10**6}"
     code = "from bench.cli import main; main()"
     call = [sys.executable, "-c", code, "virtual", str(path), "--server", server, "--period", str(period)]
-    process = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
+    with log.open("w", encoding="utf-8") as errors:
+        process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=errors, text=True)
     before = os.environ.get("JACK_DEFAULT_SERVER")
     os.environ["JACK_DEFAULT_SERVER"] = server
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
         if "ready" not in line:
-            pytest.skip("a JACK server cannot be started on this machine (shared memory, or no rights)")
+            pytest.fail(f"jackd is installed, but bench virtual does not come up: {line} {log.read_text('utf-8')}")
         yield parse_profile(text, "card.toml"), text, process
     finally:
         process.terminate()
@@ -71,6 +75,16 @@ def virtual_card(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Profile]:
     """A sound card's profile, and the plant that answers to it as long as the tests run."""
     with virtual_rig(tmp_path_factory.mktemp("card")) as (profile, _, _):
         yield profile
+
+
+@pytest.fixture(scope="session")
+def virtual_both(tmp_path_factory: pytest.TempPathFactory, virtual_card: Profile) -> Iterator[tuple[Profile, str]]:
+    """A profile of card and serial device with its text, and the plant behind both, on the server of `virtual_card`."""
+    folder = tmp_path_factory.mktemp("both")
+    kind = f'kind = "soundcard+serial"\nport = "{(folder / "port").as_posix()}"'
+    changes = (('kind = "soundcard"', kind), ('device = "shaker"', 'device = "both"'))
+    with virtual_rig(folder, *changes, server=os.environ["JACK_DEFAULT_SERVER"]) as (profile, text, _):
+        yield profile, text
 
 
 @pytest.fixture

@@ -55,7 +55,8 @@ class CardRing:
         self._taken = self._lost_taken = 0
         self._out[:] = 0.0
         self._last = np.float32(0.0)
-        self._losses: deque[tuple[int, int]] = deque()
+        self._losses: deque[tuple[int, int, int]] = deque()
+        self._unsure_to = 0
         self._doubts: deque[tuple[int, int]] = deque()
         self._origin: int | None = None
         self._late = False
@@ -111,7 +112,8 @@ class CardRing:
         """Compare the driver's count with what came.
 
         A callback that runs late reads a count that is too high, never one too low: what stays missing for some calls
-        on end is missing, and was so since the first of them.
+        on end is missing, and was so since the first of them; that one may itself have been late, and the loss after
+        it: its frames are of unsure place.
         """
         if self._origin is None:
             self._origin = counter
@@ -127,7 +129,7 @@ class CardRing:
             sure = min(missing for _, missing in self._doubts)
             at, _ = self._doubts.popleft()
             if sure > self.lost:
-                self._losses.append((at, sure - self.lost))
+                self._losses.append((at, sure - self.lost, self._doubts[0][0]))
                 self.lost = sure
 
     def begin(self, ahead: int) -> int:
@@ -149,24 +151,27 @@ class CardRing:
         self._out[: len(rest) - first] = rest[first:]
         self.written += len(drive)
 
-    def take(self, until: int) -> tuple[int, Samples]:
-        """What was skipped before them, and the next frames (n, n_inputs): to the card's frame ``until``, or a skip."""
-        losses = tuple(self._losses)
-        lost = sum(n for at, n in losses if at <= self._taken)
-        ends = [at for at, _ in losses if at > self._taken]
+    def take(self, until: int) -> tuple[int, Samples, int]:
+        """What was skipped before them, the next frames (n, n_inputs), and their `BlockFlag` bits.
+
+        They end at the card's frame ``until``, at a skip, or where the frames of unsure place after one end (those are
+        flagged as filled). Drive that came too late since the last call is flagged as well.
+        """
+        begun = [(at, n, unsure_to) for at, n, unsure_to in tuple(self._losses) if at <= self._taken]
+        lost = sum(n for _, n, _ in begun)
+        unsure_to = max([self._unsure_to, *(to for _, _, to in begun)])
+        ends = [at for at, _, _ in tuple(self._losses) if at > self._taken]
+        ends += [unsure_to] if unsure_to > self._taken else []
         stop = min([until - self._lost_taken - lost, self.known - self.lost, *ends])
         if stop <= self._taken:
-            return 0, np.zeros((0, self.n_inputs), np.float32)
-        for _ in range(sum(at <= self._taken for at, _ in losses)):
+            return 0, np.zeros((0, self.n_inputs), np.float32), 0
+        for _ in begun:
             self._losses.popleft()
+        flags = BlockFlag.FILLED if unsure_to > self._taken else BlockFlag(0)
         frames: Samples = self._in[np.arange(self._taken, stop) % self.size]
-        self._taken, self._lost_taken = stop, self._lost_taken + lost
-        return lost, frames
-
-    def take_flags(self) -> int:
-        """`BlockFlag.UNDERFLOW` where drive came too late since the last call."""
+        self._taken, self._lost_taken, self._unsure_to = stop, self._lost_taken + lost, unsure_to
         late, self._late = self._late, False
-        return int(BlockFlag.UNDERFLOW) if late else 0
+        return lost, frames, int(flags | BlockFlag.UNDERFLOW) if late else int(flags)
 
     def still(self, n: int, moved: float) -> bool:
         """Whether all inputs were one and the same for ``n`` frames while the drive moved by more than ``moved``."""

@@ -113,10 +113,10 @@ class SoundcardBackend:
         self._due += len(drive)
         self._ring.write((drive / self._table.output_range_v).astype(np.float32))
         self._await(self._due, SILENCE_S + len(drive) / self.rate_hz)
-        lost, frames = self._ring.take(self._due)
+        lost, frames, own_flags = self._ring.take(self._due)
         if self.channels and self._ring.still(round(STILL_S * self.rate_hz), MOVED_PART):
             raise BackendError(self._failed("every input is frozen while the drive moves"))
-        flags, self._flags = self._flags | self._ring.take_flags(), 0
+        flags, self._flags = self._flags | own_flags, 0
         codes = np.rint(frames[:, self._inputs] * 32768.0).clip(-32768, 32767).astype(np.int16)
         block = Block(self._given, codes, flags=flags, clock_ns=time.monotonic_ns(), lost_before=lost)
         self._given += len(codes)

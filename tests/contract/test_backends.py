@@ -89,9 +89,7 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]
     elif request.param in BACKENDS:
         yield BACKENDS[request.param](tmp_path)
     else:
-        both = ('kind = "soundcard"', f'kind = "soundcard+serial"\nport = "{(tmp_path / "port").as_posix()}"')
-        with request.getfixturevalue("rehearse")(both) as (profile, _, _):
-            yield make_backend(profile)
+        yield make_backend(request.getfixturevalue("virtual_both")[0])
 
 
 def drive(n: int, first: int = 0) -> np.ndarray:

@@ -62,27 +62,33 @@ def test_frames_go_round_the_ring_unharmed(ring: CardRing) -> None:
     for k in range(3 * ring.size // N):
         driver.call()
         due += N
-        lost, frames = ring.take(due)
-        assert lost == 0 and np.array_equal(frames[:, 0], np.arange(N * (k + 1), N * (k + 2)))
+        lost, frames, flags = ring.take(due)
+        assert lost == flags == 0 and np.array_equal(frames[:, 0], np.arange(N * (k + 1), N * (k + 2)))
 
 
 @pytest.mark.parametrize("first", [0, 2**32 - 5 * N])
 def test_skipped_frames_are_declared_where_they_are_missing(ring: CardRing, first: int) -> None:
-    """One skip, then two close together, also where the driver's count goes over 2^32: numbers and places are exact."""
+    """One skip, then two close together, also where the driver's count goes over 2^32: numbers and places are exact.
+
+    The period after each skip is flagged, and no other: there a late callback would have looked the same.
+    """
     driver = Driver(ring, first)
     driver.call()
     due = ring.begin(N)
-    got: list[tuple[int, np.ndarray]] = []
+    got: list[tuple[int, np.ndarray, int]] = []
     for k in range(60):
         driver.call(skipped={10: 2 * N, 30: N, 32: 3 * N}.get(k, 0))
         got.append(ring.take(due + driver.heard - N))
     place, lost_in_all = N, 0
-    for lost, frames in got:
+    flagged: list[int] = []
+    for lost, frames, flags in got:
         place += lost
         lost_in_all += lost
+        flagged += [place // N] if flags else []
         assert np.array_equal(frames[:, 0], np.arange(place, place + len(frames)))
         place += len(frames)
     assert lost_in_all == 6 * N == ring.lost and place == driver.heard
+    assert flagged == [13, 34, 39]
 
 
 def test_a_late_callback_is_no_loss(ring: CardRing) -> None:
@@ -93,10 +99,26 @@ def test_a_late_callback_is_no_loss(ring: CardRing) -> None:
     frames = 0
     for k in range(40):
         driver.call(late=N if k in (3, 4, 9, 20, 21, 22) else 0)
-        lost, got = ring.take(due + N * (k + 1))
-        assert lost == 0
+        lost, got, flags = ring.take(due + N * (k + 1))
+        assert lost == flags == 0
         frames += len(got)
     assert frames == 40 * N and ring.lost == 0
+
+
+def test_frames_of_unsure_place_are_flagged(ring: CardRing) -> None:
+    """A callback that reads the count late, and is then left out: the loss is declared a period early, and said so."""
+    driver = Driver(ring)
+    driver.call()
+    due = ring.begin(N)
+    place, wrong = N, []
+    for k in range(30):
+        driver.call(late=N if k == 9 else 0, skipped=N if k == 10 else 0)
+        lost, frames, flags = ring.take(due + driver.heard - N)
+        place += lost
+        right = np.array_equal(frames[:, 0], np.arange(place, place + len(frames)))
+        wrong += [] if right else [flags]
+        place += len(frames)
+    assert wrong == [BlockFlag.FILLED] and place == driver.heard and ring.lost == N
 
 
 def test_drive_that_comes_too_late_is_left_out_and_keeps_its_phase(ring: CardRing) -> None:
@@ -110,7 +132,8 @@ def test_drive_that_comes_too_late_is_left_out_and_keeps_its_phase(ring: CardRin
     driver.call()  # nothing there
     assert driver.played[-1][0] < 0.5 and driver.played[-1][-1] == 0.0
     assert np.all(np.diff(driver.played[-1]) <= 0.0)
-    assert ring.take_flags() == BlockFlag.UNDERFLOW and ring.take_flags() == 0
+    _, frames, flags = ring.take(ring.at)
+    assert len(frames) and flags == BlockFlag.UNDERFLOW
     ring.write(np.arange(2 * N, dtype=np.float32))
     driver.call()
     assert np.array_equal(driver.played[-1], np.arange(N, 2 * N))

@@ -5,34 +5,32 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from daq.recording import open_recording, verify
+from rig.profile import Profile
 
 BENCH = (sys.executable, "-c", "from bench.cli import main; main()")
 
 
-@pytest.fixture
-def rehearsal(rehearse: Callable[..., Any], tmp_path: Path) -> Iterator[tuple[list[str], subprocess.Popen[str]]]:
-    """A short `bench ramp` through card and serial device, and the process with the plant behind both."""
-    both = ('kind = "soundcard"', f'kind = "soundcard+serial"\nport = "{(tmp_path / "port").as_posix()}"')
-    short = ("start = 0.4, stop = 2.6, steps = 23", "start = 0.8, stop = 1.2, steps = 2")
-    with rehearse(both, short) as (_, text, process):
-        path = tmp_path / "both.toml"
-        path.write_text(text, encoding="utf-8")
-        yield [*BENCH, "ramp", str(path), "--out", str(tmp_path / "run.h5")], process
+SHORT = ("start = 0.4, stop = 2.6, steps = 23", "start = 0.8, stop = 1.2, steps = 2")
 
 
-def test_a_rehearsal_in_real_time(rehearsal: tuple[list[str], subprocess.Popen[str]], tmp_path: Path) -> None:
+def ramp(text: str, folder: Path) -> list[str]:
+    """`bench ramp` of a short ramp through card and serial device."""
+    path = folder / "both.toml"
+    path.write_text(text.replace(*SHORT), encoding="utf-8")
+    return [*BENCH, "ramp", str(path), "--out", str(folder / "run.h5")]
+
+
+def test_a_rehearsal_in_real_time(virtual_both: tuple[Profile, str], tmp_path: Path) -> None:
     """A whole ramp through both drivers: complete, and on one time base to a ppm."""
-    done = subprocess.run(
-        rehearsal[0], env=dict(os.environ), text=True, capture_output=True, timeout=120, check=False
-    )
+    command = ramp(virtual_both[1], tmp_path)
+    done = subprocess.run(command, env=dict(os.environ), text=True, capture_output=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert verify(tmp_path / "run.h5").state == "complete"
     with open_recording(tmp_path / "run.h5") as recording:
@@ -41,18 +39,20 @@ def test_a_rehearsal_in_real_time(rehearsal: tuple[list[str], subprocess.Popen[s
     assert np.all(np.abs(rows["rate"] - 80e-6) < 1e-6)
 
 
-def test_the_plant_goes_away_in_mid_run(rehearsal: tuple[list[str], subprocess.Popen[str]], tmp_path: Path) -> None:
+def test_the_plant_goes_away_in_mid_run(rehearse: Callable[..., Any], tmp_path: Path) -> None:
     """Device and card end in the middle of a run: it fails, names what went, keeps the data."""
-    command, process = rehearsal
-    with subprocess.Popen(command, env=dict(os.environ), text=True, stderr=subprocess.PIPE) as run:
-        while not (tmp_path / "run.h5").exists() or recorded(tmp_path / "run.h5") < 20_000:
-            assert run.poll() is None
-        process.terminate()
-        _, said = run.communicate(timeout=60)
+    both = ('kind = "soundcard"', f'kind = "soundcard+serial"\nport = "{(tmp_path / "port").as_posix()}"')
+    with rehearse(both) as (_, text, process):
+        command = ramp(text, tmp_path)
+        with subprocess.Popen(command, env=dict(os.environ), text=True, stderr=subprocess.PIPE) as run:
+            while not (tmp_path / "run.h5").exists() or recorded(tmp_path / "run.h5") < 10_000:
+                assert run.poll() is None
+            process.terminate()
+            _, said = run.communicate(timeout=60)
     assert run.returncode == 1
     assert "serial DAQ" in said or "sound card" in said
     report = verify(tmp_path / "run.h5")
-    assert report.state == "stopped" and report.n_samples >= 20_000
+    assert report.state == "stopped" and report.n_samples >= 10_000
 
 
 def recorded(path: Path) -> int:
