@@ -303,9 +303,16 @@ class Attributor:
     def _starts(
         self, best: Explanation, candidate: Candidate, free: Sequence[Key]
     ) -> list[tuple[float, dict[Key, float]]]:
-        """The candidate's starting points with the loss at each, lowest first."""
+        """The candidate's starting points with the loss at each, lowest first.
+
+        Where predictions have to be made anew and something shapes the effect, linear steps lead farther: see
+        `_promised`.
+        """
         values = best.fitted.values
-        points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in candidate.starts or ({},)]
+        starts = candidate.starts or ({},)
+        if any(parameter_of(k).shape for k in free) and not set(candidate.names) <= plate_effects():
+            starts = starts[:1]
+        points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in starts]
         return sorted(((self._quick(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
 
     def _promised(
@@ -321,6 +328,8 @@ class Attributor:
         shapes = {tuple(p.get(k, parameter_of(k).absent) for k in bent) for p in candidate.starts}
         steps = [self.fitter.linear_step(best.fitted, free, dict(zip(bent, at, strict=True))) for at in shapes]
         steps.sort(key=lambda pair: -pair[0])
+        if steps[0][0] < HOPELESS_NATS:
+            return steps[0][0], []
         here = {k: best.fitted.values.get(k, parameter_of(k).absent) for k in steps[0][1]}
         points = [
             {k: v if k in bent else part * v + (1.0 - part) * here[k] for k, v in point.items()}

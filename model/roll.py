@@ -220,8 +220,10 @@ def one_ahead(
 
     listen = np.column_stack([plate.omega_radps, 2.0 * np.pi / plate.period_s[:, None] * np.array(MULTIPLES)])
 
-    def told(tones: NDArray[np.complex128], wanted: NDArray[np.bool_]) -> tuple[Array, NDArray[np.complex128]]:
-        """The kernel's table, and what the plate mode puts into the measured tones."""
+    def told(
+        tones: NDArray[np.complex128], wanted: NDArray[np.bool_], listen: Array
+    ) -> tuple[Array, NDArray[np.complex128]]:
+        """The kernel's table, and what the plate mode puts into the tones of ``listen``."""
         out = np.full((n, 9), np.nan)
         heard, seconds = np.zeros(listen.shape, dtype=np.complex128), np.zeros(len(tones))
         kernel().one_ahead(
@@ -254,9 +256,9 @@ def one_ahead(
 
     tones, rung = plate.acceleration_mps2, np.zeros(listen.shape, dtype=np.complex128)
     if ringing:  # what the mode does to the plate is in the measured tones already: only the rest is driven
-        rung = told(tones, np.zeros(n, dtype=np.bool_))[1]
+        rung = told(tones, np.zeros(n, dtype=np.bool_), listen)[1]
         tones = np.where(tones == 0.0, 0.0, tones - rung[:, : tones.shape[1]])
-    out, _ = told(tones, measured.wanted)
+    out, _ = told(tones, measured.wanted, np.ascontiguousarray(listen[:, :0]))
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan
     columns: tuple[Any, ...] = (*out.T, rung)

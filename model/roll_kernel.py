@@ -56,6 +56,8 @@ WAIT_PARTS = 3  # a ball at rest is looked at so many times more often: threshol
 LONGEST_PERIODS = 60.0
 TAIL_PART = 2e-3  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
+MOST_SECANTS = 40
+NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 
 
 @njit(cache=True, error_model="numpy")
@@ -234,6 +236,15 @@ def pull(t, s, h, direction, q, qd, om, ze, w, ar, ai, p):
 
 
 @njit(cache=True, error_model="numpy")
+def between(lo, hi, below, above, k):
+    """Where to look next for the sign change between ``below`` < 0 at lo and ``above`` > 0 at hi, in round k."""
+    if k % 4 == 3 or above <= below:
+        return 0.5 * (lo + hi)
+    at = lo - below * (hi - lo) / (above - below)
+    return at if lo < at < hi else 0.5 * (lo + hi)
+
+
+@njit(cache=True, error_model="numpy")
 def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """How long a ball at standstill stays: on the plate (h = 0) until it is thrown, in mid-air until friction yields.
 
@@ -242,7 +253,7 @@ def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """
     up = dry(h, 0.0, 1.0, p)
     down = dry(h, 0.0, -1.0, p)
-    last = 0.0
+    last, over_before, f_before = 0.0, 0.0, 0.0
     fine = dt / WAIT_PARTS
     n = int(LONGEST_PERIODS * STEPS_PER_PERIOD * WAIT_PARTS)
     for i in range(n):
@@ -254,16 +265,19 @@ def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
             if i == 0:
                 return 0.0, direction
             lo, hi = last, s
-            for _ in range(34):
-                mid = 0.5 * (lo + hi)
+            below, above = (over_before, over) if direction > 0.0 else (-down - f_before, -down - f)
+            for k in range(MOST_SECANTS):
+                mid = between(lo, hi, below, above, k)
                 f = pull(t0 + mid, s0 + mid, h, 0.0, q, qd, om, ze, w, ar, ai, p)
-                over = f - up - (hold(dwell0 + mid, p) if h == 0.0 else 0.0)
-                if (direction > 0.0 and over > 0.0) or (direction < 0.0 and f < -down):
-                    hi = mid
+                here = f - up - (hold(dwell0 + mid, p) if h == 0.0 else 0.0) if direction > 0.0 else -down - f
+                if here > 0.0:
+                    hi, above, below = mid, here, 0.5 * below
                 else:
-                    lo = mid
+                    lo, below, above = mid, here, 0.5 * above
+                if abs(here) < NO_PULL_MPS2:
+                    return mid, direction
             return hi, direction
-        last = s
+        last, over_before, f_before = s, over, f
     return 0.0, 0.0
 
 
@@ -523,20 +537,23 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     n = int(back / dt) * 4
     d = back / n
     later = t_open + 4.0 * d
-    over_later = pull(later, s0 + later - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level
+    above = pull(later, s0 + later - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) - level
     for _i in range(n + 4):
         t = later - d
-        over = pull(t, s0 + t - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level
-        if over_later and not over:
-            lo, hi = t, later
-            for _ in range(34):
-                mid = 0.5 * (lo + hi)
-                if pull(mid, s0 + mid - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) > level:
-                    hi = mid
+        over = pull(t, s0 + t - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) - level
+        if above > 0.0 >= over:
+            lo, hi, below = t, later, over
+            for k in range(MOST_SECANTS):
+                mid = between(lo, hi, below, above, k)
+                here = pull(mid, s0 + mid - t_open, 0.0, 0.0, q, qd, om, ze, w, ar, ai, p) - level
+                if here > 0.0:
+                    hi, above, below = mid, here, 0.5 * below
                 else:
-                    lo = mid
+                    lo, below, above = mid, here, 0.5 * above
+                if abs(here) < NO_PULL_MPS2:
+                    return mid
             return hi
-        later, over_later = t, over
+        later, above = t, over
     return t_open
 
 
@@ -563,6 +580,8 @@ def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, listen, heard):
     decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
     size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
     for k in range(listen.shape[0]):
+        if k < w.shape[0] and ar[k] == 0.0 and ai[k] == 0.0:
+            continue
         back = complex(0.0, -listen[k])
         start = np.exp(back * t0)
         total = size * turned(decay + back, 0.0, t1 - t0) + np.conj(size) * turned(np.conj(decay) + back, 0.0, t1 - t0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from model.effects.base import Effect, Parameter
 
 SIZES = (0.002, 0.01, 0.05)
-BENDS = tuple(sign * 0.001 * 3.0**k for sign in (-1.0, 1.0) for k in range(5))  # to begin with, per g
+BENDS = (-0.03, -0.003, 0.003, 0.03)  # to begin with, per g
 POINTS = 64  # of one period, for the polynomial's harmonics: exact up to the 63rd
 
 EFFECT = Effect(

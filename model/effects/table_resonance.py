@@ -29,7 +29,7 @@ EFFECT = Effect(
             meaning="of the mode",
         ),
         Parameter(
-            "damping", "1", 0.0, 0.9, 0.02, absent=0.05, scan=(0.03, 0.1), shape=True, meaning="damping over critical"
+            "damping", "1", 0.0, 0.9, 0.02, absent=0.05, scan=(0.05,), shape=True, meaning="damping over critical"
         ),
     ),
     seen_in=("plate", "takeoff", "landing"),
