@@ -1,7 +1,7 @@
 """The whole loop: recordings in; residual, missing effect, error before and after, and the verdict out.
 
-The rule kept here: steps held out at the start are looked at once, at the end; "explained" needs a named cause and a
-remainder that is noise; what is not known is called unexplained.
+The rule kept here: steps held out at the start are looked at once, at the end; "explained" needs a named cause, a
+remainder that is noise and held-out events that are missed by noise alone; what is not known is called unexplained.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from analysis.attribution import Attribution, Attributor, Explanation
 from analysis.beyond import Discovery, discover
-from analysis.errors_of import Errors, errors_on, judged_rows, noise_floor_us
+from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
 from analysis.evidence import Evidence, evidence_of
 from analysis.fit import Fitter, priors_of
 from analysis.likelihood import DRIFT, World
@@ -54,8 +54,8 @@ class Loop:
         A smooth term found where no named effect suffices, or None.
     before, after
         Errors on the held-out steps.
-    noise_floor_us
-        What measurement noise alone would leave, at the final model, on the same flights.
+    noise_floor_us, takeoff_floor_us
+        What measurement noise alone would leave of landings and of take-offs, at the final model, on the same flights.
     held_out
         Numbers of the held-out steps (in the order of the recordings).
     remainder
@@ -73,6 +73,7 @@ class Loop:
     before: Errors
     after: Errors
     noise_floor_us: float
+    takeoff_floor_us: float
     held_out: tuple[int, ...]
     remainder: Remainder
     detection: Mapping[str, float]
@@ -128,18 +129,20 @@ def close_loop(
     best = attribution.best
     say("what remains", 0.87)
     left = remainder(world, best)
-    found = discover(world, fitter, best, train) if _lacking(left, limits) else None
-    say("held-out steps", 0.97)
     rows, out = judged_rows(world, best.fitted.values, ~train)
+    after, floors = errors_on(world, best.fitted.values, rows, out), noise_floors_us(world, best.fitted.values, rows)
+    verdict = verdict_of(best is not attribution.before, left, after, floors, limits)
+    found = discover(world, fitter, best, train) if verdict == "unexplained" else None
+    say("detection limits", 0.97)
     detection, blind = detection_limits(attribution, limits)
     return Loop(
-        _verdict(attribution, left, limits),
+        verdict,
         tuple(_found(best)),
         found,
         attribution,
         errors_on(world, attribution.before.fitted.values, rows, out),
-        errors_on(world, best.fitted.values, rows, out),
-        noise_floor_us(world, best.fitted.values, rows),
+        after,
+        *floors,
         tuple(int(n) for n in evidence.steps.number[~train]),
         left,
         detection,
@@ -155,10 +158,30 @@ def _lacking(left: Remainder, limits: Thresholds) -> bool:
     return flights or left.plate_ratio > limits.plate_ratio
 
 
-def _verdict(attribution: Attribution, left: Remainder, limits: Thresholds) -> Verdict:
-    if _lacking(left, limits):
+def verdict_of(
+    named: bool, left: Remainder, after: Errors, floors_us: tuple[float, float], limits: Thresholds
+) -> Verdict:
+    """The verdict.
+
+    Parameters
+    ----------
+    named
+        Whether an effect has been added.
+    left
+        What remains, on all steps.
+    after, floors_us
+        Errors on the held-out steps, and the noise floors of landings and take-offs there.
+    limits
+    """
+    if _lacking(left, limits) or (named and _missed(after, floors_us, limits)):
         return "unexplained"
-    return "nothing_missing" if attribution.best is attribution.before else "explained"
+    return "explained" if named else "nothing_missing"
+
+
+def _missed(after: Errors, floors_us: tuple[float, float], limits: Thresholds) -> bool:
+    """Whether held-out landings or take-offs are missed by more than a cause that is said to explain them may leave."""
+    landing, takeoff = (limits.clean_bill * floor for floor in floors_us)
+    return after.landing_rms_us > landing or after.takeoff_robust_us > takeoff
 
 
 def _found(best: Explanation) -> list[Found]:
@@ -247,6 +270,7 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
         "before": plain(loop.before),
         "after": plain(loop.after),
         "noise_floor_us": _finite(loop.noise_floor_us),
+        "takeoff_floor_us": _finite(loop.takeoff_floor_us),
         "held_out_steps": list(loop.held_out),
         "remainder": {
             "p_lack_of_fit": _finite(loop.remainder.p_lack_of_fit),

@@ -30,8 +30,8 @@ class Errors:
         Root mean square, and 1.48 times the median absolute deviation, of the landing times.
     landing_rms_us_low, landing_rms_us_high
         95 % interval of the rms, by resampling whole steps.
-    takeoff_robust_us
-        The same robust figure of the take-off times; NaN where no flight began from rest.
+    takeoff_robust_us, takeoff_rms_us
+        The same of the take-off times that were seen; NaN where no flight began from rest.
     flight_time_relative
         Median absolute error of the flight times over the measured flight time.
     flights, left_out
@@ -43,6 +43,7 @@ class Errors:
     landing_rms_us_high: float
     landing_robust_us: float
     takeoff_robust_us: float
+    takeoff_rms_us: float
     flight_time_relative: float
     flights: int
     left_out: float
@@ -66,22 +67,23 @@ def errors_on(
     ev = world.evidence
     if len(rows) == 0:
         nan = float("nan")
-        return Errors(nan, nan, nan, nan, nan, nan, 0, left_out)
+        return Errors(nan, nan, nan, nan, nan, nan, nan, 0, left_out)
     r = world.residuals(values)
     half = 0.5 * ev.steps.plate.period_s[ev.measured.step[rows]]
     landing = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
-    opening = r.opening_s[rows]
-    opening = opening[np.isfinite(opening)]
+    seen = world.opens[rows]
+    opening = np.where(np.isfinite(r.opening_s[rows]), r.opening_s[rows], half)[seen]
     measured = (ev.measured.landing_s - ev.measured.opening_s)[rows]
     predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
     relative = np.abs(np.where(np.isfinite(predicted), predicted, 0.0) - measured) / measured
     low, high = _interval(landing, ev.measured.step[rows], np.random.default_rng(seed))
     return Errors(
-        1e6 * float(np.sqrt(np.mean(landing**2))),
+        _rms_us(landing),
         1e6 * low,
         1e6 * high,
         1e6 * ROBUST * float(np.median(np.abs(landing))),
         1e6 * ROBUST * float(np.median(np.abs(opening))) if len(opening) else float("nan"),
+        _rms_us(opening),
         float(np.median(relative)),
         len(rows),
         left_out,
@@ -97,7 +99,23 @@ def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator
     return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
 
 
+def noise_floors_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> tuple[float, float]:
+    """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
+
+    Returns
+    -------
+    tuple of float
+        Of landings, and of the take-offs that were seen; NaN where there are none.
+    """
+    u, opens = world.uncertainty(values), rows[world.opens[rows]]
+    landing, opening = u.landing_total_s[rows], u.opening_total_s[opens]
+    return _rms_us(landing), _rms_us(opening)
+
+
 def noise_floor_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> float:
-    """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``."""
-    total = world.uncertainty(values).landing_total_s[rows]
-    return 1e6 * float(np.sqrt(np.mean(total**2))) if len(rows) else float("nan")
+    """That of the landings alone."""
+    return noise_floors_us(world, values, rows)[0]
+
+
+def _rms_us(x: Array) -> float:
+    return 1e6 * float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")

@@ -1,0 +1,53 @@
+"""The verdict: when something is explained, when not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from analysis.close_loop import verdict_of
+from analysis.errors_of import Errors
+from analysis.remainder import Remainder
+from analysis.thresholds import FROZEN
+
+NOISE = Remainder(0.4, 1.02, 1.01, None, {}, 0.3, 0.5, 0.6)
+HIT = Errors(10.0, 9.0, 11.0, 9.0, 30.0, 31.0, 1e-4, 90, 0.0)
+FLOORS = (10.0, 30.0)
+
+
+def test_a_named_cause_that_leaves_noise_is_an_explanation() -> None:
+    """Remainder and held-out errors at the floor: explained with a name, nothing missing without."""
+    assert verdict_of(True, NOISE, HIT, FLOORS, FROZEN) == "explained"
+    assert verdict_of(False, NOISE, HIT, FLOORS, FROZEN) == "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    "after",
+    [replace(HIT, landing_rms_us=FROZEN.clean_bill * 10.0 + 0.1), replace(HIT, takeoff_robust_us=46.0)],
+    ids=["landings", "take-offs"],
+)
+def test_no_clean_bill_while_held_out_events_are_missed(after: Errors) -> None:
+    """However quiet the remainder's tests, a name whose held-out error is above 1.5 floors explains nothing."""
+    assert verdict_of(True, NOISE, after, FLOORS, FROZEN) == "unexplained"
+
+
+def test_a_miss_without_a_name_is_left_to_the_tests_of_the_remainder() -> None:
+    """One hidden bounce among clean held-out flights is no alarm: nothing was claimed that it could refute."""
+    assert verdict_of(False, NOISE, replace(HIT, landing_rms_us=40.0), FLOORS, FROZEN) == "nothing_missing"
+
+
+def test_structure_beyond_the_floor_is_unexplained_with_or_without_a_name() -> None:
+    """An improbable remainder counts only where it is also larger than a trifle."""
+    loud = replace(NOISE, p_lack_of_fit=1e-9, ratio=1.6)
+    assert verdict_of(True, loud, HIT, FLOORS, FROZEN) == "unexplained"
+    assert verdict_of(False, loud, HIT, FLOORS, FROZEN) == "unexplained"
+    assert verdict_of(True, replace(loud, ratio=1.1), HIT, FLOORS, FROZEN) == "explained"
+    assert verdict_of(True, replace(NOISE, plate_ratio=2.0), HIT, FLOORS, FROZEN) == "unexplained"
+
+
+def test_a_run_without_rests_is_judged_by_its_landings() -> None:
+    """No take-off was seen: there is neither an error nor a floor of them, and that is no reason to refuse."""
+    after = replace(HIT, takeoff_robust_us=math.nan, takeoff_rms_us=math.nan)
+    assert verdict_of(True, NOISE, after, (10.0, math.nan), FROZEN) == "explained"
