@@ -13,12 +13,13 @@ RESYNC = 512  # means between exact restarts of the rotating phasors
 
 @njit(cache=True, error_model="numpy")
 def second_look(  # type: ignore[no-untyped-def]
-    x, keep, first, cycles, response, amplitudes, offsets, rows, group, slow, seen, length, gram, side, used
+    x, keep, first, cycles, response, amplitudes, offsets, rows, group, slow, seen, length, gram, side, power, used
 ):
     """Residuals of ``x`` (n, channels) against the fit ``amplitudes`` (channels, k) and ``offsets`` (channels,).
 
     ``slow`` and ``seen`` (n // group,) gather the first channel's kept residuals; ``gram`` (w, q, q), ``side``
-    (w, q, channels) and ``used`` (w,) the normal equations of constant and tones ``rows`` in windows of ``length``.
+    (w, q, channels), ``power`` (w, channels) and ``used`` (w,) the normal equations of constant and tones ``rows`` in
+    windows of ``length``, with the residuals' squares and count.
     """
     n, channels = x.shape
     k = cycles.shape[0]
@@ -49,6 +50,8 @@ def second_look(  # type: ignore[no-untyped-def]
                 for r in range(rows.shape[0]):
                     row[2 * r + 1] = phasor[rows[r]].real
                     row[2 * r + 2] = -phasor[rows[r]].imag
+                for c in range(channels):
+                    power[w, c] += residual[c] * residual[c]
                 for a in range(q):
                     for b in range(q):
                         gram[w, a, b] += row[a] * row[b]

@@ -73,15 +73,36 @@ class Windows:
     ----------
     time_s : array, shape (w,)
         Middle of each window.
+    length_s : float
     amplitudes : complex array, shape (w, tones)
         m/s^2, same phase reference as the step's fit; NaN where too much is masked.
     uncertainty_mps2 : array, shape (w, tones)
-        Of each quadrature.
+        Of each quadrature, from the noise within windows.
+    drive_v, drive_uncertainty_v : arrays, shape (w, tones)
+        The drive's own, V; zeros where it was not recorded.
     """
 
     time_s: Floats
+    length_s: float
     amplitudes: npt.NDArray[np.complex128]
     uncertainty_mps2: Floats
+    drive_v: npt.NDArray[np.complex128]
+    drive_uncertainty_v: Floats
+
+    def swell(
+        self, tones: npt.NDArray[np.complex128], drive: npt.NDArray[np.complex128] | None = None
+    ) -> tuple[Floats, Floats]:
+        """By how much all tones together are larger than ``tones`` (tones,), relatively, and its uncertainty, (w,).
+
+        With the step's ``drive`` amplitudes (tones,), what the drive itself asks for in a window is no deviation.
+        """
+        power, wanted = float(np.sum(np.abs(tones) ** 2)), np.broadcast_to(tones, self.amplitudes.shape)
+        variance = np.sum(np.abs(tones) ** 2 * self.uncertainty_mps2**2, axis=1)
+        if drive is not None and np.all(np.abs(drive) > 0.0):
+            wanted = tones * self.drive_v / drive
+            variance = variance + np.sum(np.abs(tones) ** 4 * (self.drive_uncertainty_v / np.abs(drive)) ** 2, axis=1)
+        value = np.sum((np.conj(wanted) * (self.amplitudes - wanted)).real, axis=1) / power
+        return np.asarray(value), np.asarray(np.sqrt(variance) / power)
 
 
 @dataclass(frozen=True)
@@ -173,6 +194,12 @@ class StepPlate:
     def forcing_multiples(self) -> tuple[int, ...]:
         """``(1,)`` at c = 1, else ``(1, c)``."""
         return (1,) if self.ratio == 1 else (1, self.ratio)
+
+    def swell(self) -> tuple[Floats, Floats]:
+        """Relative deviation of the forcing's amplitude in each window beyond the drive's own; its uncertainty."""
+        rows = [self.multiples.index(m) for m in self.forcing_multiples]
+        drive = None if self.drive is None else self.drive.amplitudes[rows]
+        return self.windows.swell(self.acceleration.amplitudes[rows], drive)
 
     def plate(self, significance: float = 4.0) -> Plate:
         """The fitted motion: the forcing's tones, and harmonics and mains lines that stand out by ``significance``."""

@@ -6,7 +6,7 @@ accelerometer; the drive's version stands beside it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,8 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 WINDOW_CYCLES = 2.0
 LEAST_DRIFT = 1e-4  # radians over the step that a wrong frequency must make to be corrected
+LEAST_WINDOWS = 4
+SWELL_KNOWN = 0.5  # relative: windows need not cover a step
 SLOW_PER_CYCLE = 4.0  # values of the slow series per period of the forcing
 
 
@@ -35,7 +37,8 @@ class Look:
     """What a second look at a chapter gave, in volts.
 
     ``slow`` at ``slow_s``; per window of a few cycles its middle ``time_s``, amplitudes (w, tones, channels) and the
-    relative spread (w, tones) that times the rms of a channel is an amplitude's uncertainty; the fit of each channel.
+    relative spread (w, tones) that times a channel's ``noise`` (channels,) is an amplitude's uncertainty; the fit of
+    each channel. The noise is the rms about the tones within windows: what swells slowly is none.
     """
 
     slow_s: Floats
@@ -43,6 +46,7 @@ class Look:
     time_s: Floats
     amplitudes: Complexes
     spread: Floats
+    noise: Floats
     fits: tuple[ToneFit, ToneFit]
 
 
@@ -66,24 +70,28 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
         n = span.sort.size
         slow, seen = np.zeros(n // group), np.zeros(n // group, dtype=np.int64)
         windows = n // length
-        gram, side, used = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros(windows, dtype=np.int64)
+        gram, side, power = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros((windows, 2))
+        used = np.zeros(windows, dtype=np.int64)
         fold_kernel.second_look(
             span.values, span.sort % folding_bands(folded) >= fold.least_band, span.first,
             folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
-            gram, side, used,
+            gram, side, power, used,
         )
         slow_s = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
         time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
         enough = used >= max(0.4 * length, 2 * q)
         slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
-        parts.append((slow_s, slow, time_s[enough], gram[enough], side[enough]))
+        parts.append((slow_s, slow, *(column[enough] for column in (time_s, gram, side, power, used))))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    slow_s, slow, time_s, gram, side = (np.asarray(column, dtype=np.float64) for column in columns)
+    slow_s, slow, time_s, gram, side, power, count = (np.asarray(column, dtype=np.float64) for column in columns)
     inverse = np.linalg.inv(gram + 1e-9 * np.eye(q))  # every window holds enough; the ridge is for the odd one
     solution = inverse @ side
     z = amplitudes[:, rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
     spread = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(-1, rows.size, 2).mean(axis=2))
-    return Look(slow_s, slow, time_s, z, spread, fits)
+    left = np.maximum(power.sum(axis=0) - np.sum(side * solution, axis=(0, 1)), 0.0)
+    freedom = float(count.sum()) - q * count.size
+    noise = np.sqrt(left / freedom) if freedom > 0.0 else np.array([f.rms for f in fits])
+    return Look(slow_s, slow, time_s, z, spread, noise, fits)
 
 
 def folding_bands(folded: LockIn) -> int:
@@ -151,6 +159,9 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
     acceleration = scaled(volts, factor, zero_v)
     rows, multiples = fold.rows, fold.multiples
+    windows = _windows(fold, factor, len(rows))
+    quiet = min((float(k.noise[0]) for k in fold.looks), default=volts.rms) * abs(factor)
+    acceleration = _without_swell(acceleration, windows, acceleration.amplitudes[rows], quiet)
     sides = Sides(fold.folded.part(fold.clear_sorts((0,))), total, tuple(rows), volts.rms, factor, zero_v)
     gamma = gamma_of(acceleration.amplitudes, multiples, setup, fold.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
@@ -164,7 +175,7 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
         gamma_peak=gamma_peak_of(forcing, fold.frequency_hz, setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, fold.ratio),
         phase0_rad=float(np.mod(np.angle(acceleration.amplitudes[0]) - 0.5 * np.pi, 2 * np.pi)),
-        masked=1.0 - total.n / max(fold.folded.n, 1), windows=_windows(fold, factor, len(rows)),
+        masked=1.0 - total.n / max(fold.folded.n, 1), windows=windows,
         slow=_slow(fold, factor),
     )
 
@@ -177,13 +188,28 @@ def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup
     return gamma_of(drive.amplitudes * scale, multiples, setup, ratio)
 
 
+def _without_swell(fit: ToneFit, windows: Windows, tones: Complexes, quiet: float) -> ToneFit:
+    """The fit with the tones' own swelling, which is no noise, taken out of its residual; ``quiet`` is all noise."""
+    if windows.time_s.size < LEAST_WINDOWS or not np.all(np.abs(tones) > 0.0):
+        return fit
+    value, sigma = windows.swell(tones)
+    swelling = 0.5 * float(np.sum(np.abs(tones) ** 2)) * max(float(np.mean(value**2) - np.mean(sigma**2)), 0.0)
+    rms = float(np.sqrt(quiet**2 + max(fit.rms**2 - quiet**2 - (1.0 + SWELL_KNOWN) * swelling, 0.0)))
+    return replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2)
+
+
 def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
     """All chapters' windows in one, in m/s^2."""
     if not fold.looks:
-        return Windows(np.zeros(0), np.zeros((0, tones), np.complex128), np.zeros((0, tones)))
-    scaled = np.asarray(np.concatenate([k.amplitudes[:, :, 0] for k in fold.looks]) * factor, dtype=np.complex128)
-    sigma = np.concatenate([k.fits[0].rms * k.spread for k in fold.looks]) * abs(factor)
-    return Windows(np.concatenate([k.time_s for k in fold.looks]), scaled, sigma)
+        none, nothing = np.zeros((0, tones), np.complex128), np.zeros((0, tones))
+        return Windows(np.zeros(0), 0.0, none, nothing, none, nothing)
+    both: Complexes = np.concatenate([k.amplitudes for k in fold.looks])
+    sigma = np.concatenate([k.noise * k.spread[:, :, None] for k in fold.looks])
+    return Windows(
+        np.concatenate([k.time_s for k in fold.looks]), WINDOW_CYCLES / fold.frequency_hz,
+        np.asarray(both[:, :, 0] * factor, dtype=np.complex128), sigma[:, :, 0] * abs(factor),
+        both[:, :, 1], sigma[:, :, 1],
+    )
 
 
 def _slow(fold: StepFold, factor: float) -> SlowMotion:
