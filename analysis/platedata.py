@@ -85,7 +85,8 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
         if s.drive is not None and scale is not None:
             volts = {m: s.drive.amplitudes[k] for k, m in enumerate(s.multiples) if k < len(s.drive.amplitudes)}
             asked = abs(volts[1] * scale) / setup.g_mps2.value
-            rows += _gain_rows(i, s, scale, power, asked, first)
+            scales = [scale * _relative(setup, m) * m**power for m in s.forcing_multiples]
+            rows += _gain_rows(i, s, scales, asked, first)
         rows += _tone_rows(i, s, asked, first)
         rows += _instrument_rows(i, s, setup, asked, first)
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
@@ -145,18 +146,24 @@ def _drive_form(fitted: Sequence[StepPlate], notes: list[str]) -> int:
     return 0
 
 
-def _gain_rows(i: int, s: StepPlate, scale: complex, power: int, asked: float, first: float) -> list[tuple[float, ...]]:
-    """Gain and phase of each forcing tone against what the drive asks for."""
+def _relative(setup: Setup, multiple: int) -> complex:
+    """Declared scale of a forcing tone over the first one's."""
+    own, first = setup.drive.response(multiple), setup.drive.response(1)
+    return 1.0 + 0j if own is None or first is None else own / first
+
+
+def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first: float) -> list[tuple[float, ...]]:
+    """Gain and phase of each forcing tone against what the drive asks for, in m/s^2 a volt."""
     if s.drive is None:
         return []
     rows: list[tuple[float, ...]] = []
     sig_a, sig_v = s.acceleration.amplitude_sigma(), s.drive.amplitude_sigma()
-    for m in s.forcing_multiples:
+    for m, scale in zip(s.forcing_multiples, scales, strict=True):
         k = s.multiples.index(m)
         z, v = s.acceleration.amplitudes[k], s.drive.amplitudes[k]
         if abs(v) < 20 * sig_v[k] or abs(z) < 20 * sig_a[k]:
             continue
-        ratio = z / (v * scale * m**power)
+        ratio = z / (v * scale)
         sigma = float(np.hypot(np.hypot(sig_a[k] / abs(z), sig_v[k] / abs(v)), SYSTEMATIC))
         omega = m * s.omega_radps
         rows.append((GAIN, i, float(np.log(abs(ratio))), sigma, omega, asked, first))

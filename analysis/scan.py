@@ -96,10 +96,10 @@ def survey(recording: Recording) -> Survey:
         return Survey(None, noise, waveform)
     volts = [p.own("continuity").astype(np.float64) for p in looked]
     if contact.coupling == "ac":
-        coupling = measure_coupling(volts, contact.open_v - contact.closed_v, recording.rate_hz)
+        coupling = measure_coupling(volts, contact.swing_v, recording.rate_hz)
         return Survey(coupling.levels, noise, waveform, coupling)
     sample = np.concatenate(volts)
-    return Survey(measure_levels(sample, contact.closed_v, contact.open_v), noise, waveform)
+    return Survey(measure_levels(sample, contact.closed_v.value, contact.open_v.value), noise, waveform)
 
 
 def _fraction(piece: Piece, levels: Levels) -> npt.NDArray[np.float32]:

@@ -114,17 +114,34 @@ class Forcing(Frozen):
         return ((1, first), (self.ratio, second))
 
 
+class ToneScale(Frozen):
+    """Scale from drive volts to plate acceleration of one tone."""
+
+    g_per_volt: PositiveQuantity
+    phase_deg: Quantity = _q(0.0)
+
+
 class Drive(Frozen):
-    """Scale from drive volts to plate acceleration (in units of the local g, positive up), flat over the tones.
+    """Scale from drive volts to plate acceleration (in units of the local g, positive up), flat over the tones
+    unless the second one has a scale of its own.
 
     ``a_p / g = g_per_volt * exp(i phase) * drive_v``, for each tone; ``g_per_volt = None`` says nobody measured it.
     """
 
     g_per_volt: PositiveQuantity | None = None
     phase_deg: Quantity = _q(0.0)
+    second: ToneScale | None = Field(default=None, description="of the second tone, where it is not the first's")
     highpass_hz: float | None = Field(
         default=None, gt=0, description="corner of the output's coupling capacitor; the drive is asked for so much more"
     )
+
+    def response(self, multiple: int) -> complex | None:
+        """Plate acceleration in g for a volt of the tone at ``multiple`` of the forcing; None: nobody measured it."""
+        scale = self.second if self.second is not None and multiple > 1 else self
+        if scale.g_per_volt is None:
+            return None
+        phase = math.radians(scale.phase_deg.value)
+        return scale.g_per_volt.value * complex(math.cos(phase), math.sin(phase))
 
 
 class ContinuityChannel(Frozen):
@@ -133,16 +150,27 @@ class ContinuityChannel(Frozen):
     terminal: str = ""
     coupling: Literal["dc", "ac"] = "dc"
     range_v: float = Field(default=10.0, gt=0)
-    open_v: float = 5.0
-    closed_v: float = 0.0
+    open_v: Quantity = _q(5.0)
+    closed_v: Quantity = _q(0.0)
     serial_number: str = ""
+
+    @property
+    def swing_v(self) -> float:
+        """From closed to open."""
+        return self.open_v.value - self.closed_v.value
+
+    @property
+    def middle_v(self) -> float:
+        """Half way between the two levels."""
+        return 0.5 * (self.open_v.value + self.closed_v.value)
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
         """Refuse levels that cannot be told apart or read."""
-        if self.open_v == self.closed_v:
-            raise ValueError(f"open_v and closed_v are both {self.open_v:g} V: contact could not be told from flight")
-        if max(abs(self.open_v), abs(self.closed_v)) > self.range_v:
+        open_v, closed_v = self.open_v.value, self.closed_v.value
+        if open_v == closed_v:
+            raise ValueError(f"open_v and closed_v are both {open_v:g} V: contact could not be told from flight")
+        if max(abs(open_v), abs(closed_v)) > self.range_v:
             raise ValueError(f"open_v or closed_v lies outside range_v = {self.range_v:g} V")
         return self
 
@@ -200,6 +228,7 @@ class Setup(Frozen):
     drive: Drive = Drive()
     channels: Channels
     ball: Ball
+    calibration_days: int = Field(default=365, ge=1, description="age from which a calibration is warned about")
     declared: dict[str, dict[str, Quantity]] = Field(
         default_factory=dict, description="known effects by name, each with its parameters"
     )

@@ -137,8 +137,7 @@ class Check:
         scale = profile.drive.g_per_volt
         if scale is None:
             return findings
-        phase = math.radians(profile.drive.phase_deg.value)
-        asked = loop * profile.g_mps2.value * scale.value * complex(math.cos(phase), math.sin(phase))
+        asked = loop * profile.g_mps2.value * (profile.drive.response(tones[k][0]) or 1.0)
         sensitivity = profile.channels.accelerometer
         ratio = plate / sensitivity.volts_per_mps2 / asked
         turned = math.degrees(math.atan2(ratio.imag, ratio.real))
@@ -169,10 +168,10 @@ class Check:
         if faults:
             return [Finding(what, f"not judged: {faults[0]}", None, "raise that limit if the rig allows it")]
         hold, heard = self._tone(FLIGHT_PEAK, 0)
-        volts, swing_v = heard["continuity"][hold], channel.open_v - channel.closed_v
+        volts, swing_v = heard["continuity"][hold], channel.swing_v
         self._contact_v = float(np.max(np.abs(volts)))
         ac = channel.coupling == "ac"
-        middle_v = 0.0 if ac else 0.5 * (channel.open_v + channel.closed_v)
+        middle_v = 0.0 if ac else channel.middle_v
         is_open = (volts - middle_v) * np.sign(swing_v) > 0.0
         edges = int(np.count_nonzero(np.diff(is_open)))
         seen = f"{edges} edges in {HOLD_CYCLES} cycles, open {np.mean(is_open):.0%} of the time"
@@ -182,10 +181,10 @@ class Check:
         if not ac:
             low, high = np.quantile(volts, [0.05, 0.95])
             closed_v, open_v = (low, high) if swing_v > 0 else (high, low)
-            worst = max(abs(closed_v - channel.closed_v), abs(open_v - channel.open_v))
+            worst = max(abs(closed_v - channel.closed_v.value), abs(open_v - channel.open_v.value))
             resting = float(np.median(rest["continuity"]))
             seen = f"closed {closed_v:.2f} V, open {open_v:.2f} V, at rest {resting:.2f} V"
-            fine = worst < LEVEL_OFF * abs(swing_v) and abs(resting - channel.closed_v) < LEVEL_OFF * abs(swing_v)
+            fine = max(worst, abs(resting - channel.closed_v.value)) < LEVEL_OFF * abs(swing_v)
             remedy = "set open_v and closed_v to what a voltmeter reads"
             findings.append(Finding("contact levels", seen, bool(fine), remedy))
         return findings

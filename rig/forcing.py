@@ -7,7 +7,6 @@ polynomial of additions and multiplications, so the same samples come out bit fo
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -84,16 +83,14 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
     ValueError
         When nobody measured the drive's scale.
     """
-    scale = setup.drive.g_per_volt
-    if scale is None:
-        raise ValueError("drive.g_per_volt is unknown")
-    phase = math.radians(setup.drive.phase_deg.value)
-    response = scale.value * complex(math.cos(phase), math.sin(phase))
     f_hz, corner_hz = setup.forcing.frequency_hz, setup.drive.highpass_hz or 0.0
-    return tuple(
-        -gamma * m * m * d / response * (1.0 - 1j * corner_hz / (m * f_hz))
-        for m, d in setup.forcing.displacement_tones()
-    )
+    volts = []
+    for m, d in setup.forcing.displacement_tones():
+        response = setup.drive.response(m)
+        if response is None:
+            raise ValueError("drive.g_per_volt is unknown")
+        volts.append(-gamma * m * m * d / response * (1.0 - 1j * corner_hz / (m * f_hz)))
+    return tuple(volts)
 
 
 def synthesise(clock: PhaseClock, multiples: tuple[int, ...], fade: Fade, first_sample: int, n_samples: int) -> Floats:

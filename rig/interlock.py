@@ -62,10 +62,10 @@ class Interlock:
         self._gamma_peak_per_volt = self._mps2_per_volt / profile.g_mps2.value
         self._contact_levels = _contact_levels(profile, scales)
         continuity = profile.channels.continuity
-        self._opens_upwards = continuity is None or continuity.open_v > continuity.closed_v
+        self._opens_upwards = continuity is None or continuity.swing_v > 0.0
         self._edge_code = math.inf
         if continuity is not None and continuity.coupling == "ac" and "continuity" in scales:
-            self._edge_code = AC_EDGE_PART * abs(continuity.open_v - continuity.closed_v) / scales["continuity"][0]
+            self._edge_code = AC_EDGE_PART * abs(continuity.swing_v) / scales["continuity"][0]
         self._before_edge = np.zeros(max(2, round(AC_EDGE_S * profile.sampling.rate_hz)))
         self._n_seen = 0
         self._clamped_v = 0.0
@@ -251,8 +251,8 @@ def _contact_levels(profile: Profile, scales: Mapping[str, tuple[float, float]])
     if continuity is None or "continuity" not in scales:
         return None
     volts_per_code, offset_v = scales["continuity"]
-    swing_v = continuity.open_v - continuity.closed_v
+    swing_v = continuity.swing_v
     is_ac = continuity.coupling == "ac"
-    middle_v = 0.0 if is_ac else 0.5 * (continuity.open_v + continuity.closed_v)
+    middle_v = 0.0 if is_ac else continuity.middle_v
     band_v = AC_SILENT_PART * swing_v if is_ac else 0.0
     return (middle_v - band_v - offset_v) / volts_per_code, (middle_v + band_v - offset_v) / volts_per_code

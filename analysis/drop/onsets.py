@@ -174,8 +174,8 @@ def contact_onsets(path: Path) -> tuple[Array, float]:
         channel = recording.setup.channels.continuity
         if channel is None or "continuity" not in recording.channels:
             raise InputError(f"{path}: has no continuity channel; a drop test by contact needs one")
-        level = 0.5 * (channel.open_v + channel.closed_v)
-        sign = 1.0 if channel.closed_v > channel.open_v else -1.0
+        level = channel.middle_v
+        sign = 1.0 if channel.swing_v < 0.0 else -1.0
         times: list[Array] = []
         before, block = True, 1 << 20
         for start in range(0, recording.n_samples, block):

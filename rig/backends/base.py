@@ -95,6 +95,14 @@ class Lagging(Protocol):
         """Samples from handing over to hearing, known once started."""
 
 
+@runtime_checkable
+class Turnable(Protocol):
+    """A back end that can lay its accelerometer upside down by itself; on a real rig a person does it."""
+
+    def turn(self, over: bool) -> None:
+        """While it runs, the plate at rest: upside down, or back as it was mounted."""
+
+
 class Running:
     """A back end started on entry and stopped on exit, whatever happened between."""
 

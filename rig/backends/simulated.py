@@ -72,6 +72,10 @@ class SimulatedBackend:
             time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
         return Block(first_sample=first, codes=codes, flags=0, clock_ns=time.monotonic_ns(), lost_before=0)
 
+    def turn(self, over: bool) -> None:
+        """Lay the accelerometer upside down, or back: what a person does for a flip test; starting lays it back."""
+        self._plant.turn(over)
+
     def stop(self) -> None:
         """Leave the plate at rest."""
         self._running = False

@@ -64,7 +64,7 @@ def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: fl
         move_ball(s, p)
         run_circuit(s, p)
         a = plate_acceleration(s, p, 1.0, s.mode_m, s.mode_mps, s.state != FLIGHT)[0]
-        a += p.accelerometer_reads_gravity * gravity(p) + G_MPS2 * p.ring_g_s_per_m * s.ring_im
+        a += (p.accelerometer_reads_gravity - 2 * s.turned) * gravity(p) + G_MPS2 * p.ring_g_s_per_m * s.ring_im
         counter = s.noise_key + np.uint64(2 * s.sample)
         continuity_v = s.continuity_v + p.continuity_noise_v * small_noise(counter)
         codes[i, 0] = _code(continuity_v, scale_v, limit)
@@ -107,6 +107,10 @@ class Plant:
         self._rng = rng.spawn(1)[0]
         keys = self._rng.integers(2**63, size=2)
         self._state = initial_state(int(keys[0]), int(keys[1]), -1.0 / self.rate_hz)
+
+    def turn(self, over: bool) -> None:
+        """Lay the accelerometer upside down, or back as it was mounted; for a plate at rest."""
+        self._state["turned"] = over
 
     def exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.

@@ -28,7 +28,10 @@ _FLOATS = (
     "turn_re", "turn_im", "volts_per_mps2", "zero_v",  # derived from the parameters
     "continuity_v",
 )
-_INTEGERS = ("state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts", "sample")
+_INTEGERS = (
+    "state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts", "sample",
+    "turned",  # 1 while the accelerometer lies upside down
+)  # fmt: skip
 
 STATE_DTYPE = np.dtype(
     [(name, "f8") for name in _FLOATS]
