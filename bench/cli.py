@@ -16,6 +16,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("bench.commands.plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
     "devices": ("bench.commands.devices", "List sound cards and serial ports, and which profile fits."),
     "check": ("bench.commands.check", "Before a run: is the rig wired as its profile says?"),
+    "calibrate": ("bench.commands.calibrate", "Measure a rig's scales and write them into its profile."),
     "ramp": ("bench.commands.ramp", "Run a profile's ramp and record it."),
     "import": ("bench.commands.import_", "Turn somebody's CSV, HDF5, NPZ or WAV into a recording."),
     "export": ("bench.commands.export", "Write a recording as CSV, NPZ or gzip HDF5."),

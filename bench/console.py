@@ -20,6 +20,11 @@ def fail(message: str, code: int = EXIT_FAILED) -> NoReturn:
     raise SystemExit(code)
 
 
+def warn(message: str) -> None:
+    """Print something to mind, to standard error, and go on."""
+    sys.stderr.write(f"warning: {message}\n")
+
+
 def write_json(payload: Any, target: str | None) -> None:
     """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None."""
     if target is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator
 
+from daq.reader import Recording
 from daq.setup import QuantityTable, Setup
 
 
@@ -43,3 +44,10 @@ def doubts(setup: Setup, on: datetime.date) -> list[str]:
         f"calibrated more than {setup.calibration_days} days before: {', '.join(keys)}" + remedy.format(kind)
         for kind, keys in expired.items()
     ]
+
+
+def recorded_doubts(recording: Recording) -> list[str]:
+    """`doubts` of a recording's setup on the day it was begun; today where it does not say."""
+    started = str(recording.attrs.get("started", ""))
+    on = datetime.date.fromisoformat(started[:10]) if started else datetime.datetime.now(datetime.UTC).date()
+    return doubts(recording.setup, on)

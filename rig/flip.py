@@ -128,5 +128,6 @@ def _rest(profile: Profile, backend: Backend) -> Reading:
         codes.append(backend.exchange(np.zeros(size)).codes[:, column])
     volts = np.concatenate(codes)[settle:wanted] * scale_v + zero_v
     parts = np.array([part.mean() for part in np.array_split(volts, PARTS)])
-    sigma = math.hypot(float(np.std(parts, ddof=1)) / math.sqrt(PARTS), scale_v / math.sqrt(12.0) / math.sqrt(PARTS))
-    return Reading(float(parts.mean()), sigma)
+    # noise of half a code and more dithers the converter; with less, a mean is no better than a code
+    step_v = scale_v / math.sqrt(12.0) if float(np.std(volts)) < 0.5 * scale_v else 0.0
+    return Reading(float(parts.mean()), math.hypot(float(np.std(parts, ddof=1)) / math.sqrt(PARTS), step_v))

@@ -46,6 +46,7 @@ def command(
         for path in recordings:
             if not path.is_file():
                 raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
+        _warn_of_calibrations(recordings)
         if until_clear:
             loop, recordings = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
@@ -66,6 +67,18 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; name a file that can be read or written", EXIT_USAGE)
+
+
+def _warn_of_calibrations(recordings: list[Path]) -> None:
+    """Say which scales nobody had measured lately when the recordings were made."""
+    from bench.console import warn
+    from daq.calibrations import recorded_doubts
+    from daq.recording import open_recording
+
+    for path in recordings:
+        with open_recording(path) as recording:
+            for doubt in recorded_doubts(recording):
+                warn(f"{path}: {doubt}")
 
 
 def _nothing(line: str) -> None:

@@ -36,10 +36,13 @@ def command(
     Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is kept), 2 when the call
     was wrong.
     """
+    import datetime
+
     from bench.commands.plan import planned, refusal
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, warn, write_json
     from bench.profiles import load
     from bench.resume import continued
+    from daq.calibrations import doubts
     from daq.errors import InputError
 
     try:
@@ -53,6 +56,8 @@ def command(
         _, _, faults = planned(checked)
         if faults:
             raise InputError(refusal(profile, faults))
+        for doubt in doubts(checked, datetime.date.today()):
+            warn(f"{profile}: {doubt}")
         backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
         summary = record(checked, text, backend, out, note=note, extra=extra, quiet=json == "-", paced=real_time)
     except InputError as error:
