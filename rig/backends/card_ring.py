@@ -72,6 +72,16 @@ class CardRing:
         doubts = self._doubts
         return (doubts[0][0] if doubts else self.received) + self.lost
 
+    @property
+    def taken(self) -> int:
+        """The card's frame after the last one taken."""
+        return self._taken + self._lost_taken
+
+    @property
+    def counted(self) -> bool:
+        """Whether the driver counts its frames."""
+        return self._origin is not None
+
     def exchange(self, heard: Samples | None, out: Samples, counter: int | None) -> None:
         """The callback's work: play into ``out`` (n,), keep ``heard`` (n, n_inputs).
 
@@ -137,7 +147,7 @@ class CardRing:
         self._losses.clear()
         self._taken, self._lost_taken = self.received, self.lost
         self.written = self.at + ahead
-        return self._taken + self._lost_taken
+        return self.taken
 
     def write(self, drive: Samples) -> None:
         """Hand over drive samples (n,), to be played from `written` on; those whose frame is over are left out."""

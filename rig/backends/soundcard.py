@@ -72,6 +72,7 @@ class SoundcardBackend:
         self._due: int | None = None  # the frame up to which the caller has played
         self._given = 0
         self._flags = 0
+        self._woken = (0, 0)  # the card's frame after the last callback, and when that was
 
     def start(self) -> None:
         """Open the card, and find how long the drive takes to come back; raises `BackendError`."""
@@ -118,7 +119,16 @@ class SoundcardBackend:
             raise BackendError(self._failed("every input is frozen while the drive moves"))
         flags, self._flags = self._flags | own_flags, 0
         codes = np.rint(frames[:, self._inputs] * 32768.0).clip(-32768, 32767).astype(np.int16)
-        block = Block(self._given, codes, flags=flags, clock_ns=time.monotonic_ns(), lost_before=lost)
+        stop = self._ring.taken
+        frame, woken_ns = self._woken
+        block = Block(
+            self._given,
+            codes,
+            flags=flags,
+            clock_ns=woken_ns - self._ns(frame - stop),  # the card's time, however late the caller comes
+            lost_before=lost,
+            adc_ns=self._ns(stop - len(codes)) if self._ring.counted else 0,
+        )
         self._given += len(codes)
         return block
 
@@ -142,7 +152,12 @@ class SoundcardBackend:
     def _woke(self, flags: int) -> None:
         """Called after each callback, and with `BlockFlag` bits that the driver claims."""
         self._flags |= flags
+        self._woken = (self._ring.at, time.monotonic_ns())
         self._changed.set()
+
+    def _ns(self, frames: int) -> int:
+        """Frames as nanoseconds."""
+        return round(1e9 * frames / self.rate_hz)
 
     def _await(self, frame: int, patience_s: float) -> None:
         """Until the card has reached ``frame``."""
