@@ -122,11 +122,14 @@ class PlateSteps:
         ``Re sum acceleration exp(i omega t)``. Unused places hold zeros and any positive frequency.
     period_s
         Period of the forcing, shape (m,).
+    derived
+        How many of the last tones were not measured but follow from the others.
     """
 
     omega_radps: Array
     acceleration_mps2: NDArray[np.complex128]
     period_s: Array
+    derived: int = 0
 
 
 @dataclass(frozen=True)
@@ -252,17 +255,33 @@ def one_ahead(
             seconds,
             out,
         )
-        return out, heard / np.maximum(seconds, 1e-12)[:, None]
+        heard /= np.maximum(seconds, 1e-12)[:, None]
+        if listen.shape[1]:
+            for k in np.flatnonzero(seconds == 0.0):  # the ball never left: its mass moves with the plate
+                heard[k, : tones.shape[1]] = _carried(plate.omega_radps[k], tones[k], rows[0])
+        return out, heard
 
     tones, rung = plate.acceleration_mps2, np.zeros(listen.shape, dtype=np.complex128)
     if ringing:  # what the mode does to the plate is in the measured tones already: only the rest is driven
         rung = told(tones, np.zeros(n, dtype=np.bool_), listen)[1]
-        tones = np.where(tones == 0.0, 0.0, tones - rung[:, : tones.shape[1]])
+        own = np.arange(tones.shape[1]) < tones.shape[1] - plate.derived
+        tones = np.where((tones == 0.0) | ~own, tones, tones - rung[:, : tones.shape[1]])
     out, _ = told(tones, measured.wanted, np.ascontiguousarray(listen[:, :0]))
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan
-    columns: tuple[Any, ...] = (*out.T, rung)
+    measured_tones = tones.shape[1] - plate.derived
+    columns: tuple[Any, ...] = (*out.T, np.delete(rung, np.s_[measured_tones : tones.shape[1]], axis=1))
     return Predicted(*columns)
+
+
+def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> NDArray[np.complex128]:
+    """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
+    k = kernel()
+    om, ze, _ = k.mode(row)
+    re, im = np.ascontiguousarray(tones.real), np.ascontiguousarray(tones.imag)
+    *_, loaded_re, loaded_im = k.loaded(0.0, 0.0, 0.0, om, ze, omega_radps, re, im, row)
+    factor = np.divide(loaded_re + 1j * loaded_im, tones, out=np.ones_like(tones), where=tones != 0.0)
+    return np.asarray(tones * (1.0 - 1.0 / factor))
 
 
 @dataclass(frozen=True)
