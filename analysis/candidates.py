@@ -36,6 +36,9 @@ def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidat
             grids = [e.parameter(q).scan or (e.parameter(q).absent,) for q in variant]
             if e.name == "table_resonance" and hints_hz:
                 grids[1] = (*grids[1], *hints_hz)
+            if "modulation" in entry.hooks:
+                out.append(Candidate((e.name,), keys, _swelling(world, keys)))
+                continue
             if e.name in ("coulomb_friction",):  # both directions together to begin with
                 starts = [dict.fromkeys(keys, v) for v in (0.0, *grids[0])]
             else:
@@ -48,6 +51,13 @@ def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidat
     for name, q in world.base:
         out.append(Candidate(("parameter_drift",), ((name, q + DRIFT),), ({},)))
     return out
+
+
+def _swelling(world: World, keys: Sequence[Key]) -> tuple[Mapping[Key, float], ...]:
+    """Where windows within the steps say that the plate's amplitude swells: its depth and frequency."""
+    swells = world.evidence.swells
+    hints = () if swells is None else swells.hints()
+    return tuple({keys[0]: depth, keys[1]: hz} for hz, depth in hints)
 
 
 def trends_of(free: Sequence[Key]) -> list[Candidate]:

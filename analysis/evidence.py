@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flights import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.modulation import Swells
 from analysis.plate import StepPlate
 from analysis.platedata import PlateData, plate_data
 from daq.recording import Recording, open_recording
@@ -93,6 +94,8 @@ class Evidence:
     sources : tuple of str
     hints_hz : tuple of float
         Lines that stand out below the forcing in several steps: where a table resonance may be.
+    swells : Swells or None
+        How the forcing's amplitude changes within steps and from step to step.
     """
 
     measured: Measured
@@ -109,6 +112,7 @@ class Evidence:
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     hints_hz: tuple[float, ...] = ()
+    swells: Swells | None = None
 
     def __len__(self) -> int:
         return len(self.judged)
@@ -179,6 +183,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     sigmas_land = _with_jitter(measured.landing_s, flights.landing_uncertainty_s[keep], measured, judged, steps)
     weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
     data, notes = plate_data(fitted, setup)
+    spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Evidence(
         measured,
         sigmas_open,
@@ -194,6 +199,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         sources=(str(recording.path),),
         notes=notes,
         hints_hz=_hints_hz(fitted),
+        swells=Swells.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
 
@@ -305,4 +311,5 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
+        swells=Swells.join([p.swells for p in parts if p.swells is not None]),
     )

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
+from analysis.modulation import Swells
 from analysis.platedata import SQUARED, PlateData, expected, rung
 from analysis.robust import NEVER, excess_of, log_odds, plate_scale, robust_loss
 from model.effects import effect, offsets, registry, row
@@ -160,6 +161,8 @@ class World:
         gap = self.per_step(values, "gap_m", 0.0)[step]
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
         plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
+        if (swell := self._swell(values)) is not None:
+            plate = swell[0].modulated(plate, *swell[1:])
         moved = ev.measured.landing_s - shift
         if landing_shift_s is not None:
             moved = moved + landing_shift_s
@@ -175,6 +178,20 @@ class World:
             kick=kick,
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
+
+    def _swell(self, values: Values) -> tuple[Swells, Array, float] | None:
+        """A swell of the plate's amplitude: what steps and windows say of it, its depth in each step, its frequency."""
+        if self.evidence.swells is None:
+            return None
+        for name, table in self.by_step(values).items():
+            hook = effect(name).hooks.get("modulation")
+            if hook is None:
+                continue
+            swell = [hook(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
+            depth, omega = np.array(swell).T
+            if np.any(depth):
+                return self.evidence.swells, depth, float(omega[0]) / (2.0 * np.pi)
+        return None
 
     def _kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
         """One sigma of how a plate mode rang when a step began, beyond what the flights before say: half an impact."""
@@ -204,7 +221,10 @@ class World:
         mode = rung(ev.plate, ev.steps.plate, p.rung)
         vague = MODE_PART * mode * np.where(np.isin(ev.plate.kind, SQUARED), 2.0, 1.0)
         known = ev.plate.sigma / np.hypot(ev.plate.sigma, vague)
-        plate = known * (ev.plate.value - expected(ev.plate, self.by_step(values)) - mode)
+        said = expected(ev.plate, self.by_step(values)) + mode
+        if (swell := self._swell(values)) is not None:
+            said = said + swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
+        plate = known * (ev.plate.value - said)
         return Residuals(opening, landing, plate, p)
 
     def uncertainty(self, values: Values) -> Uncertainty:
@@ -437,5 +457,5 @@ def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Arr
 @functools.cache
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
-    flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m"}
+    flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m", "modulation"}
     return frozenset(r.effect.name for r in registry() if r.hooks and not flying & r.hooks.keys())

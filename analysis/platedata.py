@@ -24,10 +24,11 @@ Array = NDArray[np.float64]
 GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
 KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
 UNITS = ("1", "rad", "1", "1", "m/s^2", "1", "1", "m/s^2", "1")
-SQUARED = (SECOND, THIRD, HUM, MODULATION)  # kept as unbiased squares: an amplitude without its sign
+SQUARED = (SECOND, THIRD, HUM)  # kept as unbiased squares: an amplitude without its sign
 CLOCK_LIMIT = 5e-3  # a larger difference is another frequency, not a clock
 REVERSED = 0.8 * np.pi  # a phase beyond is a matter of leads
 SYSTEMATIC = 2e-5  # relative: what the estimator itself leaves
+LEAST_WINDOWS = 4  # of a step, that show a modulation
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first:
 
 
 def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[float, ...]]:
-    """Harmonics, mains and modulation, as squares less the noise's share."""
+    """Harmonics and mains, as squares less the noise's share; the amplitude in each window."""
     rows: list[tuple[float, ...]] = []
     fit, sigmas = s.acceleration, s.acceleration.amplitude_sigma()
     for kind, m in ((SECOND, 2), (THIRD, 3)):
@@ -196,18 +197,9 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[f
                 first,
             )
         )
-    w = s.windows
-    if w.amplitudes.ndim == 2 and w.amplitudes.shape[0] >= 4:
-        relative = np.abs(w.amplitudes[:, 0]) / first
-        noise_w = w.uncertainty_mps2[:, 0] / first
-        good = np.isfinite(relative) & np.isfinite(noise_w)
-        if good.sum() >= 4:
-            d, v = relative[good] - relative[good].mean(), float(np.mean(noise_w[good] ** 2))
-            freedom = good.sum() - 1
-            square = 2.0 * float(np.sum(d**2) / freedom - v)
-            rows.append(
-                (MODULATION, i, square, 2.0 * np.sqrt(2.0 / freedom) * max(v, abs(square) / 2), 0.0, asked, first)
-            )
+    if len(s.windows.time_s) >= LEAST_WINDOWS:
+        for value, sigma in zip(*s.swell(), strict=True):
+            rows.append((MODULATION, i, value, float(np.hypot(sigma, SYSTEMATIC)), 0.0, asked, first))
     return rows
 
 
@@ -293,7 +285,6 @@ PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "transfer": (GAIN, float),
     "reading": (GAIN, lambda factor: float(np.log(factor))),
     "hum_mps2": (HUM, lambda size: size**2),
-    "modulation": (MODULATION, lambda depth: depth**2),
     "gate": (GATE, lambda change: float(np.log1p(change))),
     "offset_mps2": (OFFSET, float),
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),

@@ -58,6 +58,7 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "gain_compression.per_gamma2": (("gain_compression", "per_g2", 1.0),),
     "mains_hum.g": (("mains_hum", "amplitude_mps2", G),),
     "amplitude_modulation.depth": (("amplitude_modulation", "depth", 1.0),),
+    "amplitude_modulation.hz": (("amplitude_modulation", "frequency_hz", 1.0),),
     "accelerometer_gain.relative": (("accelerometer_gain", "relative", 1.0),),
     "accelerometer_offset.g": (("accelerometer_offset", "offset_mps2", G),),
     "contact_latency.delay_s": (("contact_latency", "delay_s", 1.0),),

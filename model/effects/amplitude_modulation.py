@@ -1,27 +1,35 @@
-"""The plate's amplitude swells and sinks slowly within a step.
-The rule kept here: one slow sine; its phase is free in each step.
+"""The plate's amplitude swells and sinks slowly, by a sine in time that multiplies all that the drive asks for.
+
+The rule kept here: depth and frequency belong to the rig; the phase is another one in each recording, where the plate
+itself shows it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="amplitude_modulation",
-    summary="the plate's amplitude swells and sinks within a step",
+    summary="the plate's amplitude swells and sinks slowly",
     parameters=(
+        Parameter("depth", "1", 0.0, 0.9, 0.003, meaning="relative amplitude of the swell"),
         Parameter(
-            "depth", "1", 0.0, 0.9, 0.003, calibration=2e-4, power=0.5, meaning="relative amplitude of the swell"
+            "frequency_hz", "Hz", 1e-3, 20.0, 0.002, absent=1.0, scan=(1.0,), shape=True, meaning="of the swell"
         ),
     ),
-    seen_in=("plate",),
-    confused_with={"parameter_drift": "several periods within the run", "mains_hum": "the line's frequency"},
+    seen_in=("plate", "landing", "takeoff"),
+    confused_with={
+        "parameter_drift": "several periods within the run",
+        "gain_compression": "steps in another order",
+        "table_resonance": "its line is below the forcing, not on both sides of it",
+    },
     reference="beating supplies, a hunting amplitude loop",
 )
 
 
-def modulation(p: Mapping[str, float]) -> float:
-    """Relative depth of the modulation."""
-    return p["depth"]
+def modulation(p: Mapping[str, float]) -> tuple[float, float]:
+    """Depth of the swell, relative, and its angular frequency, rad/s."""
+    return p["depth"], 2.0 * math.pi * p["frequency_hz"]

@@ -24,7 +24,7 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
 accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,) as large
 ``hum_mps2(p)``                        amplitude of the plate's motion at the mains frequency
-``modulation(p)``                      relative depth of a slow modulation of the plate's amplitude
+``modulation(p)``                      ``(depth, omega_radps)`` of a slow modulation of the plate's amplitude
 ``gate(p)``                            relative change of the plate's amplitude while the ball is off it
 ``offset_mps2(p)``                     what the accelerometer reads at rest beyond what is declared
 ``time_scale(p)``                      factor of the recorder's clock

@@ -1,0 +1,314 @@
+"""A slow modulation of the plate's amplitude: what a step, a window and the ball see of it; its pitch and phase.
+
+The rule kept here: depth and frequency are the rig's, the phase is each recording's own and follows from that
+recording's windows. A tone measured in a step holds the swell's mean and a little of the other tones'; least squares
+over the step's span, in closed form, takes both out again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.plate_motion import StepPlate
+from analysis.platedata import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
+from model.roll import PlateSteps
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+FASTEST = 0.45  # of the windows' rate, beyond which a swell cannot be told from a slower one
+FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
+ROUNDS = 3  # of the phase's fit, in which the scatter of the steps' gains is learnt
+MOST_AT_ONCE, CHUNK = 3000, 64  # windows of the first scan; frequencies calculated together
+GROWTH = 4  # by which the scanned part of a long recording grows from round to round
+SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
+LEAST = 4  # steps, that say anything
+
+
+@dataclass(frozen=True)
+class Swells:
+    """What windows within steps, and the steps' gains, say of a swell.
+
+    Attributes
+    ----------
+    recording
+        Of each step, (m,).
+    span_s
+        From where to where each step was fitted, (m, 2).
+    omega_radps, seen_mps2
+        Every fitted tone and its amplitude, the forcing's two (or its one and the second harmonic) first, (m, k).
+    tones
+        How many the forcing has, (m,).
+    gain, gain_sigma
+        Logarithm of plate over drive in each step, (m,); not finite where there is no drive.
+    window_step, window_span_s, value, sigma
+        Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
+        order of the `MODULATION` rows of the plate data.
+    """
+
+    recording: Ints
+    span_s: Array
+    omega_radps: Array
+    seen_mps2: Complex
+    tones: Ints
+    gain: Array
+    gain_sigma: Array
+    window_step: Ints
+    window_span_s: Array
+    value: Array
+    sigma: Array
+
+    @classmethod
+    def of(cls, fitted: Sequence[StepPlate], spans_s: Array, data: PlateData) -> Self:
+        """From the fitted steps of a recording, their spans (m, 2) and its plate data."""
+        m, rows = len(fitted), data.kind == MODULATION
+        weight, total = np.zeros(m), np.zeros(m)
+        of_gain = data.kind == GAIN
+        np.add.at(weight, data.step[of_gain], data.sigma[of_gain] ** -2.0)
+        np.add.at(total, data.step[of_gain], data.value[of_gain] * data.sigma[of_gain] ** -2.0)
+        known = weight > 0.0
+        gain = np.where(known, total / np.where(known, weight, 1.0), np.nan)
+        spans = [_spans(s) for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
+        return cls(
+            np.zeros(m, dtype=np.int64), spans_s, *_tones(fitted),
+            np.array([len(s.forcing_multiples) for s in fitted], dtype=np.int64),
+            gain, np.where(known, np.where(known, weight, 1.0) ** -0.5, np.inf),
+            data.step[rows], np.concatenate([np.zeros((0, 2)), *spans]), data.value[rows], data.sigma[rows],
+        )  # fmt: skip
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Those of several recordings, steps and recordings counted on."""
+        k = max(p.omega_radps.shape[1] for p in parts)
+        parts = [p._widened(k) for p in parts]
+        columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__}
+        steps = np.cumsum([0] + [len(p.recording) for p in parts[:-1]])
+        runs = np.cumsum([0] + [int(p.recording.max(initial=-1)) + 1 for p in parts[:-1]])
+        columns["window_step"] = np.concatenate([p.window_step + s for p, s in zip(parts, steps, strict=True)])
+        columns["recording"] = np.concatenate([p.recording + r for p, r in zip(parts, runs, strict=True)])
+        return cls(**columns)
+
+    def _widened(self, k: int) -> Self:
+        """The same with ``k`` places for tones."""
+        more = k - self.omega_radps.shape[1]
+        free = self.omega_radps.max(axis=1, initial=1.0)[:, None] + self.omega_radps[:, :1] * (1.0 + np.arange(more))
+        omega = np.concatenate([self.omega_radps, free], axis=1)
+        return replace(self, omega_radps=omega, seen_mps2=np.pad(self.seen_mps2, ((0, 0), (0, more))))
+
+    # -- pitch and phase --------------------------------------------------------------------------------------------
+    def phases(self, hz: float) -> Array:
+        """Phase of the swell ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
+        found = [np.angle(self._swell(r, hz)) for r in self._runs]
+        return np.array(found, dtype=np.float64)[self.recording]
+
+    def hints(self) -> tuple[tuple[float, float], ...]:
+        """Where windows and gains swell most, by both and by windows alone: frequency (Hz) and depth."""
+        if len(self.value) < LEAST:
+            return ()
+        found = dict.fromkeys(round(self._strongest_hz(gains), 9) for gains in (True, False))
+        depths = [float(np.median([abs(self._swell(r, hz)) for r in self._runs])) for hz in found]
+        return tuple((hz, min(max(d, SHALLOWEST), DEEPEST)) for hz, d in zip(found, depths, strict=True))
+
+    @property
+    def _runs(self) -> range:
+        return range(int(self.recording.max(initial=-1)) + 1)
+
+    @cached_property
+    def _since_s(self) -> tuple[Array, Array]:
+        """End of each step, and middle of each window, since its recording's first step began, (m,) and (w,)."""
+        begin = np.array([self.span_s[self.recording == r, 0].min() for r in self._runs])[self.recording]
+        return self.span_s[:, 1] - begin, self.window_span_s.mean(axis=1) - begin[self.window_step]
+
+    def _strongest_hz(self, gains: bool) -> float:
+        """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
+        since = np.sort(self._since_s[1])
+        fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
+        until = float(since[min(len(since), MOST_AT_ONCE) - 1])
+        hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
+        best = float(hz[np.argmax(self._power(hz, until, gains))]) if len(hz) else fastest
+        while True:
+            near, until = 1.0 / until, min(GROWTH * until, float(since[-1]))
+            hz = np.maximum(best + np.arange(-near, near, 0.2 / (FINENESS * until)), 0.1 / until)
+            best = float(hz[np.argmax(self._power(hz, until, gains))])
+            if until >= since[-1]:
+                return best
+
+    def _power(self, hz: Array, until_s: float, gains: bool) -> Array:
+        """What the best swell at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
+        out = np.zeros(len(hz))
+        for first in range(0, len(hz), CHUNK):
+            some = slice(first, first + CHUNK)
+            for r in self._runs:
+                normal, side = self._normal(r, hz[some], self.value, _scatter(self.gain[self.recording == r]), until_s)
+                if not gains:
+                    normal, side = normal[1:], side[1:]
+                normal, side = normal.sum(axis=0) + 1e-9 * np.eye(2), side.sum(axis=0)
+                out[some] += 0.5 * np.sum(side * np.linalg.solve(normal, side[..., None])[..., 0], axis=-1)
+        return out
+
+    def _swell(self, r: int, hz: float) -> complex:
+        """Depth and phase, ``depth exp(i phase)``, of the swell of a frequency that fits recording ``r`` best."""
+        own = self.recording == r
+        mean = _mean(self.span_s, np.array([2.0 * np.pi * hz]))[0]
+        value, tau, found = self.value, _scatter(self.gain[own]), 0j
+        for _ in range(ROUNDS):
+            normal, side = (x.sum(axis=0)[0] for x in self._normal(r, np.array([hz]), value, tau, np.inf))
+            a, b = np.linalg.solve(normal + 1e-9 * np.eye(2), side)
+            found = complex(a, b)
+            swell = (found * mean).imag  # in the step itself: windows are relative to what it makes of the step
+            value = self.value * (1.0 + np.maximum(swell, -0.5))[self.window_step]
+            tau = _scatter(self.gain[own] - np.log1p(np.maximum(swell[own], -0.5)))
+        return found
+
+    def _normal(self, r: int, hz: Array, value: Array, tau: float, until_s: float) -> tuple[Array, Array]:
+        """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows."""
+        w = 2.0 * np.pi * hz
+        steps = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(self.gain)
+        windows = (self.recording[self.window_step] == r) & (self._since_s[1] <= until_s)
+        of = self.window_step[windows]
+        rows = _mean(self.window_span_s[windows], w) - _mean(self.span_s, w)[:, of]
+        normal, side = np.zeros((2, len(hz), 2, 2)), np.zeros((2, len(hz), 2))
+        normal[1], side[1] = _squares(rows, value[windows], self.sigma[windows] ** -2.0)
+        if steps.sum() > LEAST:
+            weight = 1.0 / (self.gain_sigma[steps] ** 2 + tau**2)
+            means, gain = _mean(self.span_s[steps], w), self.gain[steps]
+            means = means - (means @ weight / weight.sum())[:, None]  # what is common to all steps says nothing
+            normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
+        return normal, side
+
+    # -- what it does -----------------------------------------------------------------------------------------------
+    def modulated(self, plate: PlateSteps, depth: Array, hz: float) -> PlateSteps:
+        """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
+        phase, w = self.phases(hz), 2.0 * np.pi * hz
+        forced = self._forced
+        z = np.where(forced, self._true(plate, depth, w, phase)[:, :2], 0.0)
+        turn = (depth * np.exp(1j * phase) / 2j)[:, None]
+        tones = np.concatenate([plate.acceleration_mps2, z * turn, z * np.conj(turn)], axis=1)
+        tones[:, :2] = np.where(forced, z, tones[:, :2])
+        below = self.omega_radps[:, :2] - w
+        tones[:, -2:] = np.where(below < 0.0, np.conj(tones[:, -2:]), tones[:, -2:])
+        omega = np.concatenate([plate.omega_radps, self.omega_radps[:, :2] + w, np.abs(below) + (below == 0.0)], axis=1)
+        return PlateSteps(omega, tones, plate.period_s, derived=4)
+
+    def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> Array:
+        """What the swell adds to each plate datum, (r,)."""
+        out = np.zeros(len(data))
+        phase, w = self.phases(hz), 2.0 * np.pi * hz
+        seen, true = self._seen(plate), self._true(plate, depth, w, phase)
+        k = np.argmin(np.abs(self.omega_radps[data.step] - data.omega_radps[:, None]), axis=1)
+        rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
+        factor = seen[data.step[rows], k[rows]] / true[data.step[rows], k[rows]]
+        out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(factor)), np.angle(factor))
+        rows = np.flatnonzero(np.isin(data.kind, (SECOND, THIRD, HUM)))
+        false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a swell fakes
+        out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
+        out[data.kind == MODULATION] = self._in_windows(seen, true, depth, w, phase)
+        return out
+
+    def _in_windows(self, seen: Complex, true: Complex, depth: Array, w: float, phase: Array) -> Array:
+        """Relative deviation of the forcing's amplitude in each window, (w,)."""
+        of, forced = self.window_step, self._forced
+        e, other = _turns(self.omega_radps[of, :2]), _turns(self.omega_radps[of, 2:])[:, 1:]
+        z = _both_senses(np.where(forced, true[:, :2], 0.0))[of]
+        false = _both_senses((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
+        swollen = _swollen(self.window_span_s, e, e[:, 1:], w, phase[of])
+        found = z + depth[of, None] * np.einsum("wab,wb->wa", swollen[:, 1:], z)
+        found -= np.einsum("wab,wb->wa", _projected(self.window_span_s, e, other)[:, 1:], false)
+        own = np.where(forced, seen[:, :2], 0.0)[of]
+        power = np.sum(np.abs(own) ** 2, axis=1)
+        change = np.sum((np.conj(own) * (2.0 * found[:, :2] - own)).real, axis=1)
+        return np.asarray(change / np.where(power > 0.0, power, 1.0))
+
+    @property
+    def _forced(self) -> NDArray[np.bool_]:
+        """Which of the first two tones are the forcing's, (m, 2)."""
+        return np.asarray(self.tones[:, None] > np.arange(2))
+
+    def _seen(self, plate: PlateSteps) -> Complex:
+        """Every tone as the steps' fits have it, (m, k)."""
+        out = self.seen_mps2.copy()
+        out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
+        return out
+
+    def _true(self, plate: PlateSteps, depth: Array, w: float, phase: Array) -> Complex:
+        """The tones without the share that the swell has in the fits, (m, k)."""
+        k = self.omega_radps.shape[1]
+        e = _turns(self.omega_radps)
+        places = np.array([1, 2, k + 1, k + 2])  # of the forcing's tones, in both senses
+        swollen = _swollen(self.span_s, e, e[:, places], w, phase) * np.tile(self._forced, 2)[:, None, :]
+        change = np.zeros((len(depth), 2 * k, 2 * k))
+        change = change + np.eye(2 * k, dtype=np.complex128)
+        change[:, :, places - 1] += depth[:, None, None] * swollen[:, 1:]
+        both = _both_senses(self._seen(plate))
+        return np.asarray(2.0 * np.linalg.solve(change, both[..., None])[:, :k, 0])
+
+
+def _turns(omega: Array) -> Array:
+    """Angular frequencies of a constant and of tones (n, k) in both senses, (n, 2 k + 1)."""
+    return np.column_stack([np.zeros(len(omega)), omega, -omega])
+
+
+def _projected(span_s: Array, e: Array, others: Array, w: float = 0.0) -> Complex:
+    """What least squares with turns ``e`` (n, a) over spans (n, 2) make of turns ``others + w`` (n, b), (n, a, b)."""
+    middle, half = span_s.mean(axis=1)[:, None, None], 0.5 * np.diff(span_s, axis=1)[:, :, None]
+
+    def mean(x: Array) -> Complex:
+        return np.asarray(np.exp(1j * x * middle) * np.sinc(x * half / np.pi))
+
+    side = mean(others[:, None, :] + w - e[:, :, None])
+    return np.asarray(np.linalg.solve(mean(e[:, None, :] - e[:, :, None]), side))
+
+
+def _swollen(span_s: Array, e: Array, others: Array, w: float, phase: Array) -> Complex:
+    """The same of ``others`` times ``sin(w t + phase)``, (n, a, b)."""
+    turn = np.exp(1j * phase)[:, None, None]
+    up, down = _projected(span_s, e, others, w), _projected(span_s, e, others, -w)
+    return np.asarray((turn * up - np.conj(turn) * down) / 2j)
+
+
+def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
+    """Fitted tones of each step and their amplitudes, (m, k); places that are free hold multiples beyond them."""
+    k = max((len(s.acceleration.amplitudes) for s in fitted), default=2)
+    omega, z = np.zeros((len(fitted), k)), np.zeros((len(fitted), k), dtype=np.complex128)
+    for i, s in enumerate(fitted):
+        first = [s.multiples.index(m) for m in sorted({1, max(s.ratio, 2)}) if m in s.multiples]
+        order = [*first, *(j for j in range(len(s.acceleration.amplitudes)) if j not in first)]
+        omega[i] = s.omega_radps * (max(s.multiples) + 1.0 + np.arange(k))
+        omega[i, : len(order)] = 2.0 * np.pi * s.acceleration.frequencies_hz[order]
+        z[i, : len(order)] = s.acceleration.amplitudes[order]
+    return omega, z
+
+
+def _spans(s: StepPlate) -> Array:
+    """From where to where each window of a step goes, (w, 2)."""
+    return s.windows.time_s[:, None] + 0.5 * s.windows.length_s * np.array([-1.0, 1.0])
+
+
+def _both_senses(z: Complex) -> Complex:
+    """Real tones (n, 2) as amplitudes of turns in both senses, (n, 4)."""
+    return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)
+
+
+def _mean(span_s: Array, w: Array) -> Complex:
+    """Mean of ``exp(i w t)`` over spans (n, 2) at each of ``w`` (f,), (f, n)."""
+    middle, half = span_s.mean(axis=1), 0.5 * np.diff(span_s, axis=1)[:, 0]
+    return np.asarray(np.exp(1j * w[:, None] * middle) * np.sinc(w[:, None] * half / np.pi))
+
+
+def _squares(rows: Complex, value: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (f, 2, 2) and right side (f, 2) of ``value = Im(swell rows)`` for the swell's two parts."""
+    parts = np.stack([rows.imag, rows.real], axis=1)
+    return (parts * weight) @ parts.transpose(0, 2, 1), (parts * weight) @ value
+
+
+def _scatter(x: Array) -> float:
+    """Robust standard deviation of what is finite; 0 where there is too little."""
+    x = x[np.isfinite(x)]
+    return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) >= LEAST else 0.0
