@@ -121,10 +121,11 @@ def run(load: str, seconds: float, folder: Path) -> str:
     report = verify(path)
     size = path.stat().st_size
     path.unlink()
+    wrong = "".join(f", {line}" for line in ["suspect"] * report.suspect + list(report.where))
     return (
         f"{load:7s} {seconds:5.0f} s at 4 x 200 kHz: blocks lost {dropped}, worst backlog {backlog * 1e3:.0f} ms of "
         f"{ring.slots * BLOCK / RATE_HZ * 1e3:.0f} ms, {report.state}, {report.n_samples} of {n} samples"
-        f"{', suspect' if report.suspect else ''}; closed in {closing:.1f} s, {size / 1e6:.0f} MB"
+        f"{wrong}; closed in {closing:.1f} s, {size / 1e6:.0f} MB"
     )
 
 
