@@ -21,7 +21,7 @@ def draw_discovery(found: Discovery, folder: Path, badge: str) -> None:
     x = found.scale * found.knots
     with figure(folder, "discovered", badge, figsize=(6.4, 3.8)) as (_, ax):
         ax.fill_between(x, found.low, found.high, color=BAND, lw=0, label="95 % band")
-        ax.plot(x, found.values, "o-", ms=4, color=CURVE, label="estimate")
+        ax.plot(x, found.values, "-", lw=1.8, color=CURVE, label="estimate")
         if len(found.seen):
             inside = found.scale * found.seen
             ax.plot(inside, np.full(len(inside), 0.01), "|", ms=7, color=RUG, transform=ax.get_xaxis_transform())

@@ -7,21 +7,23 @@ that table, since a flight's residual depends on its own value alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
-from analysis.likelihood import FARTHEST_PERIODS, Residuals, Values, World
+from analysis.bases import basis_of, hats_of
+from analysis.likelihood import FARTHEST_PERIODS, Values, World
 from analysis.robust import LEAST_EXCESS_S, excess_of, log_odds, robust_loss, robust_weight
-from analysis.terms import EVENT_GRIDS, FIRST_KNOTS, Curve, Spliced, Term, basis_of, event_term, penalty_of
+from analysis.terms import EVENT_GRIDS, FIRST_KNOTS, Curve, Spliced, Term, event_term
 
 Array = NDArray[np.float64]
 
 TAILS = (0.9, 0.8, 0.65)  # share of residuals that sets the width, pass by pass: from all of them
 SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # to the middle
 HALVINGS = 4
+FAR_NATS, ENOUGH_NATS = 5.0, 0.2  # a step that gains more has led far; one that gains less is the last
 START_SIZES: dict[str, Array] = {
     "force": np.concatenate([np.geomspace(0.05, 20.0, 6), -np.geomspace(0.05, 20.0, 6)]),
     "friction": np.geomspace(0.005, 2.0, 6),
@@ -66,16 +68,21 @@ class Stack:
         rows = ~self.first
         return Stack(self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows])
 
+    def without(self, rows: NDArray[np.bool_]) -> Stack:
+        """The same with a fit that may not look at ``rows`` (k,)."""
+        return replace(self, train=self.train & ~rows)
+
     def residuals(self, world: World, values: Values) -> Array:
         """Of this stack, cut at the farthest."""
-        return self.cut(world.residuals(values))
+        p, measured = world.predict(values), world.evidence.measured
+        return self.cut(measured.opening_s - p.opening_s, measured.landing_s - p.landing_s)
 
     def widths(self, r: Array, tail: float = 0.5) -> Array:
         """Uncertainty with an excess of each channel that fits the residual at the quantile ``tail``."""
         out = np.empty_like(r)
         for rows in (self.first, ~self.first):
             look = rows & self.train
-            size = float(np.quantile(np.abs(r[look]), tail) / norm.ppf(0.5 + 0.5 * tail)) if look.any() else 0.0
+            size = float(np.quantile(np.abs(r[look]), tail) / ndtri(0.5 + 0.5 * tail)) if look.any() else 0.0
             usual = float(np.median(self.sigma_s[look])) if look.any() else 0.0
             out[rows] = np.hypot(self.sigma_s[rows], max(np.sqrt(max(size**2 - usual**2, 0.0)), LEAST_EXCESS_S))
         return out
@@ -92,9 +99,9 @@ class Stack:
                 out += np.bincount(step[self.event[rows]], loss, minlength=m)
         return out
 
-    def cut(self, r: Residuals) -> Array:
-        """Residuals of this stack, cut at the farthest."""
-        both = np.where(self.first, r.opening_s[self.event], r.landing_s[self.event])
+    def cut(self, opening_s: Array, landing_s: Array) -> Array:
+        """Residuals of this stack, from those of all flights (n,), cut at the farthest."""
+        both = np.where(self.first, opening_s[self.event], landing_s[self.event])
         cap = FARTHEST_PERIODS * self.period_s
         return np.asarray(np.clip(np.where(np.isfinite(both), both, cap), -cap, cap))
 
@@ -145,7 +152,7 @@ def try_covariate(table: Array, stack: Stack, term: Term, x: Array, knots: Array
     """
     grid = EVENT_GRIDS[term.name]
     basis = basis_of(x, knots)
-    near = basis[stack.event]
+    near = hats_of(x, knots)[stack.event]
     values = np.full(len(knots), constant_of(table, stack, term.name)[0])
     weights = near * stack.train[:, None]
     for tail in TAILS:
@@ -154,7 +161,7 @@ def try_covariate(table: Array, stack: Stack, term: Term, x: Array, knots: Array
         by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
         values = grid[np.argmin(by_value, axis=0)]
     curve = Curve(term, knots, values, basis)
-    return _descend(curve, stack, lambda c: _looked_up(table, grid, near @ c.values), near)
+    return _descend(curve, stack, lambda c: _looked_up(table, grid, c.table[stack.event]), basis[stack.event])
 
 
 def _looked_up(table: Array, grid: Array, value: Array) -> tuple[Array, Array]:
@@ -171,13 +178,16 @@ def _descend(curve: Curve, stack: Stack, look: Callable[[Curve], tuple[Array, Ar
     for tail in (*TAILS[1:], *SHARP):
         step = newton_step(curve, stack, r, slope[:, None] * near, tail)
         width = stack.widths(r, tail)
-        now = _penalised(curve, stack, r, width)
+        now, gained = _penalised(curve, stack, r, width), 0.0
         for half in range(HALVINGS):
             moved = curve.moved(curve.values + 0.5**half * step)
             r_moved, slope_moved = look(moved)
-            if _penalised(moved, stack, r_moved, width) < now:
+            gained = now - _penalised(moved, stack, r_moved, width)
+            if gained > 0.0:
                 curve, r, slope = moved, r_moved, slope_moved
                 break
+        if gained < ENOUGH_NATS and tail == SHARP[0]:
+            break
     return Tried(curve, stack.loss(r))
 
 
@@ -193,7 +203,7 @@ def newton_step(curve: Curve, stack: Stack, r: Array, jacobian: Array, tail: flo
     width = stack.widths(r, tail)
     z, j = r / width, jacobian / width[:, None]
     weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
-    pull = stiffness_of(curve) * penalty_of(len(curve.values))
+    pull = stiffness_of(curve) * curve.penalty
     normal = (j * weight[:, None]).T @ j + pull
     normal += 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(normal))
     return np.asarray(np.linalg.lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
@@ -201,7 +211,7 @@ def newton_step(curve: Curve, stack: Stack, r: Array, jacobian: Array, tail: flo
 
 def _penalised(curve: Curve, stack: Stack, r: Array, width: Array) -> float:
     z, odds = r / width, log_odds(width, stack.period_s)
-    bend = curve.values @ penalty_of(len(curve.values)) @ curve.values
+    bend = curve.values @ curve.penalty @ curve.values
     data = float(np.sum(robust_loss(z, odds)[stack.train]))
     return data + 0.5 * stiffness_of(curve) * float(bend)
 
@@ -225,19 +235,29 @@ def best_start(world: World, values: Values, stack: Stack, curve: Curve, dwell_s
 def try_in_flight(
     world: World, values: Values, stack: Stack, start: Curve, dwell_s: Array, tails: Sequence[float]
 ) -> Tried:
-    """Gauss-Newton for a term within the flight, by predictions."""
-    curve = start
+    """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew where a step has led far.
+
+    It ends early where a step gains nothing and the tail stays as it is.
+    """
+    curve, jacobian, gained = start, np.zeros((0, 0)), np.inf
     r = stack.residuals(Spliced(world, [curve], dwell_s), values)
-    for tail in tails:
-        jacobian = slopes_of(world, values, stack, curve, dwell_s, r)
+    for i, tail in enumerate(tails):
+        fresh = gained > FAR_NATS
+        if fresh:
+            jacobian = slopes_of(world, values, stack, curve, dwell_s, r)
         step, width = newton_step(curve, stack, r, jacobian, tail), stack.widths(r, tail)
-        now = _penalised(curve, stack, r, width)
+        now, gained = _penalised(curve, stack, r, width), 0.0
         for half in range(HALVINGS):
             moved = curve.moved(curve.values + 0.5**half * step)
             r_moved = stack.residuals(Spliced(world, [moved], dwell_s), values)
-            if _penalised(moved, stack, r_moved, width) < now:
+            gained = now - _penalised(moved, stack, r_moved, width)
+            if gained > 0.0:
                 curve, r = moved, r_moved
                 break
+        if gained < ENOUGH_NATS:
+            if fresh and set(tails[i:]) == {tail}:
+                break
+            gained = np.inf
     return Tried(curve, stack.loss(r))
 
 
@@ -245,22 +265,21 @@ def slopes_of(world: World, values: Values, stack: Stack, curve: Curve, dwell_s:
     """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction if each flight has one."""
     nudge = curve.term.nudge
     if curve.term.columns:
-        moved = Curve(curve.term, curve.knots, curve.values + nudge, curve.basis)
+        moved = replace(curve, values=curve.values + nudge)
         along = (stack.residuals(Spliced(world, [moved], dwell_s), values) - r) / nudge
         return np.asarray(along[:, None] * curve.basis[stack.event])
     out = np.empty((len(r), len(curve.values)))
     for i in range(len(curve.values)):
         values_moved = curve.values.copy()
         values_moved[i] += nudge
-        moved = Curve(curve.term, curve.knots, values_moved, curve.basis, curve.roughness)
+        moved = replace(curve, values=values_moved)
         out[:, i] = (stack.residuals(Spliced(world, [moved], dwell_s), values) - r) / nudge
     return out
 
 
-def spread_of(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
-    """Standard deviation of the curve at its knots."""
+def covariance_of(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
+    """Covariance of the curve's values at its knots, (k, k)."""
     width = stack.widths(r)
     weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
-    stiff = stiffness_of(curve) * penalty_of(len(curve.values))
-    normal = (jacobian * weight[:, None]).T @ jacobian + stiff
-    return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, rcond=1e-14)), 0.0)))
+    normal = (jacobian * weight[:, None]).T @ jacobian + stiffness_of(curve) * curve.penalty
+    return np.asarray(np.linalg.pinv(normal, rcond=1e-14))

@@ -1,6 +1,6 @@
 """Missing terms as splines: what they act on, what they may depend on, and the world with one of them in it.
 
-The rule kept here: a term is piecewise linear between knots and constant beyond them; it enters the same
+The rule kept here: a term is a smooth curve between its knots and constant beyond them; it enters the same
 one-event-ahead prediction as any named effect, either as a number of each flight or as a force within it.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.bases import basis_of, penalty_of
 from analysis.covariates import COVARIATES
 from analysis.likelihood import Key, Values, World
 from model.effects import offsets
@@ -19,9 +20,9 @@ from model.effects.smooth_force import KNOTS
 
 Array = NDArray[np.float64]
 
-MOST_KNOTS = 12  # of a term with one value for each flight
-SOFT, STIFF = 0.1, 0.02  # how far second differences may go, relative to the spread of the curve
-FIRST_KNOTS = 12  # of a term within the flight, at first
+USUAL = 0.05  # roughness: how far second differences may go, relative to the spread of the curve
+FIRST_KNOTS, MOST_INSIDE = 12, 23  # of a term within the flight, at first and at most
+POINTS = 45  # at which a curve is told
 
 
 @dataclass(frozen=True)
@@ -122,18 +123,23 @@ IN_FLIGHT: tuple[Term, ...] = (
 
 @dataclass(frozen=True)
 class Curve:
-    """A term with its knots (k,), values there (k,) and, for each flight, where on the curve it lies (k columns)."""
+    """A term with its knots (k,), its values there (k,) and a basis (k columns) that makes a table of it.
+
+    The rows of the table are the flights, of a term that has one value for each; else the points of the effect that
+    carries it, evenly between the outer knots.
+    """
 
     term: Term
     knots: Array
     values: Array
     basis: Array
-    roughness: float = SOFT
+    roughness: float = USUAL
 
     @classmethod
-    def even(cls, term: Term, span: tuple[float, float], n: int) -> Curve:
-        """A term within the flight, nothing as yet, with even knots; ``n`` flights."""
-        return cls(term, np.linspace(*span, FIRST_KNOTS), np.zeros(FIRST_KNOTS), np.zeros((n, FIRST_KNOTS)))
+    def even(cls, term: Term, span: tuple[float, float], k: int = FIRST_KNOTS) -> Curve:
+        """A term within the flight, nothing as yet, with ``k`` even knots."""
+        knots = np.linspace(span[0], span[1], k)
+        return cls(term, knots, np.zeros(k), basis_of(np.linspace(span[0], span[1], KNOTS), knots))
 
     def moved(self, values: Array) -> Curve:
         """The same with other values, kept within bounds."""
@@ -149,28 +155,39 @@ class Curve:
         turns = np.abs(np.diff(self.at(place), 2)).sum() * (len(place) - 1)
         return float(turns / span)
 
-    def with_roughness(self, roughness: float) -> Curve:
-        """The same that may bend more or less: what few flights hold up is, in a stiff one, held up by the rest."""
-        return Curve(self.term, self.knots, self.values, self.basis, roughness)
-
     def finer(self) -> Curve:
         """The same within the flight with a knot more between any two, as many as can be: a bend may be sharp."""
         k = 2 * len(self.knots) - 1
-        if self.term.columns or k > KNOTS:
+        if self.term.columns or k > MOST_INSIDE:
             return self
-        knots = np.linspace(self.knots[0], self.knots[-1], k)
-        return Curve(self.term, knots, self.at(knots), np.zeros((len(self.basis), k)))
+        finer = Curve.even(self.term, (float(self.knots[0]), float(self.knots[-1])), k)
+        return finer.moved(self.at(finer.knots))
 
-    def flat(self) -> Curve:
-        """The same term without its covariate, at its middle."""
+    def flat(self, n: int) -> Curve:
+        """The same term without its covariate, at its middle, for ``n`` flights."""
         middle = float(np.median(self.values)) / (9.81 if self.term.against_motion else 1.0)
         sign = -1.0 if self.term.name == "force" and not self.term.columns else 1.0
         term = event_term(self.term.name, self.term.of)
-        return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((len(self.basis), 1)))
+        return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((n, 1)))
 
     def at(self, x: Array) -> Array:
         """Value of the term where the covariate is ``x``."""
-        return np.asarray(np.interp(x, self.knots, self.values))
+        return np.asarray(np.clip(basis_of(x, self.knots) @ self.values, self.term.low, self.term.high))
+
+    @property
+    def table(self) -> Array:
+        """Value of the term in each row of the basis."""
+        return np.asarray(np.clip(self.basis @ self.values, self.term.low, self.term.high))
+
+    @property
+    def penalty(self) -> Array:
+        """What bending costs, (k, k)."""
+        return penalty_of(self.knots)
+
+    @property
+    def points(self) -> Array:
+        """Where the curve is told: its knots where they are few values of the covariate, else evenly between them."""
+        return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], POINTS)
 
 
 def spoken(term: Term) -> tuple[str, str, float]:
@@ -208,34 +225,6 @@ def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[st
     }
 
 
-def knots_of(x: Array, most: int = MOST_KNOTS) -> Array:
-    """Knots at quantiles of ``x``, fewer where it takes few values."""
-    seen = np.unique(x[np.isfinite(x)])
-    if len(seen) <= most:
-        return np.asarray(seen, dtype=np.float64)
-    low, high = np.quantile(x[np.isfinite(x)], (0.01, 0.99))
-    even = np.linspace(low, high, most)
-    dense = np.quantile(x[np.isfinite(x)], np.linspace(0.01, 0.99, most))
-    return np.asarray(np.unique(0.5 * (even + dense)))
-
-
-def basis_of(x: Array, knots: Array) -> Array:
-    """Hat functions at the knots, (n, k); 0 where ``x`` is not known."""
-    if len(knots) == 1:
-        return np.isfinite(x).astype(np.float64)[:, None]
-    eye = np.eye(len(knots))
-    out = np.column_stack([np.interp(np.nan_to_num(x), knots, row) for row in eye])
-    return out * np.isfinite(x)[:, None]
-
-
-def penalty_of(k: int) -> Array:
-    """Sum of squared second differences, (k, k)."""
-    if k < 3:
-        return np.zeros((k, k))
-    d = np.diff(np.eye(k), 2, axis=0)
-    return np.asarray(d.T @ d)
-
-
 class Spliced(World):
     """A world whose predictions hold a term more.
 
@@ -263,9 +252,10 @@ class Spliced(World):
         self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
 
     def rows(self, values: Values) -> Array:
-        """Parameters of each event with the terms in, (n, P + 1)."""
-        plain = super().rows(values)
-        out = np.array(np.broadcast_to(plain, (len(self.evidence), plain.shape[-1])))
+        """Parameters of each event with the terms in, (P + 1,) where they are the same for all, else (n, P + 1)."""
+        out = super().rows(values)
+        if out.ndim == 1 and any(c.term.columns or c.term.of == "since_impact_s" for c in self.curves):
+            out = np.repeat(out[None, :], len(self.evidence), axis=0)
         for curve in self.curves:
             _put(out, curve, self.dwell_s)
         return out
@@ -275,16 +265,16 @@ def _put(out: Array, curve: Curve, dwell_s: Array) -> None:
     """Set the parameters that carry a curve; a friction or restitution takes the place of a constant one."""
     term, place = curve.term, offsets()
     for key in REPLACED.get(term.name, ()):
-        out[:, place[key]] = 0.0
+        out[..., place[key]] = 0.0
     if term.columns:
         for key in term.columns:
-            out[:, place[key]] += curve.basis @ curve.values
+            out[:, place[key]] += curve.table
         return
     for name, number in term.fixed:
-        out[:, place[term.effect, name]] = number
+        out[..., place[term.effect, name]] = number
     if term.of == "since_impact_s":
         out[:, place[term.effect, "lag_s"]] = dwell_s
-    out[:, place[term.effect, "start"]] = curve.knots[0]
-    out[:, place[term.effect, "spacing"]] = curve.knots[1] - curve.knots[0]
-    for i in range(KNOTS):
-        out[:, place[term.effect, f"c{i}"]] = curve.values[min(i, len(curve.values) - 1)]
+    out[..., place[term.effect, "start"]] = curve.knots[0]
+    out[..., place[term.effect, "spacing"]] = (curve.knots[-1] - curve.knots[0]) / (KNOTS - 1)
+    first = place[term.effect, "c0"]
+    out[..., first : first + KNOTS] = curve.table

@@ -10,7 +10,7 @@ from numba import njit
 
 from model.effects.base import Effect, Parameter, Row
 
-KNOTS = 23
+KNOTS = 45
 HEIGHT, VELOCITY, ABSOLUTE_VELOCITY, SINCE_TAKEOFF, SINCE_IMPACT = 1.0, 2.0, 3.0, 4.0, 5.0
 TURNS_MPS = 0.01  # speed over which a force against the motion changes its sign, so that the integrator can follow
 

@@ -8,7 +8,7 @@ from numba import njit
 
 from model.effects.base import Effect, Parameter, Row
 
-KNOTS = 23
+KNOTS = 45
 HEIGHT, SPEED = 1.0, 2.0
 
 EFFECT = Effect(
