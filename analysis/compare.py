@@ -16,9 +16,11 @@ from analysis.flight_table import FlightFlag, Flights
 from analysis.plate_motion import StepPlate
 from daq.setup import Setup
 from model.choose import ball_of
+from model.declared import Effects, of_the_ball, reading
+from model.effects import resolve
 from model.observe import Instrument, observe
 from model.observed import observed
-from model.orbit import AT_REST, Attractor, attractor
+from model.orbit import AT_REST, Attractor, Ball, attractor
 from model.tones import Forcing
 from model.zones import forbidden_zones
 
@@ -29,6 +31,7 @@ CYCLES_SHOWN = 4  # cycles put through the instrument
 NEAR_SAMPLES = 1.0
 SHORT = 0.02  # of the longest predicted flight: what is shorter is a bounce
 BIFURCATION_STEPS = 200
+SEEN = 4.0  # standard deviations by which a harmonic stands out
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class StepComparison:
     ----------
     step : int
     gamma, gamma_peak : float
-        As achieved on the plate.
+        As the accelerometer shows them.
     measured : StepClass
     predicted : str
         The model's attractor in words.
@@ -119,23 +122,42 @@ class Comparison:
     ratio: int
 
 
-def forcing_of(plate: StepPlate, g_mps2: float) -> tuple[Forcing, float]:
-    """The measured forcing with its first tone at phase zero, and its gamma with ``b = 1`` for the setup's tones."""
-    rows = [plate.multiples.index(m) for m in plate.forcing_multiples]
-    z = plate.acceleration.amplitudes[rows]
-    n = np.array(plate.forcing_multiples, dtype=float)
+def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcing, float]:
+    """The measured forcing with its first tone at phase zero, and its gamma with ``b = 1`` for the setup's tones.
+
+    Gamma is what the accelerometer shows; where it is declared to read too much, the tones are by so much smaller.
+    Where the plate is declared to move at harmonics, those that were measured belong to its motion.
+    """
+    multiples = list(plate.forcing_multiples)
+    if "harmonic_distortion" in effects:
+        sigma = plate.acceleration.amplitude_sigma()
+        size = np.abs(plate.acceleration.amplitudes)
+        multiples += [m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > SEEN * sigma[i]]
+    rows = [plate.multiples.index(m) for m in multiples]
+    z = plate.acceleration.amplitudes[rows] / reading(effects)
+    n = np.array(multiples, dtype=float)
     displacement = np.abs(z) / n**2
     phase = np.angle(z) - 0.5 * np.pi
     phase = np.mod(phase - n * phase[0] + np.pi, 2.0 * np.pi) - np.pi
-    b = displacement / (g_mps2 * plate.gamma)
+    b = displacement / (setup.g_mps2.value * plate.gamma)
     return Forcing(tuple(n), tuple(b.tolist()), tuple(phase.tolist())), plate.gamma
+
+
+def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, Forcing, float]:
+    """The ball with those of ``effects`` that act on it, over the plate that was measured; its forcing and gamma.
+
+    Effects between drive and plate are in the measured motion already.
+    """
+    forcing, gamma = forcing_of(plate, setup, effects)
+    own = of_the_ball(effects)
+    return ball_of(forcing, own, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value), forcing, gamma
 
 
 def compare(
     flights: Flights,
     setup: Setup,
     *,
-    effects: dict[str, dict[str, float]] | None = None,
+    effects: Effects | None = None,
     steps_table: npt.NDArray[np.void] | None = None,
 ) -> Comparison:
     """Hold a recording's flights against the model.
@@ -154,14 +176,13 @@ def compare(
     ValueError
         For effects that the model does not know.
     """
-    declared = setup.declared_values() if effects is None else effects
+    declared = resolve(setup.declared_values() if effects is None else effects)
     classes = classify(flights)
     steps, last = [], AT_REST
     for plate, own in zip(flights.plate.steps, classes, strict=True):
         if plate is None or not plate.gamma > 0:
             continue
-        forcing, gamma = forcing_of(plate, setup.g_mps2.value)
-        ball = ball_of(forcing, declared, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value)
+        ball, forcing, gamma = ball_on(plate, setup, declared)
         found = attractor(ball, gamma, last, FLIGHTS)
         around = [attractor(ball, gamma + d * plate.gamma_uncertainty, last, FLIGHTS) for d in (-1.0, 1.0)]
         settled = steps_table["settle_cycles"][plate.step] if steps_table is not None else np.nan
@@ -248,7 +269,7 @@ def seen_by_instrument(found: Attractor, frequency_hz: float, flights: Flights) 
 
 
 def _first(
-    flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: dict[str, dict[str, float]]
+    flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Effects
 ) -> FirstBifurcation:
     """The first change after take-off, measured and predicted, in gamma."""
     measured = next((c for c in seen if c.type not in ("take-off", "landing for good")), None)
@@ -256,8 +277,7 @@ def _first(
     nan = float("nan")
     if not plates:
         return FirstBifurcation(measured, "", nan, nan)
-    forcing, _ = forcing_of(plates[-1], setup.g_mps2.value)
-    ball = ball_of(forcing, effects, frequency_hz=plates[-1].frequency_hz, g_mps2=setup.g_mps2.value)
+    ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), 1.2 * max(p.gamma for p in plates)
     found = [b for b in observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type != "take-off"]
     if not found:

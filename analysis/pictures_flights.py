@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis import pictures
-from analysis.compare import Comparison, forcing_of
+from analysis.compare import Comparison, ball_on
 from analysis.flight_table import FlightFlag, Flights
 from analysis.plate_motion import StepPlate
 from daq.recording import Recording
 from daq.setup import Setup
 from model.ball import IdealBall
-from model.choose import ball_of
 from model.diagram import diagram
 from model.orbit import attractor
 from model.zones import forbidden_zones
@@ -71,11 +70,9 @@ def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> N
 
 def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float, scale: float) -> float:
     """The model's diagram and its forbidden zones; returns the longest flight shown, ms."""
-    g = setup.g_mps2.value
-    forcing, _ = forcing_of(plate, g)
     unit = 1e3 / plate.omega_radps
     declared = setup.declared_values()
-    ball = ball_of(forcing, declared, frequency_hz=plate.frequency_hz, g_mps2=g)
+    ball, forcing, _ = ball_on(plate, setup, declared)
     for gamma in np.linspace(low, high, ZONE_GAMMAS):
         for a, b in forbidden_zones(forcing, float(gamma)):
             if a > 0.0:
@@ -184,8 +181,7 @@ def _draw_predicted(
 ) -> None:
     """The model's landings of its own cycle, as dashed flights from the first measured take-off on."""
     g = setup.g_mps2.value
-    forcing, gamma = forcing_of(plate, g)
-    ball = ball_of(forcing, setup.declared_values(), frequency_hz=plate.frequency_hz, g_mps2=g)
+    ball, _, gamma = ball_on(plate, setup, setup.declared_values())
     found = attractor(ball, gamma)
     if found.tau.size == 0 or found.kind == "chaotic":
         return

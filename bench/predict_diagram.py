@@ -70,7 +70,7 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
     return ensemble.Job(
         ratio=request.ratio, gammas=tuple(gammas.tolist()), phase_rad=math.radians(request.phase_deg), effects=effects,
         axes=tuple(_axis(text) for text in request.grid), frequency_hz=request.frequency_hz,
-        sweep=request.sweep is not None,
+        sweep=request.sweep is not None, g_mps2=request.g_mps2,
     )
 
 

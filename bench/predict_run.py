@@ -16,7 +16,7 @@ from daq.errors import InputError
 from model.bifurcation import Bifurcation
 from model.choose import ball_of
 from model.orbit import Attractor, Ball, attractor, sweep
-from model.tones import Forcing
+from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 SWEEP_STEPS = 400  # gammas of the sweep that leads to a single gamma
 
@@ -42,6 +42,8 @@ class Request:
     cluster: str | None = None
     paper_figure: int | None = None
     json_to: str | None = None
+    profile: str | None = None
+    g_mps2: float = STANDARD_GRAVITY_MPS2
     out: Path | None = None
     figure: Path | None = None
 
@@ -54,7 +56,17 @@ def run(request: Request) -> None:
 
             paper_figure(request.paper_figure, request.figure, request.steps)
             return
-        ball = _ball(request)
+        if request.profile is not None:
+            from bench.predict_profile import print_ramp, ramp_json, with_profile
+
+            request = with_profile(request, request.profile)
+            if request.gamma is None and request.gamma_peak is None and request.gamma_range is None:
+                rows = ramp_json(request, str(request.profile))
+                write_json(rows, request.json_to)
+                if request.json_to is None:
+                    print_ramp(rows)
+                return
+        ball = ball_for(request)
         if request.gamma_range is None:
             _one(ball, request)
         elif request.bifurcations:
@@ -94,7 +106,14 @@ def forcing_of(request: Request) -> Forcing:
     return Forcing.superposition(request.ratio, phase_rad=(0.0, math.radians(request.phase_deg)))
 
 
-def _ball(request: Request) -> Ball:
+def ball_for(request: Request) -> Ball:
+    """The ball that ``request`` is about.
+
+    Raises
+    ------
+    InputError
+        For options without meaning.
+    """
     if request.sweep not in (None, "up", "down"):
         raise InputError(f"--sweep wants up or down, not {request.sweep!r}")
     if request.frequency_hz is not None and not (math.isfinite(request.frequency_hz) and request.frequency_hz > 0):
@@ -102,12 +121,14 @@ def _ball(request: Request) -> Ball:
     forcing = forcing_of(request)
     if not forcing.moves:
         raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")
-    return ball_of(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz)
+    return ball_of(
+        forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2
+    )
 
 
 def _gamma(request: Request) -> float:
     if (request.gamma is None) == (request.gamma_peak is None):
-        raise InputError("give one of --gamma, --gamma-peak (at c = 1) and --gamma-range")
+        raise InputError("give one of --gamma, --gamma-peak (at c = 1), --gamma-range and --profile")
     if request.gamma is not None:
         value = request.gamma
     else:

@@ -89,6 +89,30 @@ class Recording:
         self.clock_readings, self.clock_map = self.side["clock_readings"], self.side["clock_map"]
         self.gaps = gaps_of(self.blocks)
 
+    def measure_with(self, setup: Setup) -> None:
+        """Read volts by another profile's measuring part; rate and channels stay what the file has.
+
+        Raises
+        ------
+        InputError
+            When ``setup`` says nothing of a contact circuit that was recorded, or its c is not that of the steps.
+        """
+        if setup.channels.continuity is None and self.setup.channels.continuity is not None:
+            raise InputError(
+                f"{self.path}: has a contact circuit; wanted [channels.continuity] in profile {setup.name!r}"
+            )
+        ratios = set(self.steps["ratio"].tolist())
+        if ratios and setup.forcing.ratio not in ratios:
+            known = ", ".join(map(str, sorted(ratios)))
+            raise InputError(
+                f"{self.path}: its steps have c = {known}; profile {setup.name!r} says forcing.ratio = "
+                f"{setup.forcing.ratio}; correct it, or import the file again"
+            )
+        channels = setup.channels
+        if self.setup.channels.continuity is None:
+            channels = channels.model_copy(update={"continuity": None})
+        self.setup = setup.model_copy(update={"sampling": self.setup.sampling, "channels": channels})
+
     def scale(self, channel: str) -> tuple[float, float]:
         """``(volts_per_code, offset_v)`` of a channel."""
         factor, offset = self._scales[self._known(channel)]

@@ -15,20 +15,24 @@ def command(
     recording: Path = typer.Argument(help="The recording (HDF5)."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
     figures: Path | None = typer.Option(None, "--figures", metavar="FOLDER", help="Draw the pictures there."),
+    profile: str | None = typer.Option(None, "--profile", help="A profile that replaces the recording's own."),
     ideal: bool = typer.Option(False, "--ideal", help="Leave the declared effects out of the model."),
 ) -> None:
     """Measured against predicted: flight times, double hits, and the first bifurcation.
 
-    Example: bench compare run.h5 --figures pictures
+    Example: bench compare run.h5 --profile better.toml --figures pictures
     """
     from analysis.compare import compare
     from bench.commands.reprocess import draw, with_progress
     from bench.console import EXIT_USAGE, fail, write_json
+    from bench.profiles import load_measuring
     from daq.errors import InputError
     from daq.recording import open_recording
 
     try:
         with open_recording(recording) as opened:
+            if profile is not None:
+                opened.measure_with(load_measuring(profile)[0])
             table = with_progress(opened, quiet=json == "-")
             if "continuity" not in opened.channels:
                 raise InputError(

@@ -15,6 +15,9 @@ def command(
     bifurcations: bool = typer.Option(False, "--bifurcations", help="List every bifurcation in --gamma-range."),
     effect: list[str] = typer.Option([], help="name.parameter=value, such as restitution.e0=0.514; repeatable."),
     frequency_hz: float | None = typer.Option(None, help="First tone, Hz: flight times in seconds, effects in SI."),
+    profile: str | None = typer.Option(
+        None, help="Forcing, frequency and declared effects of a profile; alone: the motion in each step of its ramp."
+    ),
     sweep: str | None = typer.Option(None, help="up or down: carry the state from gamma to gamma, as a bench does."),
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
     steps: int = typer.Option(1000, min=2, help="Gammas of a diagram over --gamma-range."),
@@ -38,6 +41,8 @@ def command(
 
     bench predict --c 2 --gamma-range 0.2 3 --out diagram.h5 --figure diagram.png
 
+    bench predict --profile better.toml
+
     bench predict --gamma-range 0.5 4 --steps 10000 --grid restitution.e0=0:0.9:100 --workers 2 --out map.h5
     """
     from bench.predict_run import Request, run
@@ -48,5 +53,6 @@ def command(
             effects=tuple(effect), frequency_hz=frequency_hz, sweep=sweep, phase_deg=phase_deg, steps=steps,
             adaptive=adaptive, grid=tuple(grid), narrowest=narrowest, workers=workers, cluster=cluster,
             paper_figure=paper_figure, json_to=json_to, out=out, figure=figure,
+            profile=profile,
         )
     )
