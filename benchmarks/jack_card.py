@@ -27,14 +27,16 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import first
+
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
-FIRST = {"virtual": ["chrt", "-f", "20"], "ramp": ["chrt", "-f", "10"]}  # the plant before the run
+PRIORITIES = {"virtual": first.PLANT, "ramp": first.RUN}
 STOPS_S = (0.012, 0.03, 0.05, 0.08)  # for how long the run's process is stopped, in turn
 
 
-def bench(first: bool, *words: str) -> list[str]:
+def bench(ahead: bool, *words: str) -> list[str]:
     """The call of a `bench` command, before all other work where asked for."""
-    return [*(FIRST[words[0]] if first else []), *BENCH, *words]
+    return [*(first.before(PRIORITIES[words[0]]) if ahead else []), *BENCH, *words]
 
 
 def profile_text(hold: int, rate_hz: int, *, simulated: bool = False, closed: bool = True) -> str:
@@ -52,27 +54,20 @@ def profile_text(hold: int, rate_hz: int, *, simulated: bool = False, closed: bo
 
 
 @contextmanager
-def virtual(folder: Path, text: str, period: int, first: bool) -> Iterator[Path]:
+def virtual(folder: Path, text: str, period: int, ahead: bool) -> Iterator[Path]:
     """The plant behind JACK; gives the profile's path, and leaves ``plant.npz``."""
     path = folder / "card.toml"
     path.write_text(text, encoding="utf-8")
     os.environ["JACK_DEFAULT_SERVER"] = server = f"card-{os.getpid()}"
     options = ["--server", server, "--period", str(period), "--log", str(folder / "plant.npz")]
-    if first:  # a server that runs its clients' callbacks before all else: `bench virtual` finds it there
-        rate = str(int(text.split("rate_hz = ")[1].split()[0]))
-        own = subprocess.Popen(["jackd", "-R", "-P", "40", "-n", server, "-d", "dummy", "-r", rate, "-p", str(period)],
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
-        time.sleep(1.0)
-    process = subprocess.Popen(bench(first, "virtual", str(path), *options), stdout=subprocess.PIPE, text=True)
-    try:
-        print(process.stdout.readline().strip() if process.stdout else "")
-        yield path
-    finally:
-        process.terminate()
-        print(process.communicate(timeout=60)[0].strip())
-        if first:
-            own.terminate()
-            own.wait(10.0)
+    with first.asked(ahead, server, int(text.split("rate_hz = ")[1].split()[0]), period):
+        process = subprocess.Popen(bench(ahead, "virtual", str(path), *options), stdout=subprocess.PIPE, text=True)
+        try:
+            print(process.stdout.readline().strip() if process.stdout else "")
+            yield path
+        finally:
+            process.terminate()
+            print(process.communicate(timeout=60)[0].strip())
 
 
 def compare(recording: Path, log: Path) -> None:
@@ -147,9 +142,9 @@ def beside(recording: Path, simulated: Path) -> None:
         )
 
 
-def ramp(path: Path, out: Path, *, provoke: bool, first: bool) -> None:
+def ramp(path: Path, out: Path, *, provoke: bool, ahead: bool) -> None:
     """`bench ramp` in a process of its own, and what it took."""
-    process = subprocess.Popen(bench(first, "ramp", str(path), "--out", str(out)), stderr=subprocess.STDOUT)
+    process = subprocess.Popen(bench(ahead, "ramp", str(path), "--out", str(out)), stderr=subprocess.STDOUT)
     began = time.monotonic()
     turn = 0
     while process.poll() is None:
@@ -170,10 +165,10 @@ def ramp(path: Path, out: Path, *, provoke: bool, first: bool) -> None:
     )
 
 
-def unplug(folder: Path, path: Path, first: bool) -> None:
+def unplug(folder: Path, path: Path, ahead: bool) -> None:
     """`bench ramp`, and after some seconds the server killed as nobody expects it."""
     out = folder / "unplugged.h5"
-    process = subprocess.Popen(bench(first, "ramp", str(path), "--out", str(out)))
+    process = subprocess.Popen(bench(ahead, "ramp", str(path), "--out", str(out)))
     time.sleep(6.0)
     server = os.environ["JACK_DEFAULT_SERVER"]
     listed = subprocess.run(["pgrep", "-f", f"jackd .*-n {server} "], capture_output=True, text=True, check=True)
@@ -202,7 +197,7 @@ def main() -> None:
         with virtual(folder, text, options.period, options.first) as path:
             if options.what == "unplug":
                 return unplug(folder, path, options.first)
-            ramp(path, out, provoke=options.what == "xruns", first=options.first)
+            ramp(path, out, provoke=options.what == "xruns", ahead=options.first)
         compare(out, folder / "plant.npz")
         if options.what == "xruns":
             return flights(out)

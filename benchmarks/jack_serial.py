@@ -6,6 +6,9 @@ take-offs and landings, in the time of the drive.
 
     python -m benchmarks.jack_serial            # some 40 s; needs jackd and libportaudio2
     python -m benchmarks.jack_serial --kill 5   # the device's process is killed after 5 s of the run
+    python -m benchmarks.jack_serial --keep RUN.h5   # the recording stays, for bench close-loop
+
+``--first`` runs all of it before other work of the machine (Linux, with the rights for it).
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import first
+
 RATE_HZ, SERVER = 20000.0, f"benchmark-{os.getpid()}"
 NEAR_S = 3e-4
 
@@ -30,22 +35,27 @@ def profile_text(port: str) -> str:
     from bench.profiles import load
 
     _, text = load("simulated")
-    text = text.replace("start = 0.4, stop = 2.6, steps = 23", "start = 0.8, stop = 2.0, steps = 7")
-    text = text.replace("hold_cycles = 20", "hold_cycles = 80")
+    text = text.replace("start = 0.4, stop = 2.6, steps = 23", "start = 0.6, stop = 2.4, steps = 13")
+    text = text.replace("hold_cycles = 20", "hold_cycles = 60")
     return text.replace(
         'kind = "simulated"', f'kind = "soundcard+serial"\ndevice = "shaker"\nport = "{port}"\n'
     )
 
 
-def plant(server: str, port: str, out: str) -> None:
+def plant(server: str, port: str, out: str, hidden: str) -> None:
     """The process of the plant: says when it is there, runs until its input closes, then writes down what happened."""
     from rig.profile import parse_profile
-    from rig.sim.scenario import Scenario
+    from rig.sim.scenario import Scenario, load_scenario
     from rig.virtual.serial import JackSerialPlant
 
     events: dict[str, list[float]] = {"left_s": [], "landed_s": []}
     device_plant = JackSerialPlant(
-        parse_profile(profile_text(port)), Scenario("ideal"), 1, server, ppm=80.0, ppm_per_minute=2.0
+        parse_profile(profile_text(port)),
+        load_scenario(Path(hidden)) if hidden else Scenario("ideal"),
+        1,
+        server,
+        ppm=80.0,
+        ppm_per_minute=2.0,
     )
     convert = device_plant.device._convert
 
@@ -64,16 +74,26 @@ def plant(server: str, port: str, out: str) -> None:
     np.savez(out, skipped=device_plant.skipped_frames, **{k: np.array(v) for k, v in events.items()})
 
 
-def run(kill_s: float | None) -> int:
+def run(options: argparse.Namespace) -> int:
     """Start everything, run, compare."""
     from bench.commands.ramp import make_backend, record
     from rig.profile import parse_profile
     from rig.virtual.jack import jack_server
 
     os.environ["JACK_DEFAULT_SERVER"] = SERVER
-    with tempfile.TemporaryDirectory() as folder, jack_server(SERVER, RATE_HZ, 256):
+    kill_s: float | None = options.kill
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        first.asked(options.first, SERVER, int(RATE_HZ), 256),
+        jack_server(SERVER, RATE_HZ, 256),
+    ):
         events, path, port = (Path(folder) / name for name in ("events.npz", "run.h5", "port"))
+        path = options.keep or path
         command = [sys.executable, "-m", "benchmarks.jack_serial", "--plant", SERVER, str(port), str(events)]
+        command.append(str(options.scenario or ""))
+        if options.first:
+            command = first.before(first.PLANT) + command
+            first.this_process(first.RUN)
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdin is not None and process.stdout is not None  # noqa: S101
             process.stdout.readline()
@@ -145,12 +165,15 @@ def main() -> int:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kill", type=float, metavar="SECONDS")
-    parser.add_argument("--plant", nargs=3, metavar=("SERVER", "PORT", "OUT"), help=argparse.SUPPRESS)
+    parser.add_argument("--keep", type=Path, metavar="RUN.h5")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what the plant hides")
+    parser.add_argument("--first", action="store_true", help="before all other work of this machine")
+    parser.add_argument("--plant", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.plant:
         plant(*options.plant)
         return 0
-    return run(options.kill)
+    return run(options)
 
 
 if __name__ == "__main__":
