@@ -1,7 +1,8 @@
 """Drop tests, measured: synthetic films of known truth, and the recordings made by others.
 
-Run ``python benchmarks/drop.py films`` (fifty films through a codec: bias, coverage, accuracy), ``times`` (impact
-times: which rung is chosen, coverage) or ``real FOLDER`` (the table of docs/results/drop.md).
+Run ``python benchmarks/drop.py films`` (fifty films through a codec: bias, coverage, accuracy), ``sounds`` or ``times``
+(single drops as microphone recordings or tables of events: impacts found, confusion matrix, coverage) or
+``real FOLDER`` (the table of docs/results/drop.md).
 The rule kept here: truths and seeds are drawn before anything is analysed, and every film counts.
 """
 
@@ -14,13 +15,16 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.drop.attribution import choose, judge
+from analysis.drop.attribution import Verdict, choose, judge
 from analysis.drop.camera import fit_camera
 from analysis.drop.filmed import Units, of_camera
 from analysis.drop.flights import Clip, flights_of
+from analysis.drop.onsets import sound_onsets
 from analysis.drop.outcome import of_times
 from analysis.drop.rows import Drop
 from analysis.drop.sequence import bounces_of
@@ -29,6 +33,7 @@ from analysis.drop.tracking import track_film
 from daq.errors import InputError
 
 G = 9.80665
+Array = NDArray[np.float64]
 
 
 def synthetic() -> ModuleType:
@@ -90,29 +95,102 @@ def _summary(table: np.ndarray, names: Counter[str]) -> None:
         )
 
 
-def times(count: int, seed: int) -> None:
-    """Impact times of single drops under three truths: rung chosen, truth in the tie set, coverage of e0 and height."""
-    cam, rng = synthetic(), np.random.default_rng(seed)
-    for label, changes in (
-        ("constant_restitution", {}),
-        ("speed_dependent_restitution", {"e1_s_per_m": 0.02}),
-        ("quadratic_drag", {"drag_per_m": 0.14}),
-    ):
-        chosen: Counter[str] = Counter()
-        tied = e_in = h_in = 0
-        for _ in range(count):
-            truth = cam.Truth(height_m=rng.uniform(0.2, 0.6), e0=rng.uniform(0.8, 0.93), hold_s=0.0, **changes)
-            _, impacts = cam.path(truth, np.array([9.0]), 2e-4, settle_mps=0.5)
-            drop = Drop("x", bounces_of(impacts + rng.normal(0.0, 1e-4, len(impacts)), "x"))
-            verdict = judge([drop], G, rng)
-            payload = of_times([drop], verdict, G, [None], rng).payload
-            chosen[verdict.chosen] += 1
-            tied += label in verdict.tie_set
-            e0 = next(m for m in payload["models"] if m["name"] == label)["parameters"]["e0"]
-            e_in += e0["low"] <= truth.e0 <= e0["high"]
-            height = payload["drop_height_m"]
-            h_in += height["low"] <= truth.height_m <= height["high"]
-        print(f"{label}: chosen {dict(chosen)}; truth in the tie set {tied}, e0 in {e_in}, height in {h_in} of {count}")
+CAUSES = ("constant_restitution", "speed_dependent_restitution", "quadratic_drag", "coulomb_friction")
+
+
+def ladders(count: int, seed: int, heard: bool) -> None:
+    """Single drops of random truth, as sound or as a table of events: impacts, verdict, and coverage.
+
+    Every fourth has nothing but a restitution, one that falls with speed, drag, or friction. Friction cannot be seen in
+    times alone: there "in the tie set" is the right answer.
+    """
+    cam = synthetic()
+    matrix: Counter[tuple[str, str]] = Counter()
+    tally: Counter[str] = Counter()
+    for k in range(count):
+        rng = np.random.default_rng([seed, k])
+        truth = _random_truth(cam, CAUSES[k % 4], rng)
+        events, strength, impacts, due = (_heard if heard else _tabled)(cam, truth, rng)
+        tally["due"] += int(due.sum())
+        try:
+            drop = Drop("x", bounces_of(events, f"drop {k}", strength=strength))
+        except InputError:
+            matrix[CAUSES[k % 4], "refused"] += 1
+            continue
+        off = np.abs(drop.bounces.impacts_s[:, None] - impacts[None])
+        tally["found"] += int((off.min(axis=0) < 1e-3 + 4e-3 * (not heard))[due].sum())
+        tally["false"] += int((off.min(axis=1) > 1e-3 + 4e-3 * (not heard)).sum())
+        verdict = judge([drop], G, rng)
+        _count(CAUSES[k % 4], truth, verdict, of_times([drop], verdict, G, [None], rng).payload, matrix, tally)
+    _show_matrix(matrix, tally)
+
+
+def _random_truth(cam: ModuleType, cause: str, rng: np.random.Generator) -> Any:
+    added = {
+        "speed_dependent_restitution": {"e1_s_per_m": rng.uniform(0.01, 0.06)},
+        "quadratic_drag": {"drag_per_m": rng.uniform(0.04, 0.3)},
+        "coulomb_friction": {"friction": rng.uniform(0.03, 0.3)},
+    }.get(cause, {})
+    scatter = float(rng.choice([0.0, 0.002, 0.006]))
+    return cam.Truth(
+        height_m=rng.uniform(0.15, 1.0), e0=rng.uniform(0.6, 0.94), hold_s=0.0, scatter=scatter, **added
+    )
+
+
+def _heard(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array, Array | None, Array, Array]:
+    """Events in a microphone recording, with noise, hum, talk, clicks and unheard impacts."""
+    room = cam.Room(
+        rate_hz=float(rng.choice([16000, 22050, 44100, 48000, 96000])),
+        noise=10 ** rng.uniform(-4, -2.2),
+        hum=float(rng.choice([0.0, 0.02])),
+        speech=float(rng.choice([0.0, 0.0, 0.01])),
+        clicks=int(rng.integers(0, 3)),
+        unheard=int(rng.integers(0, 2)),
+        gain=float(rng.choice([0.1, 0.5, 2.0])),
+        channels=int(rng.integers(1, 3)),
+    )
+    samples, impacts, loud = cam.sound(truth, room, rng)
+    apart = np.diff(impacts, prepend=impacts[0] - 1.0) > 0.03
+    due = apart & (loud > 8.0 * np.hypot(room.noise, room.speech))
+    times, strength = sound_onsets(samples, room.rate_hz, "x")
+    return times, strength, impacts, due
+
+
+def _tabled(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array, Array | None, Array, Array]:
+    """Events as a phone lists them: impacts with jitter, one perhaps missing, one perhaps false, none under 0.1 s."""
+    _, impacts = cam.path(truth, np.array([20.0]), 1e-4, settle_mps=0.05, rng=rng)
+    impacts = impacts[np.diff(impacts, append=impacts[-1]) > 0.1]
+    due = np.ones(len(impacts), dtype=bool)
+    due[rng.integers(1, len(impacts))] = rng.random() < 0.5
+    events = impacts + 10 ** rng.uniform(-5, -3) * rng.standard_normal(len(impacts))
+    false = rng.uniform(impacts[0] - 1.0, impacts[-1], int(rng.integers(0, 2)))
+    return np.concatenate([events[due], false]), None, impacts, due
+
+
+def _count(
+    cause: str, truth: Any, verdict: Verdict, payload: dict[str, Any], matrix: Counter[Any], tally: Counter[str]
+) -> None:
+    tied = cause in verdict.tie_set and verdict.chosen != cause
+    matrix[cause, verdict.chosen + (" (truth tied)" if tied else "")] += 1
+    shown = "constant_restitution" if cause == "coulomb_friction" else cause
+    model = next((m for m in payload["models"] if m["name"] == shown), None)
+    lost = np.sqrt((1.0 - truth.friction) / (1.0 + truth.friction))
+    wanted = {"e0": truth.e0 * lost, "e1_s_per_m": truth.e1_s_per_m, "k_per_m": truth.drag_per_m}
+    for name, entry in (model["parameters"] if model else {}).items():
+        tally[f"{name} of the true model"] += 1
+        tally[f"{name} of the true model, inside"] += bool(entry["low"] <= wanted[name] <= entry["high"])
+    height = payload["drop_height_m"]
+    if height["low"] is not None and cause != "coulomb_friction":
+        tally["height"] += 1
+        tally["height, inside"] += bool(height["low"] <= truth.height_m <= height["high"])
+
+
+def _show_matrix(matrix: Counter[tuple[str, str]], tally: Counter[str]) -> None:
+    columns = sorted({column for _, column in matrix})
+    print("| truth | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1))
+    for cause in CAUSES:
+        print(f"| {cause} | " + " | ".join(str(matrix[cause, column] or "") for column in columns) + " |")
+    print(", ".join(f"{name} {number}" for name, number in tally.items()))
 
 
 def real(folder: Path, only: str = "") -> None:
@@ -174,7 +252,7 @@ def _n(value: float | None, digits: int) -> str:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("what", choices=["films", "times", "real"])
+    parser.add_argument("what", choices=["films", "times", "sounds", "real"])
     parser.add_argument("folder", nargs="?", type=Path, default=Path("../shared/data"))
     parser.add_argument("--only", default="", help="rows whose name holds this text")
     parser.add_argument("--count", type=int, default=50)
@@ -182,8 +260,8 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.what == "films":
         films(chosen.count, chosen.seed)
-    elif chosen.what == "times":
-        times(chosen.count, chosen.seed)
+    elif chosen.what in ("times", "sounds"):
+        ladders(chosen.count, chosen.seed, heard=chosen.what == "sounds")
     else:
         real(chosen.folder, chosen.only)
 

@@ -14,14 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.bouncelaw import CONSTANT, FRICTION, LADDER, BounceModel
-from analysis.drop.ladder import Fit, converge, fit, usable_rows
+from analysis.drop.ladder import Fit, converge, fit, sensitivities, step, usable_rows
 from analysis.drop.rows import Drop, Rows, noise_of, predict_s
 
 Array = NDArray[np.float64]
 
 LEAST_GAIN_NATS = 3.0
 CHANCE_LOSS_NATS = 0.5
+TIE_NATS = 6.0  # a rival with other parameters is out only this far behind
+HINT_NATS = 1.0  # held out, by which an effect seems to help without being beyond doubt
 _ENOUGH_DROPS = 4
+_SIMPLE = 2  # parameters
 _MOST_FOLDS = 8
 _LEAST_ROWS = 5  # fewer bounces than this leave nothing to hold out
 
@@ -106,6 +109,9 @@ def judge(drops: Sequence[Drop], g_mps2: float, rng: np.random.Generator) -> Ver
         else:
             rungs.append(_try(model, rows, folds, g_mps2, rng))
     chosen, ties = choose([r for r in rungs if r.identifiable])
+    if not folds:  # nothing could be held out: nothing can be told
+        simple = [model for model in LADDER if len(model.parameters) <= _SIMPLE]
+        ties = tuple(model.name for model in simple if model is not FRICTION or with_height)
     if chosen == CONSTANT.name and not with_height:
         ties = (*ties, FRICTION.name)  # friction shortens every flight by one factor, as a lower restitution does
     return Verdict(tuple(rungs), chosen, ties, left_out)
@@ -143,10 +149,11 @@ def _try(
     squares: list[Array] = []
     scores: list[Array] = []
     for held in folds:
-        theta = converge(model, whole.theta, rows.keep(~held), widths, g_mps2)
+        seen, unseen = rows.keep(~held), rows.keep(held)
+        theta = converge(model, whole.theta, seen, widths, g_mps2)
         residual = rows.after_s - predict_s(model, theta, rows, g_mps2)
         squares.append(residual[held & ~rows.from_height] ** 2)
-        lower = noise_of(model, theta, rows.keep(held), g_mps2).lower(*widths)
+        lower = _predictive(model, theta, seen, unseen, widths, g_mps2)
         white = np.linalg.solve(lower, np.where(held, residual, 0.0)[..., None])[..., 0]
         log = -0.5 * white**2 - np.log(np.diagonal(lower, axis1=1, axis2=2)) - 0.5 * np.log(2 * np.pi)
         log = np.where(held, log, 0.0)
@@ -154,6 +161,20 @@ def _try(
     rms = float(np.sqrt(np.nanmean(whole.residuals_s[~rows.from_height] ** 2)))
     held_rms = float(np.sqrt(np.concatenate(squares).mean())) if squares else float("nan")
     return Judged(whole, rms, held_rms, np.concatenate(scores) if scores else np.empty(0))
+
+
+def _predictive(
+    model: BounceModel, theta: Array, seen: Rows, unseen: Rows, widths: tuple[float, float], g_mps2: float
+) -> Array:
+    """Batched Cholesky factor of the covariance of unseen rows, what the seen ones leave open of ``theta`` included.
+
+    Without it a model is blamed for where its best value happens to lie: the first, longest flight is far outside the
+    others, and what is predicted for it is only as good as the parameters.
+    """
+    lower = noise_of(model, theta, unseen, g_mps2).lower(*widths)
+    slope = np.where(unseen.valid[..., None], sensitivities(model, theta, unseen, g_mps2), 0.0)
+    open_ = slope @ step(model, theta, seen, widths, g_mps2).covariance @ slope.transpose(0, 2, 1)
+    return np.asarray(np.linalg.cholesky(lower @ lower.transpose(0, 2, 1) + open_), dtype=np.float64)
 
 
 def gain_of(rival: Scored, than: Scored) -> tuple[float, bool]:
@@ -183,8 +204,13 @@ def choose(rungs: Sequence[Scored]) -> tuple[str, tuple[str, ...]]:
         best = max((b for b in better if len(b[1].model.parameters) == fewest), key=lambda b: b[0])[1]
     ties = [best.model.name]
     for rival in rungs:
-        if rival is best or rival.model.nests(best.model) or best.model.nests(rival.model):
+        if rival is best or best.model.nests(rival.model):
             continue
-        if not gain_of(best, rival)[1] and gain_of(rival, rungs[0])[1]:
+        gain, _ = gain_of(rival, rungs[0])
+        behind, beaten = gain_of(best, rival)
+        if rival.model.nests(best.model):  # more parameters: named only where they seem to help, if not beyond doubt
+            if behind < -HINT_NATS:
+                ties.append(rival.model.name)
+        elif not (beaten and behind > TIE_NATS) and gain > HINT_NATS:
             ties.append(rival.model.name)
     return best.model.name, tuple(ties)

@@ -72,7 +72,7 @@ class BounceModel:
         after = law.takeoff_speed_mps(flight_s)
         e0, e1 = value["e0"] + scatter, value.get("e1_s_per_m", 0.0)
         inside = e0 * e0 - 4.0 * e1 * after  # e0 u - e1 u^2 = after: the branch that goes over into after / e0
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             impact = np.where((e0 > 0.0) & (inside >= 0.0), 2.0 * after / (e0 + np.sqrt(inside)), np.nan)
             height = law.fall_m(impact)
         return np.where(np.isfinite(height), height, np.nan)

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _OUTLIER_SIGMA = 4.5
 _SMALLEST_JITTER_S, _SMALLEST_SCATTER = 1e-7, 1e-6
 _FEW_DROPS = 6
+_NUDGE = 1e-5  # of a parameter, for derivatives
 _USUAL_WIDTHS = (2e-4, 5e-3)  # s and 1: of a phone or a camera, and of balls on floors
 _USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
 
@@ -131,14 +132,9 @@ def step(
     model: BounceModel, theta: Array, rows: Rows, widths: tuple[float, float], g_mps2: float, damping: float = 0.0
 ) -> Step:
     """One (damped) generalised least-squares step from ``theta``."""
-    base = predict_s(model, theta, rows, g_mps2)
-    columns = []
-    for j in range(len(theta)):
-        moved = theta.copy()
-        moved[j] += 1e-5
-        columns.append((predict_s(model, moved, rows, g_mps2) - base) / 1e-5)
-    columns.append(rows.after_s - base)
-    stack = np.where(rows.valid[..., None], np.stack(columns, axis=-1), 0.0)
+    residual_s = rows.after_s - predict_s(model, theta, rows, g_mps2)
+    stack = np.concatenate([sensitivities(model, theta, rows, g_mps2), residual_s[..., None]], axis=-1)
+    stack = np.where(rows.valid[..., None], stack, 0.0)
     lower = noise_of(model, theta, rows, g_mps2).lower(*widths)
     white = np.asarray(np.linalg.solve(lower, stack)[rows.valid], dtype=np.float64)
     jacobian, residual = white[:, :-1], white[:, -1]
@@ -148,6 +144,17 @@ def step(
     low, high = np.array([BOUNDS[name] for name in model.parameters]).T
     reached = np.clip(theta + damped @ (jacobian.T @ residual), low, high)
     return Step(reached, covariance, float(residual @ residual), jacobian, residual, np.nonzero(rows.valid)[0])
+
+
+def sensitivities(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Array:
+    """Derivatives of the predicted durations by the parameters, shape (drops, longest, p)."""
+    base = predict_s(model, theta, rows, g_mps2)
+    columns = []
+    for j in range(len(theta)):
+        moved = theta.copy()
+        moved[j] += _NUDGE
+        columns.append((predict_s(model, moved, rows, g_mps2) - base) / _NUDGE)
+    return np.stack(columns, axis=-1)
 
 
 def converge(model: BounceModel, theta: Array, rows: Rows, widths: tuple[float, float], g_mps2: float) -> Array:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import linalg, signal
 
 from daq.errors import InputError
 from daq.recording import open_recording
@@ -28,6 +28,9 @@ _LEAST_SPACING_S = 0.012
 _MOST_CANDIDATES = 120
 _LOUDNESS_S, _NEIGHBOUR_S = 0.01, 0.5
 _LEAST_RISE = 5.0  # in robust widths of the rise where nothing happens
+_SPECTRUM_S = 0.04
+_PREDICTOR = 64  # samples that are looked back
+_LOUDEST_NOTHING = 1e-7  # of the background's power: white noise that keeps the prediction stable
 _LOWEST_HZ = 150.0  # below it hum and handling
 
 
@@ -109,9 +112,24 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> tuple[Array, Arr
     strongest = np.sort(peaks[np.argsort(found["peak_heights"])[::-1][:_MOST_CANDIDATES]])
     if not len(strongest):
         raise InputError(f"{where}: no sound in it stands out from the rest as an impact would")
-    onsets = np.array([_refine(filtered, int(p) * hop, rate_hz) for p in strongest])
+    white = np.column_stack([_without_background(channel, rate_hz) for channel in filtered.T])
+    onsets = np.array([_refine(white, int(p) * hop, rate_hz) for p in strongest])
     times, first = np.unique(onsets / rate_hz, return_index=True)
-    return times, _strength(filtered, onsets[first], rate_hz)
+    return times, _strength(white, onsets[first], rate_hz)
+
+
+def _without_background(x: Array, rate_hz: float) -> Array:
+    """What a linear prediction from the background does not foresee: hum, fans and voices mostly go, onsets stay.
+
+    The prediction comes from the median spectrum, which taps do not reach; it looks back only, so nothing is heard
+    before it happens.
+    """
+    window = min(int(_SPECTRUM_S * rate_hz), len(x))
+    _, power = signal.welch(x, rate_hz, nperseg=window, average="median")
+    correlation = np.fft.irfft(power)[: _PREDICTOR + 1]
+    correlation[0] *= 1.0 + _LOUDEST_NOTHING
+    ahead = linalg.solve_toeplitz(correlation[:-1], correlation[1:]) if correlation[0] > 0.0 else np.zeros(_PREDICTOR)
+    return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), 1.0, x))
 
 
 def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:

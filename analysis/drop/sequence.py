@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.drop.strays import ends_that_stray
 from daq.errors import InputError
 
 Array = NDArray[np.float64]
@@ -84,18 +85,37 @@ def bounces_of(events_s: Array, where: str, uncertainty_s: float = 0.0, strength
     weight = np.ones(len(events)) if strength is None else np.asarray(strength, dtype=np.float64)[first]
     if len(events) >= 3:
         chain, kinds, broken = _best_chain(events, weight)
-        if len(chain) >= 3 and _holds_a_bounce(kinds, broken):
-            inside = events[(events > events[chain[0]]) & (events < events[chain[-1]])]
-            return Bounces(
-                impacts_s=events[chain],
-                missed=np.array(kinds, dtype=np.int64),
-                broken=np.array(broken, dtype=np.bool_),
-                false_s=np.setdiff1d(inside, events[chain]),
-                uncertainty_s=uncertainty_s,
-            )
+        if len(chain) >= 3 and _holds_a_bounce(kinds, broken) and _more_than_chance(weight, chain):
+            return _without_strays(events, chain, kinds, broken, uncertainty_s)
     raise InputError(
         f"{where}: {len(events)} events found, but no three of them follow each other as impacts of one ball do "
         "(each flight shorter than the one before); record the drop from its first impact on, in a quiet room"
+    )
+
+
+def _more_than_chance(strength: Array, chain: list[int]) -> bool:
+    """Among many events some shrink steadily by chance: the longer the list, the longer the chain has to be."""
+    return len(chain) - 2 >= np.log2(strength.sum() / strength[chain].sum())
+
+
+def _without_strays(
+    events: Array, chain: list[int], kinds: list[int], broken: list[bool], uncertainty_s: float
+) -> Bounces:
+    """The chain as bounces, ends that belong to something else given up."""
+    inside = events[(events > events[chain[0]]) & (events < events[chain[-1]])]
+    first, last = 0, len(chain)
+    while True:
+        cut = ends_that_stray(events[chain[first:last]], np.array(kinds[first : last - 1]) == 0)
+        if not any(cut):
+            break
+        first, last = first + cut[0], last - cut[1]
+    kept = events[chain[first:last]]
+    return Bounces(
+        impacts_s=kept,
+        missed=np.array(kinds[first : last - 1], dtype=np.int64),
+        broken=np.array([False, *broken[first + 1 : last - 1], False], dtype=np.bool_),
+        false_s=np.setdiff1d(np.union1d(inside, events[chain]), kept),
+        uncertainty_s=uncertainty_s,
     )
 
 

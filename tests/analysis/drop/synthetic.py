@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 G_MPS2 = 9.80665
 
-__all__ = ["Camera", "Truth", "film", "path", "replace", "taps"]
+__all__ = ["Camera", "Room", "Truth", "film", "path", "replace", "sound", "taps"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Truth:
     drag_per_m: float = 0.0
     hold_s: float = 0.02
     g_mps2: float = G_MPS2
+    scatter: float = 0.0  # of the restitution from bounce to bounce, one standard deviation
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,35 @@ class Camera:
     noise: float = 2.0
     flicker: float = 0.06
     rod: bool = True
-    perspective: float = 0.0  # relative change of scale from the bottom of the picture to its top
+    perspective: float = 0.0  # relative loss of scale from the floor to the top of the picture: the camera is tilted
     block: tuple[int, int] = (46, 30)  # width, height in pixels
     floor_row: float = 480.0
 
 
-def path(truth: Truth, times: Array, step_s: float = 1e-5, settle_mps: float = 0.02) -> tuple[Array, Array]:
-    """Heights (m) at ``times`` (s, increasing), and the impact times."""
+@dataclass(frozen=True)
+class Room:
+    """How it was heard."""
+
+    rate_hz: float = 44_100.0
+    noise: float = 1e-3  # rms, of full scale
+    hum: float = 0.0  # of the mains and a fan, amplitude
+    speech: float = 0.0  # rms of somebody talking
+    clicks: int = 0  # as loud as impacts, at any time
+    unheard: int = 0  # impacts that make no sound
+    echo: float = 0.03  # loudness of the room's answer to a tap
+    gain: float = 0.5  # peak of the first tap; above 1 the recording clips
+    channels: int = 1
+    start_s: float = 0.5
+
+
+def path(
+    truth: Truth,
+    times: Array,
+    step_s: float = 1e-5,
+    settle_mps: float = 0.02,
+    rng: np.random.Generator | None = None,
+) -> tuple[Array, Array]:
+    """Heights (m) at ``times`` (s, increasing), and the impact times; ``rng`` for the scatter of restitution."""
     heights, impacts = np.empty(len(times)), []
     y, v, now = truth.height_m, 0.0, 0.0
     resting, next_one = False, 0
@@ -71,7 +94,8 @@ def path(truth: Truth, times: Array, step_s: float = 1e-5, settle_mps: float = 0
             part = 2 * y / (-v + np.sqrt(v * v - 2 * a * y)) if y > 0.0 else 0.0
             hit = -(v + a * part)
             impacts.append(now + part)
-            y, v, now_next = 0.0, (truth.e0 - truth.e1_s_per_m * hit) * hit, now + part
+            own = truth.scatter * float(rng.standard_normal()) if rng is not None else 0.0
+            y, v, now_next = 0.0, (truth.e0 + own - truth.e1_s_per_m * hit) * hit, now + part
             resting = v < settle_mps
         else:
             y, v, now_next = moved, faster, now + step_s
@@ -91,12 +115,13 @@ def film(
     frames = np.arange(count) / camera.fps
     instants = (frames[:, None] + offsets[None] * camera.exposure / camera.fps).ravel()
     heights, _ = path(truth, np.maximum(instants, 0.0))
-    rows = _row_of(heights, camera).reshape(count, sub)
+    block_m = camera.block[1] * camera.scale_m
+    tops, bottoms = (_row_of(heights + edge, camera).reshape(count, sub) for edge in (block_m, 0.0))
     texture = rng.normal(0.0, 6.0, (camera.rows, camera.columns)).astype(np.float64)
     scene = 190.0 + cv2.GaussianBlur(texture, (0, 0), 3.0) * 4.0
     scene[int(camera.floor_row) :] -= 60.0
     middle = camera.columns // 2
-    wide, tall = camera.block
+    wide = camera.block[0]
     if camera.rod:
         scene[:, middle - 2 : middle + 3] = 90.0
     shade = 55.0 + 12.0 * np.sin(np.arange(wide) / 5.0)
@@ -104,7 +129,7 @@ def film(
     writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*codec), 30.0, (camera.columns, camera.rows))
     edges = np.arange(camera.rows)[:, None]
     for k in range(count):
-        top, bottom = rows[k] - tall / 2, rows[k] + tall / 2
+        top, bottom = tops[k], bottoms[k]
         cover = np.clip(np.minimum(edges + 1, bottom) - np.maximum(edges, top), 0.0, 1.0).mean(axis=1)
         picture = scene.copy()
         picture[:, columns] = picture[:, columns] * (1 - cover[:, None]) + shade[None] * cover[:, None]
@@ -114,13 +139,13 @@ def film(
         picture += rng.normal(0.0, camera.noise, picture.shape)
         writer.write(cv2.cvtColor(np.clip(picture, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
     writer.release()
-    return rows.mean(axis=1) - 0.5  # pixel centres count from 0
+    return 0.5 * (tops + bottoms).mean(axis=1) - 0.5  # pixel centres count from 0
 
 
 def _row_of(heights: Array, camera: Camera) -> Array:
+    """Rows at which points at these heights above the floor are seen by a tilted pinhole camera."""
     up = heights / camera.scale_m
-    up = up * (1.0 + camera.perspective * up / (2.0 * camera.rows))
-    return camera.floor_row - camera.block[1] / 2 - up
+    return camera.floor_row - up / (1.0 + camera.perspective * up / (2.0 * camera.rows))
 
 
 def taps(
@@ -138,3 +163,50 @@ def taps(
         stretch = sound[first : first + len(ring)]
         stretch += (loud * tone * np.exp(-ring / 0.012))[: len(stretch)]
     return sound, impacts
+
+
+def sound(truth: Truth, room: Room, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """A microphone recording (samples, channels) of a drop, its impact times, and the loudness of each (peak, or 0)."""
+    _, impacts = path(truth, np.array([20.0]), 1e-4, settle_mps=0.05, rng=rng)
+    impacts = impacts + room.start_s
+    seconds = float(impacts[-1]) + 0.5
+    n = int(seconds * room.rate_hz)
+    clock = np.arange(n) / room.rate_hz
+    flights = np.diff(impacts, prepend=impacts[0] - 2.0 * np.sqrt(2.0 * truth.height_m / truth.g_mps2))
+    loud = room.gain * (flights / flights[0]) ** rng.uniform(1.0, 1.6) * rng.lognormal(0.0, 0.25, len(impacts))
+    loud[rng.choice(np.arange(1, len(impacts)), min(room.unheard, len(impacts) - 1), replace=False)] = 0.0
+    modes = rng.uniform(500.0, min(9000.0, 0.4 * room.rate_hz), 4), rng.uniform(0.003, 0.02, 4), rng.uniform(0.2, 1, 4)
+    taps_only = np.zeros(n)
+    for when, peak in zip(impacts, loud, strict=True):
+        _add_tap(taps_only, when, peak, room, modes, rng)
+    for when in rng.uniform(0.0, seconds, room.clicks):
+        _add_tap(taps_only, when, room.gain * rng.uniform(0.05, 0.6), room, modes, rng)
+    out = np.empty((n, room.channels))
+    for channel in range(room.channels):
+        background = room.noise * rng.standard_normal(n) + room.hum * np.sin(2 * np.pi * 50.0 * clock)
+        background += 0.3 * room.hum * np.sin(2 * np.pi * 230.0 * clock)
+        out[:, channel] = taps_only * rng.uniform(0.6, 1.0) + background + room.speech * _talk(clock, rng)
+    return np.clip(out, -1.0, 1.0), impacts, loud
+
+
+def _add_tap(
+    out: Array, when: float, peak: float, room: Room, modes: tuple[Array, Array, Array], rng: np.random.Generator
+) -> None:
+    first = int(np.ceil(when * room.rate_hz))
+    since = np.arange(int(0.15 * room.rate_hz)) / room.rate_hz + (first / room.rate_hz - when)
+    tap = np.zeros(len(since))
+    for pitch, decay, share in zip(*modes, strict=True):
+        tap += share * np.sin(2 * np.pi * pitch * since) * np.exp(-since / decay)
+    tap /= np.abs(tap).max()
+    delayed = since > 0.002
+    tap += room.echo * rng.standard_normal(len(since)) * np.exp(-since / 0.05) * delayed
+    stretch = out[first : first + len(tap)]
+    stretch += peak * tap[: len(stretch)]
+
+
+def _talk(clock: Array, rng: np.random.Generator) -> Array:
+    """Harmonics of a voice that comes and goes a few times a second, of unit rms while it speaks."""
+    pitch = 2 * np.pi * np.cumsum(120.0 + 25.0 * np.sin(2 * np.pi * 0.7 * clock + rng.uniform(0, 6))) * clock[1]
+    voice = sum(np.sin(k * pitch + rng.uniform(0, 6)) / k**0.8 for k in range(1, 20))
+    syllables = np.clip(np.sin(2 * np.pi * 3.5 * clock + rng.uniform(0, 6)) + rng.uniform(-0.3, 0.3), 0.0, 1.0)
+    return np.asarray(voice / np.std(voice) * syllables)
