@@ -29,6 +29,9 @@ ROUNDS = 3  # of the phase's fit, in which the scatter of the steps' gains is le
 MOST_AT_ONCE, CHUNK = 3000, 64  # windows of the first scan; frequencies calculated together
 GROWTH = 4  # by which the scanned part of a long recording grows from round to round
 SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
+RIDGE, TINY = 1e-9, 1e-300
+SMALL = 1e-3  # depth from which slopes are taken
+KEPT = 4  # frequencies for which the projections are kept
 LEAST = 4  # steps, that say anything
 
 
@@ -105,15 +108,14 @@ class Swells:
     # -- pitch and phase --------------------------------------------------------------------------------------------
     def phases(self, hz: float) -> Array:
         """Phase of the swell ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
-        found = [np.angle(self._swell(r, hz)) for r in self._runs]
-        return np.array(found, dtype=np.float64)[self.recording]
+        return np.asarray(np.angle(self._pitch(hz).swell)[self.recording])
 
     def hints(self) -> tuple[tuple[float, float], ...]:
         """Where windows and gains swell most, by both and by windows alone: frequency (Hz) and depth."""
         if len(self.value) < LEAST:
             return ()
         found = dict.fromkeys(round(self._strongest_hz(gains), 9) for gains in (True, False))
-        depths = [float(np.median([abs(self._swell(r, hz)) for r in self._runs])) for hz in found]
+        depths = [float(np.median(np.abs(self._pitch(hz).swell))) for hz in found]
         return tuple((hz, min(max(d, SHALLOWEST), DEEPEST)) for hz, d in zip(found, depths, strict=True))
 
     @property
@@ -145,50 +147,86 @@ class Swells:
         out = np.zeros(len(hz))
         for first in range(0, len(hz), CHUNK):
             some = slice(first, first + CHUNK)
+            steps = _mean(self.span_s, 2.0 * np.pi * hz[some])
+            windows = _mean(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
+            rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
             for r in self._runs:
-                normal, side = self._normal(r, hz[some], self.value, _scatter(self.gain[self.recording == r]), until_s)
+                normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
                 if not gains:
                     normal, side = normal[1:], side[1:]
-                normal, side = normal.sum(axis=0) + 1e-9 * np.eye(2), side.sum(axis=0)
+                normal, side = normal.sum(axis=0) + RIDGE * np.eye(2), side.sum(axis=0)
                 out[some] += 0.5 * np.sum(side * np.linalg.solve(normal, side[..., None])[..., 0], axis=-1)
         return out
 
-    def _swell(self, r: int, hz: float) -> complex:
-        """Depth and phase, ``depth exp(i phase)``, of the swell of a frequency that fits recording ``r`` best."""
-        own = self.recording == r
-        mean = _mean(self.span_s, np.array([2.0 * np.pi * hz]))[0]
-        value, tau, found = self.value, _scatter(self.gain[own]), 0j
-        for _ in range(ROUNDS):
-            normal, side = (x.sum(axis=0)[0] for x in self._normal(r, np.array([hz]), value, tau, np.inf))
-            a, b = np.linalg.solve(normal + 1e-9 * np.eye(2), side)
-            found = complex(a, b)
-            swell = (found * mean).imag  # in the step itself: windows are relative to what it makes of the step
-            value = self.value * (1.0 + np.maximum(swell, -0.5))[self.window_step]
-            tau = _scatter(self.gain[own] - np.log1p(np.maximum(swell[own], -0.5)))
+    @cached_property
+    def _pitches(self) -> dict[float, _Pitch]:
+        return {}
+
+    def _pitch(self, hz: float) -> _Pitch:
+        """Projections at a frequency and the swell of each recording that fits windows and gains best."""
+        found = self._pitches.get(hz)
+        if found is None:
+            if len(self._pitches) >= KEPT:
+                self._pitches.clear()
+            w, of = 2.0 * np.pi * hz, self.window_step
+            e, own = _turns(self.omega_radps), _turns(self.omega_radps[:, :2])
+            up, down = (_projected(self.span_s, e, own[:, 1:], x)[:, 1:] for x in (w, -w))
+            in_up, in_down = (_projected(self.window_span_s, own[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
+            pitch = _Pitch(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
+            found = self._pitches[hz] = replace(pitch, swell=self._fitted(pitch))
         return found
 
-    def _normal(self, r: int, hz: Array, value: Array, tau: float, until_s: float) -> tuple[Array, Array]:
-        """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows."""
-        w = 2.0 * np.pi * hz
-        steps = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(self.gain)
+    def _fitted(self, pitch: _Pitch) -> Complex:
+        """Depth and phase, ``depth exp(i phase)``, of each recording's swell, by least squares, (recordings,)."""
+        swell = pitch.swell
+        slopes = [
+            tuple(x / SMALL for x in self._model(pitch, np.full(len(swell), SMALL * turn))) for turn in (1.0 + 0j, 1j)
+        ]
+        windows, gains = (np.stack(x)[None] for x in zip(*slopes, strict=True))
+        for _ in range(ROUNDS):
+            seen = self._model(pitch, swell)
+            value, gain = self.value - seen[0], self.gain - seen[1]
+            step = np.zeros(len(swell), dtype=np.complex128)
+            for r in self._runs:
+                normal, side = self._normal(r, windows, gains, value, gain, np.inf)
+                step[r] = complex(*np.linalg.solve(normal.sum(axis=0)[0] + RIDGE * np.eye(2), side.sum(axis=0)[0]))
+            swell = swell + step
+            swell = swell * np.minimum(1.0, DEEPEST / np.maximum(np.abs(swell), DEEPEST))
+        return swell
+
+    def _model(self, pitch: _Pitch, swell: Complex) -> tuple[Array, Array]:
+        """What a swell of each recording makes of the windows, (w,), and of the steps' gains, (m,)."""
+        depth, phase = np.abs(swell)[self.recording], np.angle(swell)[self.recording]
+        true = self._true(self.seen_mps2, pitch, depth, phase)
+        power = np.where(self._forced, np.abs(self.seen_mps2[:, :2]) ** 2, 0.0)
+        logs = np.log(np.abs(self.seen_mps2[:, :2] / np.where(true[:, :2] == 0.0, 1.0, true[:, :2])) + TINY)
+        gain = np.sum(power * logs, axis=1) / np.maximum(power.sum(axis=1), TINY)
+        return self._in_windows(self.seen_mps2, true, pitch, depth, phase), gain
+
+    def _normal(
+        self, r: int, rows: Array, means: Array, value: Array, gain: Array, until_s: float
+    ) -> tuple[Array, Array]:
+        """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows.
+
+        ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a swell make of windows and gains.
+        """
+        known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(gain)
         windows = (self.recording[self.window_step] == r) & (self._since_s[1] <= until_s)
-        of = self.window_step[windows]
-        rows = _mean(self.window_span_s[windows], w) - _mean(self.span_s, w)[:, of]
-        normal, side = np.zeros((2, len(hz), 2, 2)), np.zeros((2, len(hz), 2))
-        normal[1], side[1] = _squares(rows, value[windows], self.sigma[windows] ** -2.0)
-        if steps.sum() > LEAST:
-            weight = 1.0 / (self.gain_sigma[steps] ** 2 + tau**2)
-            means, gain = _mean(self.span_s[steps], w), self.gain[steps]
-            means = means - (means @ weight / weight.sum())[:, None]  # what is common to all steps says nothing
+        normal, side = np.zeros((2, len(rows), 2, 2)), np.zeros((2, len(rows), 2))
+        normal[1], side[1] = _squares(rows[..., windows], value[windows], self.sigma[windows] ** -2.0)
+        if known.sum() > LEAST:
+            weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain[known]) ** 2)
+            means, gain = means[..., known], gain[known]
+            means = means - (means @ weight / weight.sum())[..., None]  # what all steps share says nothing
             normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
         return normal, side
 
     # -- what it does -----------------------------------------------------------------------------------------------
     def modulated(self, plate: PlateSteps, depth: Array, hz: float) -> PlateSteps:
         """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
-        phase, w = self.phases(hz), 2.0 * np.pi * hz
-        forced = self._forced
-        z = np.where(forced, self._true(plate, depth, w, phase)[:, :2], 0.0)
+        pitch, w = self._pitch(hz), 2.0 * np.pi * hz
+        phase, forced = self.phases(hz), self._forced
+        z = np.where(forced, self._true(self._seen(plate), pitch, depth, phase)[:, :2], 0.0)
         turn = (depth * np.exp(1j * phase) / 2j)[:, None]
         tones = np.concatenate([plate.acceleration_mps2, z * turn, z * np.conj(turn)], axis=1)
         tones[:, :2] = np.where(forced, z, tones[:, :2])
@@ -200,8 +238,8 @@ class Swells:
     def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> Array:
         """What the swell adds to each plate datum, (r,)."""
         out = np.zeros(len(data))
-        phase, w = self.phases(hz), 2.0 * np.pi * hz
-        seen, true = self._seen(plate), self._true(plate, depth, w, phase)
+        pitch, phase, seen = self._pitch(hz), self.phases(hz), self._seen(plate)
+        true = self._true(seen, pitch, depth, phase)
         k = np.argmin(np.abs(self.omega_radps[data.step] - data.omega_radps[:, None]), axis=1)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         factor = seen[data.step[rows], k[rows]] / true[data.step[rows], k[rows]]
@@ -209,22 +247,26 @@ class Swells:
         rows = np.flatnonzero(np.isin(data.kind, (SECOND, THIRD, HUM)))
         false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a swell fakes
         out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
-        out[data.kind == MODULATION] = self._in_windows(seen, true, depth, w, phase)
+        out[data.kind == MODULATION] = self._in_windows(seen, true, pitch, depth, phase)
         return out
 
-    def _in_windows(self, seen: Complex, true: Complex, depth: Array, w: float, phase: Array) -> Array:
+    def _in_windows(self, seen: Complex, true: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Array:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
         of, forced = self.window_step, self._forced
-        e, other = _turns(self.omega_radps[of, :2]), _turns(self.omega_radps[of, 2:])[:, 1:]
         z = _both_senses(np.where(forced, true[:, :2], 0.0))[of]
         false = _both_senses((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
-        swollen = _swollen(self.window_span_s, e, e[:, 1:], w, phase[of])
-        found = z + depth[of, None] * np.einsum("wab,wb->wa", swollen[:, 1:], z)
-        found -= np.einsum("wab,wb->wa", _projected(self.window_span_s, e, other)[:, 1:], false)
+        swollen = _swollen(pitch.window_up, pitch.window_down, phase[of])
+        found = z + depth[of, None] * (swollen @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
         own = np.where(forced, seen[:, :2], 0.0)[of]
         power = np.sum(np.abs(own) ** 2, axis=1)
         change = np.sum((np.conj(own) * (2.0 * found[:, :2] - own)).real, axis=1)
         return np.asarray(change / np.where(power > 0.0, power, 1.0))
+
+    @cached_property
+    def _others(self) -> Complex:
+        """What windows make of the tones beyond the forcing's two, (w, 4, b)."""
+        own, others = (_turns(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None)))
+        return _projected(self.window_span_s, own, others[:, 1:])[:, 1:]
 
     @property
     def _forced(self) -> NDArray[np.bool_]:
@@ -237,17 +279,25 @@ class Swells:
         out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
         return out
 
-    def _true(self, plate: PlateSteps, depth: Array, w: float, phase: Array) -> Complex:
-        """The tones without the share that the swell has in the fits, (m, k)."""
+    def _true(self, seen: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Complex:
+        """The tones without the share that the swell has in the fits ``seen``, (m, k)."""
         k = self.omega_radps.shape[1]
-        e = _turns(self.omega_radps)
-        places = np.array([1, 2, k + 1, k + 2])  # of the forcing's tones, in both senses
-        swollen = _swollen(self.span_s, e, e[:, places], w, phase) * np.tile(self._forced, 2)[:, None, :]
-        change = np.zeros((len(depth), 2 * k, 2 * k))
-        change = change + np.eye(2 * k, dtype=np.complex128)
-        change[:, :, places - 1] += depth[:, None, None] * swollen[:, 1:]
-        both = _both_senses(self._seen(plate))
-        return np.asarray(2.0 * np.linalg.solve(change, both[..., None])[:, :k, 0])
+        swollen = _swollen(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
+        change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
+        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * swollen
+        return np.asarray(2.0 * np.linalg.solve(change, _both_senses(seen)[..., None])[:, :k, 0])
+
+
+@dataclass(frozen=True)
+class _Pitch:
+    """Projections at one frequency: of the forcing's two tones in both senses, shifted up and down by it, on the tones
+    of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the swell of each recording."""
+
+    step_up: Complex
+    step_down: Complex
+    window_up: Complex
+    window_down: Complex
+    swell: Complex
 
 
 def _turns(omega: Array) -> Array:
@@ -266,10 +316,9 @@ def _projected(span_s: Array, e: Array, others: Array, w: float = 0.0) -> Comple
     return np.asarray(np.linalg.solve(mean(e[:, None, :] - e[:, :, None]), side))
 
 
-def _swollen(span_s: Array, e: Array, others: Array, w: float, phase: Array) -> Complex:
-    """The same of ``others`` times ``sin(w t + phase)``, (n, a, b)."""
+def _swollen(up: Complex, down: Complex, phase: Array) -> Complex:
+    """Projections of tones times ``sin(w t + phase)``, from those shifted up and down by w, (n, a, b)."""
     turn = np.exp(1j * phase)[:, None, None]
-    up, down = _projected(span_s, e, others, w), _projected(span_s, e, others, -w)
     return np.asarray((turn * up - np.conj(turn) * down) / 2j)
 
 
@@ -302,9 +351,8 @@ def _mean(span_s: Array, w: Array) -> Complex:
     return np.asarray(np.exp(1j * w[:, None] * middle) * np.sinc(w[:, None] * half / np.pi))
 
 
-def _squares(rows: Complex, value: Array, weight: Array) -> tuple[Array, Array]:
-    """Normal equations (f, 2, 2) and right side (f, 2) of ``value = Im(swell rows)`` for the swell's two parts."""
-    parts = np.stack([rows.imag, rows.real], axis=1)
+def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (f, 2, 2) and right sides (f, 2) of ``value`` (n,) as a sum of two ``parts`` (f, 2, n)."""
     return (parts * weight) @ parts.transpose(0, 2, 1), (parts * weight) @ value
 
 
