@@ -163,6 +163,7 @@ def rehearse(design: Design, world: World, best: Explanation) -> Evidence:
         weak_mps=np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
         steps=steps,
         plate=data,
+        swells=None,
     )
     truth = World(made, _base(world))
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(best.fitted.values))))
