@@ -32,6 +32,7 @@ MAX_TONES = 8
 TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
 FARTHEST_JITTER_S = 5e-4
 REPEATS = 8  # flights after a rest that a step needs to tell how well edges repeat
+THIRD_DIFFERENCES = 20.0  # their variance, over that of what they are taken of
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
 
@@ -226,7 +227,7 @@ def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDAr
     """Uncertainty of edges, raised to how well they repeat from cycle to cycle where the ball rests in between.
 
     A flight after a rest begins anew: in a step where every cycle is the same, its edges scatter by their own noise
-    alone. The quiet quarter of the steps says how much; no model is asked.
+    alone. Third differences leave out what changes slowly, such as a plate that swells; no model is asked.
     """
     scatter, claimed = [], []
     for i in range(len(steps)):
@@ -239,7 +240,7 @@ def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDAr
         near = off[np.abs(off - np.median(off)) < FARTHEST_JITTER_S]
         if len(near) < 0.8 * len(off):
             continue
-        scatter.append(float(np.std(near)) / np.sqrt(2.0))
+        scatter.append(float(np.sqrt(np.mean(np.diff(near, n=2) ** 2) / THIRD_DIFFERENCES)))
         claimed.append(float(np.median(sigma_s[rows])))
     if len(scatter) < 3:
         return sigma_s
