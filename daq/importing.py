@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.block import BLOCK_DTYPE
+from daq.coarse import Read
 from daq.columns import ColumnWriter
 from daq.errors import InputError
 from daq.foreign import (
@@ -32,10 +33,11 @@ from daq.foreign import (
     Source,
     assign,
 )
+from daq.import_remarks import contact_doubts, remarks
 from daq.reader import timestamps_ns
 from daq.setup import Setup
 from daq.steps import FoundStep, find_steps, gamma_of, given_step, step_table
-from daq.timebase import JITTER_SHARE, Timebase, quantum_of, timebase_of
+from daq.timebase import Timebase, quantum_of, timebase_of
 from daq.tracking import fit
 from daq.writer import now_utc, root_attributes
 
@@ -43,6 +45,7 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, int], None]
 
 EPOCH_S = 1e9  # a larger first time is seconds since 1970
+SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,7 @@ def import_recording(
         base = _timebase(source, writer, intake, "time" in columns, rate)
         setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
         steps, from_drive = _find(writer, scales, setup, base, intake, progress)
+        doubts = contact_doubts(_volts(writer, scales, "continuity"), setup, steps) if "continuity" in scales else []
         late = _late_attributes(source, columns, setup, base, intake, extra)
         writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
@@ -136,7 +140,8 @@ def import_recording(
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    return ImportSummary(out, writer.n_samples, base, steps, named, _remarks(base, steps, channels, from_drive))
+    said = remarks(base, steps, channels, from_drive) + doubts
+    return ImportSummary(out, writer.n_samples, base, steps, named, said)
 
 
 def _begun(
@@ -268,21 +273,29 @@ def _timebase(source: Source, writer: ColumnWriter, intake: _Intake, timed: bool
     return base
 
 
+def _volts(writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], role: str) -> Read:
+    """Gives volts of samples ``a .. b`` of a channel."""
+    factor, offset = scales[role]
+    return lambda a, b: np.asarray(writer.read(role, a, b) * factor + offset, np.float64)
+
+
 def _find(
     writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], setup: Setup, base: Timebase, intake: _Intake,
     progress: Progress | None,
 ) -> tuple[NDArray[np.void], bool]:
     """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
 
-    def volts(role: str) -> Callable[[int, int], Floats]:
-        factor, offset = scales[role]
-        return lambda a, b: np.asarray(writer.read(role, a, b) * factor + offset, np.float64)
+    def volts(role: str) -> Read:
+        return _volts(writer, scales, role)
 
     found: list[FoundStep] = []
     for role in ("drive", "accelerometer"):
         if role in scales and not found:
             from_drive = role == "drive"
             found = _found(volts(role), writer.n_samples, setup, base, intake, progress)
+            if not from_drive and not intake.set_values:
+                shortest = SHORTEST_FELT_CYCLES * base.rate_hz
+                found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
     achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt
     if from_drive and g_per_volt is not None:
@@ -362,22 +375,3 @@ def _late_attributes(
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _remarks(base: Timebase, steps: NDArray[np.void], channels: list[str], from_drive: bool) -> list[str]:
-    remarks = []
-    if "continuity" not in channels:
-        remarks.append("no continuity: only the plate can be analysed")
-    if not from_drive:
-        which = "no drive" if "drive" not in channels else "no steps in the drive"
-        remarks.append(f"{which}: steps were looked for in the accelerometer, and gamma is the plate's")
-    if not base.uniform and base.jitter_s * base.rate_hz > JITTER_SHARE:
-        remarks.append(
-            f"times are not even and are kept as they came; the analysis counts samples at {base.rate_hz:.6g} "
-            f"samples/s, from which they differ by {base.jitter_s * 1e6:.3g} us rms"
-        )
-    for first, lost, sigma in base.gaps:
-        remarks.append(f"a pause before sample {first}: {lost} samples missing (+-{sigma})")
-    if not len(steps):
-        remarks.append("no steps were found: nothing holds still within a factor of 8 of the profile's frequency")
-    return remarks

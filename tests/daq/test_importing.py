@@ -165,6 +165,39 @@ def test_steps_without_a_drive(tmp_path: Path, setup: Setup, columns: Columns) -
         np.testing.assert_allclose(recording.steps["gamma"], LEVELS, rtol=5e-3)
 
 
+@pytest.mark.parametrize(
+    ("circuit", "says"),
+    [(lambda v: 5.0 - v, "exchanged"), (lambda v: 0.0 * v, "no flight can be seen"), (lambda v: 0.6 * v + 1.0, "")],
+)
+def test_a_doubtful_contact_circuit_is_remarked(
+    tmp_path: Path, setup: Setup, columns: Columns, circuit: Callable[..., NDArray[np.float64]], says: str
+) -> None:
+    """Exchanged levels and a dead circuit are said in words; levels that are merely other ones are not."""
+    columns["continuity_v"] = circuit(columns["continuity_v"])
+    summary = bring_in(write_csv(tmp_path / "a.csv", columns), tmp_path / "a.h5", setup)
+    said = [r for r in summary.remarks if "contact circuit" in r]
+    assert len(said) == (1 if says else 0) and all(says in r for r in said)
+
+
+def test_a_short_stretch_is_no_step_of_the_accelerometer(
+    tmp_path: Path, setup: Setup, columns: Columns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stretch below the least length that looks still is a step where the drive shows it, not where the plate does."""
+    monkeypatch.setattr("daq.importing.SHORTEST_FELT_CYCLES", 8.0)
+    short = np.flatnonzero(columns["time_s"] < columns["time_s"][-1])[: round(6.5 * RATE_HZ / 25.37)]
+    extra = {k: v[short] for k, v in columns.items()}
+    phase = 2 * np.pi * 25.37 * (columns["time_s"][-1] + 1 / RATE_HZ + extra["time_s"])
+    extra["drive_v"] = 0.4 * np.sin(phase)
+    extra["accelerometer_v"] = 0.2 * extra["drive_v"]
+    extra["time_s"] = columns["time_s"][-1] + 1 / RATE_HZ + extra["time_s"]
+    longer = {k: np.concatenate([columns[k], extra[k]]) for k in columns}
+    bring_in(write_csv(tmp_path / "d.csv", longer), tmp_path / "d.h5", setup)
+    del longer["drive_v"]
+    bring_in(write_csv(tmp_path / "a.csv", longer), tmp_path / "a.h5", setup)
+    with open_recording(tmp_path / "d.h5") as drive, open_recording(tmp_path / "a.h5") as plate:
+        assert (len(drive.steps), len(plate.steps)) == (len(LEVELS) + 1, len(LEVELS))
+
+
 @pytest.mark.parametrize("decimals", [3, 4, 6])
 def test_rounded_times_are_uniform(tmp_path: Path, setup: Setup, columns: Columns, decimals: int) -> None:
     """A time column rounded to its last digit, even coarser than a sample, gives the exact rate and even times."""
