@@ -24,8 +24,10 @@ HARMONICS = 3  # fitted beside the tones: a mask that follows the cycle would mi
 COVERAGE = 2.0  # standard uncertainties kept between an estimate and its tolerance
 SMALL_ERROR = 0.25  # of the tolerance: below, an error is left alone; above, it is corrected once it is certain
 ENOUGH_WINDOWS = 3  # from so many windows on their scatter says more than what each claims of itself
+OTHERWISE = 5.0  # spreads by which a window differs from those before only if the plate answers otherwise
 SMALL_CORRECTION = 0.05  # a change of the drive over which the plate's response is one number
 LARGEST_CORRECTION = 2.0  # factor by which one correction may change a tone
+SIGNIFICANT = 5.0  # uncertainties by which the load's part must stand out
 LEAST_QUIET = 0.3  # part of a window that impacts must leave, or it is dropped
 DEAF = 0.1  # part of the target below which the accelerometer does not see the plate
 
@@ -38,8 +40,35 @@ class Amplitudes:
     uncertainty: Floats
 
 
+@dataclass(frozen=True)
+class Heard:
+    """A block as the meter takes it: acceleration in m/s^2, where no impact rings, where the ball touches the plate.
+
+    ``touching`` is None where no contact circuit tells.
+    """
+
+    first_sample: int
+    acceleration_mps2: Floats
+    quiet: Mask
+    touching: Mask | None = None
+
+    @property
+    def end_sample(self) -> int:
+        """The sample after its last."""
+        return self.first_sample + len(self.acceleration_mps2)
+
+    def cut(self, start: int, end: int) -> Heard:
+        """What of it lies in ``start <= sample < end``."""
+        piece = slice(max(0, start - self.first_sample), max(0, end - self.first_sample))
+        touching = None if self.touching is None else self.touching[piece]
+        return Heard(max(start, self.first_sample), self.acceleration_mps2[piece], self.quiet[piece], touching)
+
+
 class ToneMeter:
     """Amplitudes of the forcing's tones from a chosen sample on, in windows of whole cycles.
+
+    What rings is left out, and always at the same part of the cycle: where the ball's load bends the plate, what is
+    left out is not like the rest. So the load's part in the motion is fitted, too, and put back where it was left out.
 
     Parameters
     ----------
@@ -56,19 +85,20 @@ class ToneMeter:
 
     def __init__(self, setup: Setup, window_cycles: int) -> None:
         self._clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
-        self._rate_hz = setup.sampling.rate_hz
+        self._rate_hz, self._g_mps2 = setup.sampling.rate_hz, setup.g_mps2.value
         wanted = [multiple for multiple, _ in setup.forcing.displacement_tones()]
         fitted = sorted({*range(1, HARMONICS + 1), *wanted})
         self._frequencies_hz = [m * setup.forcing.frequency_hz for m in fitted]
         self._wanted = [fitted.index(m) for m in wanted]
         self._window_cycles = window_cycles
+        self._load = Load()
         self.begin(0, 0)
 
     def begin(self, first_sample: int, end_sample: int | None = None) -> None:
-        """Forget everything; measure from ``first_sample`` (a cycle's first), to ``end_sample`` if given."""
+        """Measure anew from ``first_sample`` (a cycle's first), to ``end_sample``; how the load acts is kept."""
         self._start, self._end = first_sample, end_sample
         self.windows: list[Amplitudes] = []
-        self._total = LockIn(self._rate_hz, self._frequencies_hz)
+        self._total: _Sums | None = None
         self._open_window()
 
     def _open_window(self) -> None:
@@ -76,36 +106,109 @@ class ToneMeter:
         cycle = self._clock.cycle_after(self._start)
         self._opened = self._start
         self._stop = self._clock.cycle_start(cycle + self._window_cycles)
-        self._window = LockIn(self._rate_hz, self._frequencies_hz)
+        self._pieces: list[Heard] = []
 
-    def add(self, first_sample: int, acceleration_mps2: Floats, quiet: Mask) -> None:
-        """Take in a block: acceleration (n,), and where no impact rings."""
-        after = first_sample + len(acceleration_mps2)
-        end = after if self._end is None else min(after, self._end)
-        while self._start < end and after > self._start:
-            a, b = max(self._start, first_sample) - first_sample, min(self._stop, end) - first_sample
-            if a < b:  # a loss may reach beyond the window
-                self._window.add(acceleration_mps2[a:b], first_sample + a, quiet[a:b])
-            self._start = first_sample + b
+    def add(self, heard: Heard) -> None:
+        """Take in a block."""
+        end = heard.end_sample if self._end is None else min(heard.end_sample, self._end)
+        while self._start < end and heard.end_sample > self._start:
+            piece = heard.cut(self._start, min(self._stop, end))
+            if len(piece.quiet):  # a loss may reach beyond the window
+                self._pieces.append(piece)
+            self._start = max(heard.first_sample, min(self._stop, end))
             if self._start < self._stop:
                 return
-            if self._window.n >= LEAST_QUIET * (self._stop - self._opened):
-                self.windows.append(self._of(self._window))
-                self._total = self._total + self._window
+            if sum(np.count_nonzero(one.quiet) for one in self._pieces) >= LEAST_QUIET * (self._stop - self._opened):
+                window = self._sums()
+                self._load = self._load + window.load()
+                self.windows.append(self._of(window))
+                self._total = window if self._total is None else self._total + window
             self._open_window()
 
-    def _of(self, fitted: LockIn) -> Amplitudes:
+    def _sums(self) -> _Sums:
+        """The window's normal equations: acceleration, the ball's load as the plate's motion makes it, and both."""
+        plain = LockIn(self._rate_hz, self._frequencies_hz)
+        for piece in self._pieces:
+            plain.add(piece.acceleration_mps2, piece.first_sample, piece.quiet)
+        moved = plain.solve().amplitudes
+        sums = LockIn(self._rate_hz, self._frequencies_hz, channels=3, sorts=2)
+        for piece in self._pieces:
+            load = np.zeros(len(piece.quiet))
+            if piece.touching is not None:
+                turns = np.outer(np.arange(piece.first_sample, piece.end_sample), self._frequencies_hz) / self._rate_hz
+                motion = np.real(np.exp(2j * np.pi * (turns % 1.0)) @ moved)
+                load = piece.touching * (motion + self._g_mps2)
+            x = piece.acceleration_mps2
+            sums.add(np.column_stack([x, load, x + load]), piece.first_sample, np.where(piece.quiet, 0, 1))
+        return _Sums(sums.part([0]), sums.part([0, 1]))
+
+    def _of(self, sums: _Sums) -> Amplitudes:
         """The wanted tones of a fit."""
-        fit = fitted.solve()
-        return Amplitudes(fit.amplitudes[self._wanted], fit.amplitude_sigma()[self._wanted])
+        values, uncertainty = sums.solve(self._load)
+        return Amplitudes(values[self._wanted], uncertainty[self._wanted])
 
     def estimate(self) -> Amplitudes | None:
         """What all samples so far say, a window under way included; None before a whole cycle was measured."""
-        both = self._total + self._window
-        if self._frequencies_hz[0] * both.n < self._rate_hz:
+        both = self._total
+        if sum(np.count_nonzero(piece.quiet) for piece in self._pieces) > 2 * len(self._frequencies_hz) + 1:
+            under_way = self._sums()
+            both = under_way if both is None else both + under_way
+        if both is None or self._frequencies_hz[0] * both.quiet.n < self._rate_hz:
             return None
         whole = self._of(both)
         return replace(whole, uncertainty=_uncertainty(self.windows, whole.uncertainty))
+
+
+@dataclass(frozen=True)
+class Load:
+    """How the ball's load acts on the plate: sums, over samples, of what the tones leave of acceleration and load."""
+
+    cross: float = 0.0
+    load_square: float = 0.0
+    square: float = 0.0
+    n: int = 0
+
+    def __add__(self, other: Load) -> Load:
+        return Load(
+            self.cross + other.cross, self.load_square + other.load_square, self.square + other.square, self.n + other.n
+        )
+
+    def share(self) -> tuple[float, float]:
+        """Acceleration for a unit of load, and its standard uncertainty; nothing where it does not stand out."""
+        if self.load_square <= 0.0:
+            return 0.0, 0.0
+        share = self.cross / self.load_square
+        left = max(self.square - share * self.cross, 0.0)
+        doubt = math.sqrt(left / (self.n * self.load_square))
+        return (share, doubt) if abs(share) > SIGNIFICANT * doubt else (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Normal equations of what does not ring, and of everything; channels: acceleration, load, their sum."""
+
+    quiet: LockIn
+    whole: LockIn
+
+    def __add__(self, other: _Sums) -> _Sums:
+        return _Sums(self.quiet + other.quiet, self.whole + other.whole)
+
+    def load(self) -> Load:
+        """What this piece says of the load's part in the motion."""
+        x, load, both = (self.quiet.solve(channel) for channel in range(3))
+        cross = 0.5 * (both.rms**2 - x.rms**2 - load.rms**2)
+        return Load(cross * x.n, load.rms**2 * x.n, x.rms**2 * x.n, x.n)
+
+    def solve(self, load: Load) -> tuple[Complexes, Floats]:
+        """Amplitudes of all tones, of a motion that no mask has cut, and their standard uncertainties.
+
+        With the acceleration ``x = tones + k load``, a masked fit gives ``tones + k (load's tones as the mask leaves
+        them)``; ``k`` follows from what tones leave of both (Frisch and Waugh 1933).
+        """
+        x = self.quiet.solve(0)
+        share, doubt = load.share()
+        missing = self.whole.solve(1).amplitudes - self.quiet.solve(1).amplitudes
+        return x.amplitudes + share * missing, np.hypot(x.amplitude_sigma(), np.abs(missing) * doubt / math.sqrt(2.0))
 
 
 def mean_of(windows: list[Amplitudes]) -> Amplitudes:
@@ -113,6 +216,15 @@ def mean_of(windows: list[Amplitudes]) -> Amplitudes:
     values = np.mean([window.values for window in windows], axis=0)
     claimed = np.sqrt(np.sum([window.uncertainty**2 for window in windows], axis=0)) / len(windows)
     return Amplitudes(values, _uncertainty(windows, claimed))
+
+
+def _agrees(new: Amplitudes, before: list[Amplitudes]) -> bool:
+    """Whether a measurement is like those before: a ball that takes up another motion loads the plate otherwise."""
+    if len(before) < ENOUGH_WINDOWS:
+        return True
+    values = np.array([one.values for one in before])
+    spread = np.maximum(np.std(values, axis=0, ddof=1), new.uncertainty)
+    return bool(np.all(np.abs(new.values - values.mean(axis=0)) < OTHERWISE * spread))
 
 
 def _uncertainty(windows: list[Amplitudes], claimed: Floats) -> Floats:
@@ -180,7 +292,7 @@ class AmplitudeLoop:
         """Drive volts that should give ``gamma`` with the response as last measured."""
         return tuple((target_acceleration(self._profile, gamma) / self._response).tolist())
 
-    def observe(self, first_sample: int, acceleration_mps2: Floats, quiet: Mask, sequencer: Sequencer) -> str | None:
+    def observe(self, heard: Heard, sequencer: Sequencer) -> str | None:
         """Take in a block; while settling, retarget or settle ``sequencer``. Returns why it cannot, or None."""
         if sequencer.state is not State.SETTLING:
             return None
@@ -188,7 +300,7 @@ class AmplitudeLoop:
             self._step = sequencer.step.index
             self._ratios.clear()
             self._wait(sequencer.step.first_sample + sequencer.step.fade_samples)
-        self._meter.add(first_sample, acceleration_mps2, quiet)
+        self._meter.add(heard)
         if len(self._meter.windows) > self._since_change:
             self._since_change += 1
             fault = self._judge(self._meter.windows[-1], sequencer)
@@ -216,7 +328,8 @@ class AmplitudeLoop:
             sequencer.settled()
             return None
         drive = np.array(sequencer.amplitudes)[driven]
-        self._ratios.append(Amplitudes(window.values[driven] / drive, window.uncertainty[driven] / np.abs(drive)))
+        ratio = Amplitudes(window.values[driven] / drive, window.uncertainty[driven] / np.abs(drive))
+        self._ratios = [*self._ratios, ratio] if _agrees(ratio, self._ratios) else [ratio]
         response = mean_of(self._ratios)
         error = response.values * drive / target[driven]
         if np.any(np.abs(error) < DEAF):
@@ -226,7 +339,7 @@ class AmplitudeLoop:
         doubt = COVERAGE * float(np.max(response.uncertainty / np.abs(response.values))) / min(tolerances)
         errors = np.abs(np.abs(error) - 1.0) / tolerances[0], np.abs(np.angle(error)) / tolerances[1]
         self.worst = float(np.max(errors))
-        if self._since_change >= 2 and self.worst + doubt <= 1.0:
+        if min(self._since_change, len(self._ratios)) >= 2 and self.worst + doubt <= 1.0:
             sequencer.settled()
         elif self.worst > max(doubt, SMALL_ERROR):
             self._correct(sequencer, driven, error)

@@ -109,15 +109,14 @@ class Interlock:
         )
         return next((reason for reason in reasons if reason), None)
 
-    def landed(self, codes: NDArray[np.int16]) -> NDArray[np.bool_] | None:
-        """Where in a block (n, channels) the contact circuit closed; None without one."""
+    def circuit(self, codes: NDArray[np.int16]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+        """Where in a block (n, channels) the contact circuit is closed, and where it closes; None without one."""
         if self._contact_levels is None:
             return None
         is_open = self._open(codes, self._contact_levels, self._was_open)
         before = np.concatenate([[self._was_open], is_open[:-1]])[: len(is_open)]
         self._was_open = bool(is_open[-1]) if len(is_open) else self._was_open
-        closed: NDArray[np.bool_] = before & ~is_open
-        return closed
+        return ~is_open, before & ~is_open
 
     def late(self, waited_s: float, n_samples: int) -> str | None:
         """Why the run must stop when a device took ``waited_s`` to exchange ``n_samples``, or None."""

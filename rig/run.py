@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.block import Block
 from daq.recorder import RecorderProcess
 from daq.recording import RecordingWriter
-from rig.amplitude import AmplitudeLoop, ToneMeter, achieved_gamma
+from rig.amplitude import AmplitudeLoop, Heard, ToneMeter, achieved_gamma
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.clock_log import ClockLog
 from rig.interlock import Interlock
@@ -222,7 +223,10 @@ class _Run:
         waited_s = time.monotonic() - asked
         self._device_lost = False
         self._record(self.account.heard(block, len(drive)))
-        self._motion = self._watch.update(block.codes[:, self._accelerometer], self._interlock.landed(block.codes))
+        circuit = self._interlock.circuit(block.codes)
+        self._touching: NDArray[np.bool_] | None
+        self._touching, landed = circuit if circuit is not None else (None, None)
+        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed)
         self._measure(block)
         self._note_marks()
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
@@ -241,9 +245,10 @@ class _Run:
             self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
         first = self.account.next_sample - len(block.codes)
         acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
-        self._meter.add(first, acceleration, self._motion.quiet)
+        heard = Heard(first, acceleration, self._motion.quiet, self._touching)
+        self._meter.add(heard)
         if self._loop is not None:
-            fault = self._loop.observe(first, acceleration, self._motion.quiet, sequencer)
+            fault = self._loop.observe(heard, sequencer)
             if fault is not None:
                 self.end("stopped", f"closed loop: {fault}")
                 sequencer.stop(Stop.RAMP_DOWN)

@@ -11,7 +11,7 @@ import pytest
 
 from bench.profiles import load
 from daq.recording import RecordingWriter, open_recording
-from rig.amplitude import Amplitudes, ToneMeter, achieved_gamma, target_acceleration
+from rig.amplitude import Amplitudes, Heard, ToneMeter, achieved_gamma, target_acceleration
 from rig.backends.simulated import SimulatedBackend
 from rig.profile import ControlTable, Profile
 from rig.run import RunSummary, run_ramp
@@ -156,7 +156,7 @@ def test_meter_and_achieved_gamma(make_profile) -> None:
     meter = ToneMeter(profile, 4)
     meter.begin(0)
     for start in range(0, 20000, 333):
-        meter.add(start, a[start : start + 333], np.ones(len(a[start : start + 333]), bool))
+        meter.add(Heard(start, a[start : start + 333], np.ones(len(a[start : start + 333]), bool)))
     measured = meter.estimate()
     assert measured is not None and len(meter.windows) == 6
     assert np.abs(measured.values / asked - 1).max() < 1e-9
@@ -172,5 +172,5 @@ def test_meter_drops_what_impacts_leave_unseen(make_profile) -> None:
     meter = ToneMeter(profile, 2)
     meter.begin(0)
     assert meter.estimate() is None
-    meter.add(0, np.zeros(1000), np.zeros(1000, bool))
+    meter.add(Heard(0, np.zeros(1000), np.zeros(1000, bool)))
     assert meter.estimate() is None and meter.windows == []

@@ -131,7 +131,7 @@ def test_behind_a_capacitor_the_contact_is_read_by_the_sign(make_profile, fake_r
     volts = np.concatenate([np.zeros(500), droop, np.zeros(500)]) + 0.1 * rng.standard_normal(len(level) + 1000)
     codes = np.zeros((len(volts), 3), np.int16)
     codes[:, 0] = np.rint(volts / rig.scales["continuity"][0])
-    landed = [interlock.landed(piece) for piece in np.array_split(codes, 37)]
+    landed = [interlock.circuit(piece)[1] for piece in np.array_split(codes, 37)]
     wanted = 500 + np.flatnonzero(np.diff(level) < 0) + 1
     assert np.array_equal(np.flatnonzero(np.concatenate(landed)), wanted)
 
@@ -154,6 +154,6 @@ def test_behind_a_capacitor_a_ball_that_hardly_touches_is_in_flight(make_profile
     reasons = []
     for first in range(0, n, 19):
         piece = slice(first, first + 19)
-        motion = watch.update(codes[piece, 1], interlock.landed(codes[piece]))
+        motion = watch.update(codes[piece, 1], interlock.circuit(codes[piece])[1])
         reasons.append(interlock.inspect(drive[piece], Block(first, codes[piece]), motion))
     assert any(reason and "contact" in reason for reason in reasons) == trips
