@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.likelihood import Key, World
+from model.roll import Predicted
 
 Array = NDArray[np.float64]
 
 GRAZING = 10.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
+REACH_SIGMAS = 3.0  # within which a measured number may be off
 ROBUST = 1.4826
 
 
@@ -55,9 +57,39 @@ def judged_rows(world: World, values: Mapping[Key, float], steps: NDArray[np.boo
     rows = np.flatnonzero(ev.judged & steps[ev.measured.step])
     if len(rows) == 0:
         return rows, 0.0
-    total = world.uncertainty(values).landing_total_s
-    keep = total[rows] < GRAZING * float(np.median(total[ev.judged]))
+    keep = ~fragile(world, values)[rows]
     return rows[keep], 1.0 - float(keep.mean())
+
+
+def fragile(world: World, values: Mapping[Key, float]) -> NDArray[np.bool_]:
+    """Flights whose landing cannot be predicted from what was measured, (n,): no residual is looked at.
+
+    Either its uncertainty is `GRAZING` times the usual one, or the prediction leaps by as much as that would mean when
+    one of the landings before or a tone of the plate is off by `REACH_SIGMAS`: a graze that is met or missed.
+    """
+    ev = world.evidence
+    total = world.uncertainty(values).landing_total_s
+    usual = GRAZING * float(np.median(total[ev.judged])) if ev.judged.any() else np.inf
+    base = world.predict(values)
+    index = np.arange(len(ev))
+    out = total >= usual
+    for sign in (-REACH_SIGMAS, REACH_SIGMAS):
+        for colour in range(3):
+            chosen = index % 3 == colour
+            moved = world.predict(values, landing_shift_s=np.where(chosen, sign * ev.landing_sigma_s, 0.0))
+            out |= ~chosen & _leaps(base, moved, REACH_SIGMAS * usual)
+        for k in np.flatnonzero(ev.steps.forcing.any(axis=0)):
+            for unit in (1.0, 1j):
+                z = ev.steps.plate.acceleration_mps2.copy()
+                z[:, k] += sign * unit * ev.steps.sigma_mps2[:, k]
+                out |= _leaps(base, world.predict(values, tones=z), REACH_SIGMAS * usual)
+    return np.asarray(out)
+
+
+def _leaps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]:
+    """Whether a landing moves by more than ``far_s``, or comes into being or vanishes, (n,)."""
+    lost = np.isfinite(base.landing_s) != np.isfinite(moved.landing_s)
+    return np.asarray(lost | (np.abs(moved.landing_s - base.landing_s) > far_s))
 
 
 def errors_on(

@@ -90,8 +90,6 @@ class Evidence:
         Impacts slower than this may have gone unnoticed when the ball left at once; infinite without a second witness.
     unseen_s : float
         Flights shorter than this cannot have been seen.
-    closed_s : float
-        The shortest contact that the circuit shows between flights: rebounds shorter than this look closed.
     sources : tuple of str
     hints_hz : tuple of float
         Lines that stand out below the forcing in several steps: where a table resonance may be.
@@ -109,7 +107,6 @@ class Evidence:
     plate: PlateData
     setup: Setup
     unseen_s: float
-    closed_s: float
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     hints_hz: tuple[float, ...] = ()
@@ -196,7 +193,6 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         data,
         setup,
         unseen_s=GLITCH_S,
-        closed_s=_closed_s(measured, 1.0 / recording.rate_hz),
         sources=(str(recording.path),),
         notes=notes,
         hints_hz=_hints_hz(fitted),
@@ -214,13 +210,6 @@ def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
     found = np.sort(lines_hz)
     clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
     return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
-
-
-def _closed_s(measured: Measured, sample_s: float) -> float:
-    """Shortest contact between a landing and a take-off at once, or a sample where none is seen."""
-    rest = measured.opening_s[1:] - measured.landing_s[:-1]
-    brief = rest[measured.at_once[1:] & measured.linked[1:]]
-    return max(float(np.quantile(brief, 0.1)), sample_s) if len(brief) >= REPEATS else sample_s
 
 
 def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDArray[np.bool_], steps: Steps) -> Array:
@@ -308,7 +297,6 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         plate=PlateData.join([p.plate for p in parts], shift),
         setup=parts[0].setup,
         unseen_s=max(p.unseen_s for p in parts),
-        closed_s=max(p.closed_s for p in parts),
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),

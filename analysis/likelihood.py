@@ -173,7 +173,6 @@ class World:
             self.rows(values) if rows is None else rows,
             gap_m=gap,
             unseen_s=ev.unseen_s,
-            closed_s=ev.closed_s,
             weak_mps=ev.weak_mps,
             kick=kick,
         )
@@ -220,11 +219,11 @@ class World:
         landing = np.where(ev.judged, ev.measured.landing_s - p.landing_s, np.nan)
         mode = rung(ev.plate, ev.steps.plate, p.rung)
         vague = MODE_PART * mode * np.where(np.isin(ev.plate.kind, SQUARED), 2.0, 1.0)
-        known = ev.plate.sigma / np.hypot(ev.plate.sigma, vague)
         said = expected(ev.plate, self.by_step(values)) + mode
         if (swell := self._swell(values)) is not None:
-            said = said + swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
-        plate = known * (ev.plate.value - said)
+            swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
+            said, vague = said + swelling, np.hypot(vague, leaking)
+        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, vague) * (ev.plate.value - said)
         return Residuals(opening, landing, plate, p)
 
     def uncertainty(self, values: Values) -> Uncertainty:
@@ -254,10 +253,12 @@ class World:
                 moved = self.predict(values, tones=z)
                 columns_open.append(_finite(moved.opening_s - base.opening_s))
                 columns_land.append(_finite(moved.landing_s - base.landing_s))
-        for kick in self._kicks(values):
-            moved = self.predict(values, kick=kick)
-            columns_open.append(_finite(moved.opening_s - base.opening_s))
-            columns_land.append(_finite(moved.landing_s - base.landing_s))
+        for kick in self._kicks(values):  # large enough that what is not linear in it counts as noise of its own
+            ahead, behind = self.predict(values, kick=kick), self.predict(values, kick=(-kick[0], -kick[1]))
+            columns_open.append(_finite(0.5 * (ahead.opening_s - behind.opening_s)))
+            columns_land.append(_finite(0.5 * (ahead.landing_s - behind.landing_s)))
+            open_var = open_var + _finite(0.5 * (ahead.opening_s + behind.opening_s) - base.opening_s) ** 2
+            land_var = land_var + _finite(0.5 * (ahead.landing_s + behind.landing_s) - base.landing_s) ** 2
         shape = (0, n)
         return Uncertainty(
             np.sqrt(open_var),

@@ -18,6 +18,7 @@ from scipy import stats
 
 from analysis.attribution import Explanation
 from analysis.covariates import covariates
+from analysis.errors_of import fragile
 from analysis.likelihood import EDGE_STEP_S, Uncertainty, Values, World
 from analysis.robust import LEAST_EXCESS_S
 from analysis.thresholds import FROZEN
@@ -107,7 +108,8 @@ def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
     r = world.residuals(values)
     out = [0.0]
     for residual, sigma, rows in (
-        (r.opening_s, u.opening_total_s, world.opens), (r.landing_s, u.landing_total_s, world.evidence.judged)
+        (r.opening_s, u.opening_total_s, world.opens),
+        (r.landing_s, u.landing_total_s, world.evidence.judged & ~fragile(world, values)),
     ):
         if rows.any():
             out.append(float(np.sqrt(np.mean(_unit(residual, sigma)[rows] ** 2))))
@@ -135,9 +137,10 @@ def innovations(world: World, values: Values, u: Uncertainty) -> Innovations:
     ev = world.evidence
     r = world.residuals(values)
     carried = _carried(world, values)
+    firm = ev.judged & ~fragile(world, values)  # the others say nothing, and say it loudly
     parts = []
     for s in range(len(ev.steps)):
-        rows = np.flatnonzero(ev.judged & (ev.measured.step == s))
+        rows = np.flatnonzero(firm & (ev.measured.step == s))
         if len(rows) == 0:
             continue
         event = np.concatenate([rows[world.opens[rows]], rows])

@@ -186,7 +186,6 @@ def one_ahead(
     *,
     gap_m: Array | float = 0.0,
     unseen_s: float = 1e-4,
-    closed_s: float = 5e-5,
     passable_s: float = 2e-3,
     weak_mps: Array | float = 0.0,
     kick: tuple[float, float] = (0.0, 0.0),
@@ -203,8 +202,6 @@ def one_ahead(
         Height at which the circuit opens, one number or (n,).
     unseen_s
         Flights shorter than this are passed over: no instrument has seen them.
-    closed_s
-        Rebounds shorter than this look like contact.
     passable_s
         Flights shorter than this may have escaped the instrument: they are passed over when they end before the
         measured flight begins.
@@ -246,7 +243,6 @@ def one_ahead(
             elastic,
             gap,
             unseen_s,
-            closed_s,
             passable_s,
             weak,
             np.array(kick),

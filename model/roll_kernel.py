@@ -54,7 +54,7 @@ MINOR = 1e-3  # a tone of less than this part of the largest displacement needs 
 FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
 WAIT_PARTS = 3  # a ball at rest is looked at so many times more often: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0
-TAIL_PART = 2e-3  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
+TAIL_PART = 2e-4  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
 MOST_SECANTS = 40
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
@@ -458,31 +458,30 @@ def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, 
 
 
 @njit(cache=True, error_model="numpy")
-def weak_rebounds(land, hit, target, rests, weak_mps, closed_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
+def weak_rebounds(land, hit, target, weak_mps, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
     """Which landing ends a flight as the instrument shows it, given a first landing.
 
-    An impact slower than ``weak_mps`` from which the ball leaves at once has left no mark: the flight seems to go on
-    through it. Where the ball then ``rests``, it ends when the rebounds become shorter than ``closed_s``; else at the
-    landing nearest to ``target``. (q, qd) is the mode's state just after the landing. Returns (landing, impact speed,
-    impacts passed).
+    An impact slower than ``weak_mps`` from which the ball leaves at once may have left no mark: the flight seems to go
+    on through it, and ends at the impact nearest to ``target``, or at the end of the chatter where that is nearer.
+    (q, qd) is the mode's state just after the landing. Returns (landing, impact speed, impacts passed).
     """
+    near, near_hit, near_passed = land, hit, 0
     passed = 0
-    while hit < weak_mps and passed < MOST_BOUNCES and (rests or land < target):
-        off, v0, kind, _ = leave(land, hit, 0.0, q, qd, om, ze, w, ar, ai, dt, p)
+    while hit < weak_mps and land < target and passed < MOST_BOUNCES:
+        off, v0, kind, end = leave(land, hit, 0.0, q, qd, om, ze, w, ar, ai, dt, p)
+        passed += 1
         if kind != 1:
+            if abs(end - target) < abs(near - target):
+                near, near_hit, near_passed = end, 0.0, passed
             break
         lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
-        if lasts < closed_s:
-            break
-        following = off + lasts
-        if abs(following - target) > abs(land - target) and (
-            not rests or following > target + 0.5 * STEPS_PER_PERIOD * dt
-        ):
+        if lasts < 0.0:
             break
         q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
-        land, hit = following, v_next
-        passed += 1
-    return land, hit, passed
+        land, hit = off + lasts, v_next
+        if abs(land - target) < abs(near - target):
+            near, near_hit, near_passed = land, hit, passed
+    return near, near_hit, near_passed
 
 
 @njit(cache=True, error_model="numpy")
@@ -616,7 +615,6 @@ def one_ahead(
     bounce,
     gap,
     unseen_s,
-    closed_s,
     passable_s,
     weak_mps,
     kick,
@@ -680,14 +678,11 @@ def one_ahead(
             )
             if kind >= 0 and hit < weak_mps[i]:
                 qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
-                rests = i + 1 < landing.shape[0] and linked[i + 1] and not at_once[i + 1]
                 land, hit, passed = weak_rebounds(
                     land,
                     hit,
                     landing[i],
-                    rests,
                     weak_mps[i],
-                    closed_s,
                     qt,
                     qdt,
                     om,
@@ -707,7 +702,8 @@ def one_ahead(
         t_landed = t_previous
         t_previous = landing[i]
         known = True
-        needed = ratio != 0.0 or (bounce[i] and i + 1 < landing.shape[0] and wanted[i + 1])
+        # (a predicted flight leans on the flight before, and to tell which landing that was, on its prediction)
+        needed = ratio != 0.0 or (bounce[i] and np.any(wanted[i + 1 : i + 3]))
         if not (needed or (bounce[i] and wanted[i])):
             continue
         if at_once[i] and linked[i]:

@@ -35,7 +35,7 @@ def seen_evidence() -> Evidence:
     yes: NDArray[np.bool_] = np.ones(3, dtype=bool)
     return Evidence(
         Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes), one, one, yes, np.ones(3),
-        np.full(3, np.inf), steps, PlateData(none, none, *(nothing,) * 5, none, none, nothing), setup, 2e-4, 5e-5,
+        np.full(3, np.inf), steps, PlateData(none, none, *(nothing,) * 5, none, none, nothing), setup, 2e-4,
     )
 
 
