@@ -96,8 +96,10 @@ def _keep(
     if improved is not None:
         from bench.improved import write_improved
 
-        write_improved(loop, recordings[0], improved)
+        left = write_improved(loop, recordings[0], improved)
         say(f"improved profile: {improved}")
+        for words in left:
+            say(f"  not declared in it: {words}")
 
 
 @contextmanager

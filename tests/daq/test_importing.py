@@ -182,7 +182,7 @@ def test_a_doubtful_contact_circuit_is_remarked(
 def test_a_short_stretch_is_no_step_of_the_accelerometer(
     tmp_path: Path, setup: Setup, columns: Columns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stretch below the least length that looks still is a step where the drive shows it, not where the plate does."""
+    """A still stretch below the least length is a step where the drive shows it, not where the plate alone does."""
     monkeypatch.setattr("daq.importing.SHORTEST_FELT_CYCLES", 8.0)
     short = np.flatnonzero(columns["time_s"] < columns["time_s"][-1])[: round(6.5 * RATE_HZ / 25.37)]
     extra = {k: v[short] for k, v in columns.items()}
