@@ -31,6 +31,7 @@ GROWTH = 4  # by which the scanned part of a long recording grows from round to 
 SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
 RIDGE, TINY = 1e-9, 1e-300
 SMALL = 1e-3  # depth from which slopes are taken
+LEAKING = 0.5  # of what leaks from tone to tone, by which masks may change it
 KEPT = 4  # frequencies for which the projections are kept
 LEAST = 4  # steps, that say anything
 
@@ -235,20 +236,26 @@ class Swells:
         omega = np.concatenate([plate.omega_radps, self.omega_radps[:, :2] + w, np.abs(below) + (below == 0.0)], axis=1)
         return PlateSteps(omega, tones, plate.period_s, derived=4)
 
-    def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> Array:
-        """What the swell adds to each plate datum, (r,)."""
-        out = np.zeros(len(data))
+    def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> tuple[Array, Array]:
+        """What the swell adds to each plate datum, and how well that is known, (r,) each.
+
+        What leaks from tone to tone is changed by what is masked after impacts; the swell's mean over a step is not.
+        """
+        out, vague = np.zeros((2, len(data)))
         pitch, phase, seen = self._pitch(hz), self.phases(hz), self._seen(plate)
         true = self._true(seen, pitch, depth, phase)
         k = np.argmin(np.abs(self.omega_radps[data.step] - data.omega_radps[:, None]), axis=1)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         factor = seen[data.step[rows], k[rows]] / true[data.step[rows], k[rows]]
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(factor)), np.angle(factor))
+        mean = (np.exp(1j * phase) * _mean(self.span_s, np.array([2.0 * np.pi * hz]))[0]).imag
+        vague[rows] = LEAKING * np.abs(factor - 1.0 - (depth * mean)[data.step[rows]])
         rows = np.flatnonzero(np.isin(data.kind, (SECOND, THIRD, HUM)))
         false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a swell fakes
         out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
+        vague[rows] = 2.0 * LEAKING * out[rows]
         out[data.kind == MODULATION] = self._in_windows(seen, true, pitch, depth, phase)
-        return out
+        return out, vague
 
     def _in_windows(self, seen: Complex, true: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Array:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
