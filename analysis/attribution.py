@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.candidates import Candidate as Candidate
 from analysis.candidates import candidates_of, trends_of
 from analysis.fit import Fitted, Fitter, parameter_of
+from analysis.gains import Compared as Compared
 from analysis.likelihood import Key, Whitener, World, plate_effects
 from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
@@ -28,7 +29,6 @@ THREADS = 2
 MOST_SHAPES = 4  # settings of what shapes an effect that are followed from the best linear gain
 REFITS = 3  # of an explanation, from where a larger one has led
 SETTLING = 4  # fits with new weights, at most
-MOST_OF_A_STEP = 12.0  # nats
 LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
 FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
 MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and from there by a full fit
@@ -70,41 +70,6 @@ class Explanation:
     def per_step(self) -> Array:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))
-
-
-@dataclass(frozen=True)
-class Compared:
-    """One explanation against another by the held-out steps.
-
-    Attributes
-    ----------
-    gain, error
-        In nats, with the standard error.
-    even, even_error
-        The same with no step counting for more than `MOST_OF_A_STEP` either way: a few steps that gain hundreds of nats
-        spread the sum without making it doubtful.
-    """
-
-    gain: float
-    error: float
-    even: float
-    even_error: float
-
-    @classmethod
-    def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> Compared:
-        """Gain of ``better`` over ``worse``, both losses by step."""
-        d = (worse - better)[train]
-        return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP, MOST_OF_A_STEP)))
-
-    def beyond(self, nats: float, sigmas: float) -> bool:
-        """Whether it is at least so many nats and standard errors, as it is or with each step limited."""
-        return self.gain > nats and (
-            self.gain > sigmas * self.error or self.even > max(nats, sigmas * self.even_error)
-        )
-
-
-def _sum(d: Array) -> tuple[float, float]:
-    return float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
 
 
 @dataclass(frozen=True)
@@ -169,8 +134,9 @@ class Attributor:
             gain = Compared.of(best.per_step, accepted.per_step, self.train)
             added = " + ".join(accepted.candidates[-1].names)
             rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
-            best = self._step_back(accepted, rounds)
-            rivals = found if best is accepted else []
+            kept = self._step_back(accepted, rounds)
+            rivals = found if kept is accepted else []
+            best = self._refined(kept)
         return Attribution(before, best, self._ties(before, best, rivals), tuple(tried), tuple(rounds))
 
     def _accepted(
@@ -190,6 +156,13 @@ class Attributor:
                 return chosen, best
             best = again
         return self._choose(best, found, depth), best
+
+    def _refined(self, x: Explanation) -> Explanation:
+        """Fitted once more from where it stands: slopes of calibrations are those of where a fit began.
+
+        Where a calibration and an effect trade places, a fit that came from far stops short, sure of itself.
+        """
+        return self._judged(x.candidates, self._settled(self.fitter.fit(x.whitener, x.free, x.fitted.values)))
 
     def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
         whitener = Whitener.of(self.world, fitted.values)
