@@ -21,7 +21,7 @@ from rig.ramp import fade_cycles
 from rig.sequencer import Sequencer, State
 
 HARMONICS = 3  # fitted beside the tones: a mask that follows the cycle would mix them in
-COVERAGE = 2.0  # standard uncertainties kept between an estimate and its tolerance
+COVERAGE = 2.5  # standard uncertainties kept between an estimate and its tolerance
 SMALL_ERROR = 0.25  # of the tolerance: below, an error is left alone; above, it is corrected once it is certain
 ENOUGH_WINDOWS = 3  # from so many windows on their scatter says more than what each claims of itself
 OTHERWISE = 5.0  # spreads by which a window differs from those before only if the plate answers otherwise
@@ -236,7 +236,8 @@ def _uncertainty(windows: list[Amplitudes], claimed: Floats) -> Floats:
     if len(windows) < ENOUGH_WINDOWS:
         return claimed
     spread: Floats = np.std([window.values for window in windows], axis=0, ddof=1)
-    return spread / math.sqrt(2.0 * len(windows))
+    degrees = 2.0 * (len(windows) - 1)  # two quadratures; Student's t of so many is wider than a normal by the root
+    return spread / math.sqrt(2.0 * len(windows)) * math.sqrt(degrees / (degrees - 2.0))
 
 
 def target_acceleration(setup: Setup, gamma: float) -> Complexes:
