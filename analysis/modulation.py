@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,10 @@ SMALL = 1e-3  # depth from which slopes are taken
 LEAKING = 0.5  # of what leaks from tone to tone, by which masks may change it
 KEPT = 4  # frequencies for which the projections are kept
 LEAST = 4  # steps, that say anything
+SAME = 0.2  # periods in a recording by which two frequencies must differ to be two
+Source = Literal["both", "windows", "gains"]
+SOURCES: tuple[Source, ...] = ("both", "windows", "gains")
+PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gains": slice(0, 1)}
 
 
 @dataclass(frozen=True)
@@ -112,10 +116,14 @@ class Swells:
         return np.asarray(np.angle(self._pitch(hz).swell)[self.recording])
 
     def hints(self) -> tuple[tuple[float, float], ...]:
-        """Where windows and gains swell most, by both and by windows alone: frequency (Hz) and depth."""
+        """Where windows and gains swell most, by both and by either alone: frequency (Hz) and depth."""
         if len(self.value) < LEAST:
             return ()
-        found = dict.fromkeys(round(self._strongest_hz(gains), 9) for gains in (True, False))
+        found: list[float] = []
+        sources = SOURCES if np.isfinite(self.gain).sum() > LEAST else SOURCES[1:2]
+        for hz in map(self._strongest_hz, sources):
+            if all(abs(hz - other) * float(self._since_s[1].max()) > SAME for other in found):
+                found.append(round(hz, 9))
         depths = [float(np.median(np.abs(self._pitch(hz).swell))) for hz in found]
         return tuple((hz, min(max(d, SHALLOWEST), DEEPEST)) for hz, d in zip(found, depths, strict=True))
 
@@ -129,21 +137,23 @@ class Swells:
         begin = np.array([self.span_s[self.recording == r, 0].min() for r in self._runs])[self.recording]
         return self.span_s[:, 1] - begin, self.window_span_s.mean(axis=1) - begin[self.window_step]
 
-    def _strongest_hz(self, gains: bool) -> float:
+    def _strongest_hz(self, source: Source) -> float:
         """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
         since = np.sort(self._since_s[1])
         fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
+        if source == "gains":  # a faster swell looks like a slower one from step to step
+            fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
         until = float(since[min(len(since), MOST_AT_ONCE) - 1])
         hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
-        best = float(hz[np.argmax(self._power(hz, until, gains))]) if len(hz) else fastest
+        best = float(hz[np.argmax(self._power(hz, until, source))]) if len(hz) else fastest
         while True:
             near, until = 1.0 / until, min(GROWTH * until, float(since[-1]))
             hz = np.maximum(best + np.arange(-near, near, 0.2 / (FINENESS * until)), 0.1 / until)
-            best = float(hz[np.argmax(self._power(hz, until, gains))])
+            best = float(hz[np.argmax(self._power(hz, until, source))])
             if until >= since[-1]:
                 return best
 
-    def _power(self, hz: Array, until_s: float, gains: bool) -> Array:
+    def _power(self, hz: Array, until_s: float, source: Source) -> Array:
         """What the best swell at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
         out = np.zeros(len(hz))
         for first in range(0, len(hz), CHUNK):
@@ -153,11 +163,22 @@ class Swells:
             rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
             for r in self._runs:
                 normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
-                if not gains:
-                    normal, side = normal[1:], side[1:]
-                normal, side = normal.sum(axis=0) + RIDGE * np.eye(2), side.sum(axis=0)
-                out[some] += 0.5 * np.sum(side * np.linalg.solve(normal, side[..., None])[..., 0], axis=-1)
+                part = PARTS[source]
+                normal, side = normal[part].sum(axis=0) + RIDGE * np.eye(2), side[part].sum(axis=0)
+                gained = 0.5 * np.sum(side * np.linalg.solve(normal, side[..., None])[..., 0], axis=-1)
+                out[some] += self._without_scale(r, until_s, gained) if source == "gains" else gained
         return out
+
+    def _without_scale(self, r: int, until_s: float, gained: Array) -> Array:
+        """Gain in likelihood of the steps' gains where their scatter is not known but found from what is left, (f,)."""
+        known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(self.gain)
+        if known.sum() <= LEAST:
+            return gained
+        gain = self.gain[known]
+        weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain) ** 2)
+        total = 0.5 * float(np.sum(weight * (gain - np.average(gain, weights=weight)) ** 2))
+        least = 0.5 * float(np.sum(weight * self.gain_sigma[known] ** 2))
+        return np.asarray(0.5 * len(gain) * np.log((total + least) / np.maximum(total - gained + least, TINY)))
 
     @cached_property
     def _pitches(self) -> dict[float, _Pitch]:
