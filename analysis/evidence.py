@@ -32,6 +32,8 @@ MAX_TONES = 8
 TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
 FARTHEST_JITTER_S = 5e-4
 REPEATS = 8  # flights after a rest that a step needs to tell how well edges repeat
+LEAST_FREE = 3  # third differences that must be left for it
+WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
 THIRD_DIFFERENCES = 20.0  # their variance, over that of what they are taken of
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
@@ -177,8 +179,14 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         forcing,
     )
     measured, judged, keep = _events(flights, rows)
-    sigmas_open = _with_jitter(measured.opening_s, flights.takeoff_uncertainty_s[keep], measured, judged, steps)
-    sigmas_land = _with_jitter(measured.landing_s, flights.landing_uncertainty_s[keep], measured, judged, steps)
+    hints = _hints_hz(fitted)
+    sigmas_open, sigmas_land = (
+        _with_jitter(time_s, sigma_s[keep], measured, judged, steps, hints)
+        for time_s, sigma_s in (
+            (measured.opening_s, flights.takeoff_uncertainty_s),
+            (measured.landing_s, flights.landing_uncertainty_s),
+        )
+    )
     weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
@@ -195,7 +203,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
         notes=notes,
-        hints_hz=_hints_hz(fitted),
+        hints_hz=hints,
         swells=Swells.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
@@ -212,11 +220,19 @@ def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
     return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
 
 
-def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDArray[np.bool_], steps: Steps) -> Array:
+def _with_jitter(
+    time_s: Array,
+    sigma_s: Array,
+    measured: Measured,
+    judged: NDArray[np.bool_],
+    steps: Steps,
+    lines_hz: Sequence[float] = (),
+) -> Array:
     """Uncertainty of edges, raised to how well they repeat from cycle to cycle where the ball rests in between.
 
     A flight after a rest begins anew: in a step where every cycle is the same, its edges scatter by their own noise
-    alone. Third differences leave out what changes slowly, such as a plate that swells; no model is asked.
+    alone. Third differences leave out what changes slowly, such as a plate that swells, and what follows the plate's
+    mains lines or ``lines_hz`` is fitted and taken out; no model is asked.
     """
     scatter, claimed = [], []
     for i in range(len(steps)):
@@ -226,16 +242,30 @@ def _with_jitter(time_s: Array, sigma_s: Array, measured: Measured, judged: NDAr
         period = steps.plate.period_s[i]
         apart = np.diff(time_s[rows])
         off = apart - np.round(apart / period) * period
-        near = off[np.abs(off - np.median(off)) < FARTHEST_JITTER_S]
-        if len(near) < 0.8 * len(off):
+        near = np.abs(off - np.median(off)) < FARTHEST_JITTER_S
+        if np.sum(near) < 0.8 * len(off):
             continue
-        scatter.append(float(np.sqrt(np.mean(np.diff(near, n=2) ** 2) / THIRD_DIFFERENCES)))
+        turned = np.exp(1j * np.outer(time_s[rows], _lines_radps(steps, i, lines_hz)))
+        waves = np.diff(np.diff(np.hstack([turned.real, turned.imag]), axis=0)[near], n=2, axis=0)
+        left = np.diff(off[near], n=2)
+        free = len(left) - waves.shape[1]
+        if free < LEAST_FREE:
+            continue
+        left = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
+        scatter.append(float(np.sqrt(np.sum(left**2) / free / THIRD_DIFFERENCES)))
         claimed.append(float(np.median(sigma_s[rows])))
     if len(scatter) < 3:
         return sigma_s
     excess = np.array(scatter) ** 2 - np.array(claimed) ** 2
     jitter = float(np.median(excess))
     return np.sqrt(sigma_s**2 + max(jitter, 0.0))
+
+
+def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
+    """Angular frequencies in step ``i`` that are no multiple of the forcing."""
+    w = steps.plate.omega_radps[i][steps.plate.acceleration_mps2[i] != 0.0]
+    cycles = w * steps.plate.period_s[i] / (2.0 * np.pi)
+    return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
 
 
 def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -300,5 +330,5 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
-        swells=Swells.join([p.swells for p in parts if p.swells is not None]),
+        swells=Swells.join(swells) if (swells := [p.swells for p in parts if p.swells is not None]) else None,
     )
