@@ -43,8 +43,8 @@ class Interlock:
 
     Attributes
     ----------
-    limit_in_use : float
-        The largest part of a limit that the last block used; 1 trips.
+    limits_in_use : dict of str to float
+        What part of each limit (by its name in the profile) the last block used; 1 trips.
     contact_age_cycles : float
         Cycles since the ball last showed itself, by contact or impact.
     """
@@ -76,7 +76,7 @@ class Interlock:
         self._window_asked = self._window_moved = 0.0
         self._window_n = self._still = self._last_code = 0
         self._was_open = self._ended_open = False
-        self.limit_in_use = 0.0
+        self.limits_in_use: dict[str, float] = {}
         self.contact_age_cycles = 0.0
 
     def clamp(self, drive_v: Floats) -> Floats:
@@ -137,7 +137,7 @@ class Interlock:
         self._window_moved += motion.square_sum
         limits = self._limits
         used = [
-            (value / limit, f"the plate reached {value:.4g} {unit}; limits.{name} allows {limit:g}")
+            (value / limit, name, f"the plate reached {value:.4g} {unit}; limits.{name} allows {limit:g}")
             for name, value, limit, unit in (
                 ("plate_mps2", a, limits.plate_mps2, "m/s^2"),
                 ("velocity_mps", v, limits.velocity_mps, "m/s"),
@@ -145,8 +145,8 @@ class Interlock:
             )
             if limit is not None
         ]
-        worst, reason = max(used)
-        self.limit_in_use = max(worst, self._clamped_v / limits.drive_v)
+        worst, _, reason = max(used)
+        self.limits_in_use = {"drive_v": self._clamped_v / limits.drive_v} | {name: part for part, name, _ in used}
         return reason if worst > 1.0 else None
 
     def _frozen(self, drive_v: Floats, codes: NDArray[np.int16]) -> str | None:

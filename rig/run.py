@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -51,7 +51,11 @@ class StopRequest:
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run is, once a block; ``achieved_gamma`` is that of the last step held (NaN before)."""
+    """Where a run is, once a block.
+
+    ``achieved_gamma`` and its uncertainty are those of the last step held (NaN before), ``limits_in_use`` what part of
+    each limit the block used, ``contact_age_cycles`` how long ago the ball last showed itself.
+    """
 
     state: State
     step: Step
@@ -59,9 +63,10 @@ class Status:
     sample: int
     n_samples: int
     plate_mps2: float
-    limit_in_use: float
+    limits_in_use: Mapping[str, float]
     contact_age_cycles: float
     achieved_gamma: float
+    achieved_gamma_uncertainty: float
     lost_samples: int
 
 
@@ -149,7 +154,7 @@ class _Run:
         )
         self._meter = ToneMeter(profile, min(METER_CYCLES, profile.ramp.hold_cycles))
         self._metered = -1
-        self._last_achieved = math.nan
+        self._last_achieved = math.nan, math.nan
         self._interlock = Interlock(profile, backend.channels, backend.scales)
         self._accelerometer = backend.channels.index("accelerometer")
         scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
@@ -278,7 +283,7 @@ class _Run:
         marks, self._sequencer.marks = self._sequencer.marks, []
         for step in marks:
             gamma, uncertainty = self._achieved(step)
-            self._last_achieved = gamma if math.isfinite(gamma) else self._last_achieved
+            self._last_achieved = (gamma, uncertainty) if math.isfinite(gamma) else self._last_achieved
             over = step.end_sample <= self._sequencer.position
             self._marks.append((step.end_sample if over else step.first_sample + 1, step, (gamma, uncertainty)))
         self._release()
@@ -345,8 +350,9 @@ class _Run:
             sample=self._sequencer.position,
             n_samples=self._programme.n_samples,
             plate_mps2=self._motion.acceleration_mps2,
-            limit_in_use=self._interlock.limit_in_use,
+            limits_in_use=self._interlock.limits_in_use,
             contact_age_cycles=self._interlock.contact_age_cycles,
-            achieved_gamma=self._last_achieved,
+            achieved_gamma=self._last_achieved[0],
+            achieved_gamma_uncertainty=self._last_achieved[1],
             lost_samples=self.account.lost_samples,
         )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +11,7 @@ import typer
 if TYPE_CHECKING:
     from rig.backends.base import Backend
     from rig.profile import Profile
-    from rig.run import RunSummary, Status
+    from rig.run import RunSummary
 
 
 def command(
@@ -153,6 +151,7 @@ def record(
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
     """
+    from bench.run_display import run_display
     from bench.signals import stop_on_signals
     from daq.recorder import RecorderProcess
     from daq.recording import RecordingWriter
@@ -172,7 +171,7 @@ def record(
     }
     if not backend.simulated:
         warm_up(profile)
-    with stop_on_signals() as request, _progress(quiet) as progress:
+    with stop_on_signals() as request, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
             block_samples = profile.backend.block_samples
@@ -203,32 +202,6 @@ def warm_up(profile: Profile) -> None:
             backend=rig.name, simulated=True,
         )  # fmt: skip
         run_ramp(profile.model_copy(update={"ramp": short}), rig, writer)
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[Status], None]]:
-    """A bar on standard error: step, gamma, the gamma last achieved, the largest part of a limit in use, cycles since
-    the ball last touched the plate, samples lost.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    text = TextColumn("{task.description}")
-    columns = (BarColumn(bar_width=10), TaskProgressColumn(), text, TimeRemainingColumn(compact=True))
-    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(status: Status) -> None:
-            bar.update(
-                task,
-                total=status.n_samples,
-                completed=min(status.sample, status.n_samples),
-                description=f"{status.step.index + 1}/{status.n_steps} γ {status.step.gamma:.4g} {status.state.value}, "
-                f"last {status.achieved_gamma:.4g}, limit {status.limit_in_use:.0%}, "
-                f"ball {status.contact_age_cycles:.0f} cyc, lost {status.lost_samples}",
-            )
-
-        yield show
 
 
 def _sentence(summary: RunSummary, out: Path) -> str:
