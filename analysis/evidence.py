@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flights import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.jitter import with_jitter
 from analysis.modulation import Swells
 from analysis.plate import StepPlate
 from analysis.platedata import PlateData, plate_data
@@ -30,11 +31,7 @@ MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
 MAX_TONES = 8
 TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
-FARTHEST_JITTER_S = 5e-4
-REPEATS = 8  # flights after a rest that a step needs to tell how well edges repeat
-LEAST_FREE = 3  # third differences that must be left for it
 WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
-THIRD_DIFFERENCES = 20.0  # their variance, over that of what they are taken of
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
 
@@ -180,13 +177,11 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     )
     measured, judged, keep = _events(flights, rows)
     hints = _hints_hz(fitted)
-    sigmas_open, sigmas_land = (
-        _with_jitter(time_s, sigma_s[keep], measured, judged, steps, hints)
-        for time_s, sigma_s in (
-            (measured.opening_s, flights.takeoff_uncertainty_s),
-            (measured.landing_s, flights.landing_uncertainty_s),
-        )
-    )
+    lines = [_lines_radps(steps, i, hints) for i in range(m)]
+    step, period_s = measured.step, steps.plate.period_s
+    own = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    sigmas_open = with_jitter(measured.opening_s, own[0], step, judged & ~measured.at_once, period_s, lines)
+    sigmas_land = with_jitter(measured.landing_s, own[1], step, judged, period_s, lines)
     weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
@@ -218,47 +213,6 @@ def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
     found = np.sort(lines_hz)
     clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
     return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
-
-
-def _with_jitter(
-    time_s: Array,
-    sigma_s: Array,
-    measured: Measured,
-    judged: NDArray[np.bool_],
-    steps: Steps,
-    lines_hz: Sequence[float] = (),
-) -> Array:
-    """Uncertainty of edges, raised to how well they repeat from cycle to cycle where the ball rests in between.
-
-    A flight after a rest begins anew: in a step where every cycle is the same, its edges scatter by their own noise
-    alone. Third differences leave out what changes slowly, such as a plate that swells, and what follows the plate's
-    mains lines or ``lines_hz`` is fitted and taken out; no model is asked.
-    """
-    scatter, claimed = [], []
-    for i in range(len(steps)):
-        rows = np.flatnonzero(judged & (measured.step == i) & ~measured.at_once)
-        if len(rows) < REPEATS:
-            continue
-        period = steps.plate.period_s[i]
-        apart = np.diff(time_s[rows])
-        off = apart - np.round(apart / period) * period
-        near = np.abs(off - np.median(off)) < FARTHEST_JITTER_S
-        if np.sum(near) < 0.8 * len(off):
-            continue
-        turned = np.exp(1j * np.outer(time_s[rows], _lines_radps(steps, i, lines_hz)))
-        waves = np.diff(np.diff(np.hstack([turned.real, turned.imag]), axis=0)[near], n=2, axis=0)
-        left = np.diff(off[near], n=2)
-        free = len(left) - waves.shape[1]
-        if free < LEAST_FREE:
-            continue
-        left = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
-        scatter.append(float(np.sqrt(np.sum(left**2) / free / THIRD_DIFFERENCES)))
-        claimed.append(float(np.median(sigma_s[rows])))
-    if len(scatter) < 3:
-        return sigma_s
-    excess = np.array(scatter) ** 2 - np.array(claimed) ** 2
-    jitter = float(np.median(excess))
-    return np.sqrt(sigma_s**2 + max(jitter, 0.0))
 
 
 def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:

@@ -638,6 +638,7 @@ def one_ahead(
     previous_hit = 0.0
     t_previous = np.inf
     known = False
+    chained = 0  # flights in a row whose impact speed was asked for: the first one's own prediction leans on nothing
     for i in range(landing.shape[0]):
         m = step[i]
         pi = p[i]
@@ -645,8 +646,9 @@ def one_ahead(
         dt = pace(period[m], wi, ri, ii)
         om, ze, ratio = mode(pi)
         out[i, 6] = -1.0
+        chained += 1
         if not linked[i]:
-            known = False
+            known, chained = False, 0
             rested = opening[i] - t_previous
             if 0.0 <= rested < LONGEST_PERIODS * period[m]:  # the plate goes on ringing from step to step
                 q, qd, _ = pressed(t_previous, rested, q, qd, wi, ri, ii, pi)
@@ -705,6 +707,7 @@ def one_ahead(
         # (a predicted flight leans on the flight before, and to tell which landing that was, on its prediction)
         needed = ratio != 0.0 or (bounce[i] and np.any(wanted[i + 1 : i + 3]))
         if not (needed or (bounce[i] and wanted[i])):
+            chained = 0
             continue
         if at_once[i] and linked[i]:
             start = t_landed
@@ -720,7 +723,7 @@ def one_ahead(
         if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
             near = out[i, 1] if passed == 0 and out[i, 6] == 1.0 and at_once[i] else -1.0
             v0, hit = launch_of(start, landing[i], near, out[i, 2], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
-        if passed > 0 and abs(out[i, 2] - landing[i]) < passable_s:
+        if passed > 0 and chained > 1 and abs(out[i, 2] - landing[i]) < passable_s:
             hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact
         previous_hit = max(hit, 0.0)
         out[i, 7], out[i, 8] = v0, previous_hit
