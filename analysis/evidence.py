@@ -179,9 +179,9 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
-    own = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    sigmas_open = with_jitter(measured.opening_s, own[0], step, judged & ~measured.at_once, period_s, lines)
-    sigmas_land = with_jitter(measured.landing_s, own[1], step, judged, period_s, lines)
+    bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
+    sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
     weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
