@@ -48,8 +48,10 @@ class Steps:
         Measured A w^2 / g and c.
     run_part
         Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
-    sigma_mps2
-        Uncertainty of each quadrature of the plate's tones, shape (m, k).
+    spread_mps2
+        What one standard deviation each way changes in all tones together, shape (m, 2 k, k): the sum of the rows'
+        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i, and are zero
+        for tones that no event feels.
     forcing
         True for the forcing's own tones, shape (m, k).
     """
@@ -60,11 +62,16 @@ class Steps:
     ratio: NDArray[np.int64]
     run_part: Array
     plate: PlateSteps
-    sigma_mps2: Array
+    spread_mps2: NDArray[np.complex128]
     forcing: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.gamma)
+
+    @property
+    def sigma_mps2(self) -> Array:
+        """Uncertainty of each quadrature of the plate's tones, (m, k)."""
+        return np.asarray(np.sqrt(0.5 * np.sum(np.abs(self.spread_mps2) ** 2, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -153,7 +160,8 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     for i, s in enumerate(fitted):
         rows[s.step] = i
     m = len(fitted)
-    omega, z, sigma = np.ones((m, MAX_TONES)), np.zeros((m, MAX_TONES), complex), np.zeros((m, MAX_TONES))
+    omega, z = np.ones((m, MAX_TONES)), np.zeros((m, MAX_TONES), complex)
+    spread = np.zeros((m, 2 * MAX_TONES, MAX_TONES), complex)
     forcing = np.zeros((m, MAX_TONES), dtype=bool)
     for i, s in enumerate(fitted):
         tones = s.plate()
@@ -162,8 +170,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         k = len(order)
         omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
         forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
-        every, sigmas = 2 * np.pi * s.acceleration.frequencies_hz, s.acceleration.amplitude_sigma()
-        sigma[i, :k] = [sigmas[np.argmin(np.abs(every - w))] for w in omega[i, :k]]
+        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k], forcing[i, :k])
     middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
     steps = Steps(
         np.zeros(m, dtype=np.int64),
@@ -172,7 +179,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         np.array([s.ratio for s in fitted], dtype=np.int64),
         middle / max(recording.n_samples, 1) - 0.5,
         PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])),
-        sigma,
+        spread,
         forcing,
     )
     measured, judged, keep = _events(flights, rows)
@@ -201,6 +208,23 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         hints_hz=hints,
         swells=Swells.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
+
+
+def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDArray[np.complex128]:
+    """Factor of the covariance of a step's tones (k,), those of the forcing first: see `Steps.spread_mps2`; (2 k, k).
+
+    A mains line beside a forcing tone is known no better than that tone, and their errors cancel in what they do to
+    the plate; so they err together here.
+    """
+    fit = s.acceleration
+    every = 2.0 * np.pi * fit.frequencies_hz
+    rows = np.array([int(np.argmin(np.abs(every - w))) for w in omega_radps])
+    own = (rows[:, None] * 2 + np.arange(2)).ravel()
+    scale = np.sqrt(np.diag(fit.covariance)[own])
+    correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
+    factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
+    felt = forcing | (rows >= len(s.multiples))
+    return np.asarray((factor[::2] + 1j * factor[1::2]).T * np.repeat(felt, 2)[:, None])
 
 
 def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
@@ -267,7 +291,7 @@ def join(parts: Sequence[Evidence]) -> Evidence:
             acceleration_mps2=column(lambda p: p.steps.plate.acceleration_mps2),
             period_s=column(lambda p: p.steps.plate.period_s),
         ),
-        sigma_mps2=column(lambda p: p.steps.sigma_mps2),
+        spread_mps2=column(lambda p: p.steps.spread_mps2),
         forcing=column(lambda p: p.steps.forcing),
     )
     return Evidence(

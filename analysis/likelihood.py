@@ -243,16 +243,14 @@ class World:
                 land_var = land_var + np.where(rows, _slope(moved.landing_s - base.landing_s) * sigma, 0.0) ** 2
         columns_open, columns_land = [], []
         steps = ev.steps
-        sigma = np.hypot(steps.sigma_mps2, MODE_PART * np.abs(base.rung[:, : steps.sigma_mps2.shape[1]]))
-        for k in range(steps.sigma_mps2.shape[1]):
-            if not np.any(steps.forcing[:, k]):
-                continue
-            for unit in (1.0, 1j):
-                z = steps.plate.acceleration_mps2.copy()
-                z[:, k] += unit * sigma[:, k]
-                moved = self.predict(values, tones=z)
-                columns_open.append(_finite(moved.opening_s - base.opening_s))
-                columns_land.append(_finite(moved.landing_s - base.landing_s))
+        sigma = steps.sigma_mps2
+        told = MODE_PART * np.abs(base.rung[:, : sigma.shape[1]])
+        wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)
+        for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
+            tones = steps.plate.acceleration_mps2 + wider[:, j // 2, None] * steps.spread_mps2[:, j]
+            moved = self.predict(values, tones=tones)
+            columns_open.append(_finite(moved.opening_s - base.opening_s))
+            columns_land.append(_finite(moved.landing_s - base.landing_s))
         for kick in self._kicks(values):  # large enough that what is not linear in it counts as noise of its own
             ahead, behind = self.predict(values, kick=kick), self.predict(values, kick=(-kick[0], -kick[1]))
             columns_open.append(_finite(0.5 * (ahead.opening_s - behind.opening_s)))

@@ -141,13 +141,14 @@ def rehearse(design: Design, world: World, best: Explanation) -> Evidence:
         z[:, j] = -setup.g_mps2.value * gammas * multiple**2 * amplitude
         w[:, j] = multiple * omega
     plate = PlateSteps(w, z, np.full(m, 2 * math.pi / omega))
-    sigma = np.zeros_like(w)
-    sigma[:, :k] = float(np.median(ev.steps.sigma_mps2[ev.steps.forcing]))
+    spread = np.zeros((m, 2 * z.shape[1], z.shape[1]), complex)
+    for j in range(2 * k):
+        spread[:, j, j // 2] = (1.0, 1j)[j % 2] * float(np.median(ev.steps.sigma_mps2[ev.steps.forcing]))
     part = (np.arange(m) + 0.5) / m - 0.5
     forcing = np.zeros(w.shape, dtype=bool)
     forcing[:, :k] = True
     steps = Steps(
-        np.zeros(m, dtype=np.int64), np.arange(m), gammas, np.full(m, design.ratio), part, plate, sigma, forcing
+        np.zeros(m, dtype=np.int64), np.arange(m), gammas, np.full(m, design.ratio), part, plate, spread, forcing
     )
     measured = _flights(values, plate, part, setup.g_mps2.value)
     n = len(measured.landing_s)

@@ -28,7 +28,7 @@ def seen_evidence() -> Evidence:
     none = np.zeros(0, dtype=np.int64)
     steps = Steps(
         np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([1.0]), np.ones(1, np.int64), np.zeros(1),
-        PlateSteps(np.full((1, 8), 159.4), np.zeros((1, 8), complex), np.array([1 / 25.37])), np.full((1, 8), 0.003),
+        PlateSteps(np.full((1, 8), 159.4), np.zeros((1, 8), complex), np.array([1 / 25.37])), np.full((1, 16, 8), 0.001 + 0j),
         np.array([[True] + 7 * [False]]),
     )
     one = np.full(3, 1e-5)
