@@ -50,10 +50,14 @@ START_EVENTS, FIRST_EVENTS = 120, 200  # that tell which plain shape to begin wi
 
 @dataclass(frozen=True)
 class Polished:
-    """A curve in its world, with the fit of everything else there and the held-out losses."""
+    """A curve in its world, with the fit of everything else there and the held-out losses.
+
+    ``covariance`` is that of its values from the noise of events; ``folds`` (f, k), its values without some steps.
+    """
 
     curve: Curve
     covariance: Array
+    folds: Array
     world: Spliced
     explanation: Explanation
 
@@ -63,9 +67,14 @@ class Polished:
 
     @property
     def band(self) -> Array:
-        """Half the width of the pointwise 95 % band at the curve's points."""
+        """Half the width of the pointwise 95 % band at the curve's points.
+
+        From the noise of events or, where that is more, from the differences between steps (delete-a-group jackknife).
+        """
         basis = basis_of(self.curve.points, self.curve.knots)
-        return np.asarray(1.96 * np.sqrt(np.maximum(np.sum((basis @ self.covariance) * basis, axis=1), 0.0)))
+        noise = np.maximum(np.sum((basis @ self.covariance) * basis, axis=1), 0.0)
+        steps = (len(self.folds) - 1) * np.var(self.folds @ basis.T, axis=0)
+        return np.asarray(1.96 * np.sqrt(np.maximum(noise, steps)))
 
     @property
     def held_out(self) -> float:
@@ -173,10 +182,11 @@ class TermSearch:
         stack = Stack.of(spliced, values, self.train)
         r = stack.residuals(spliced, values)
         jacobian = slopes_of(self.world, values, stack, curve, self.dwell, r)
-        held = stack.cut(*self._held_out(curve, values, stack, r, jacobian))
+        opening_s, landing_s, folds = self._held_out(curve, values, stack, r, jacobian)
+        held = stack.cut(opening_s, landing_s)
         losses = {"events": self._by_step(stack, held), "plate": plate_loss(spliced, values)}
         explanation = Explanation(self.kept, fitted, Whitener.of(spliced, values), losses)
-        return Polished(curve, covariance_of(curve, stack, r, jacobian), spliced, explanation)
+        return Polished(curve, covariance_of(curve, stack, r, jacobian), folds, spliced, explanation)
 
     def _by_step(self, stack: Stack, r: Array) -> Array:
         ev = self.world.evidence
@@ -204,19 +214,19 @@ class TermSearch:
 
     def _held_out(
         self, curve: Curve, values: Values, stack: Stack, r: Array, jacobian: Array
-    ) -> tuple[Array, Array]:
-        """Residuals of openings and landings (n,), each step's with the curve that the others give."""
-        measured = self.world.evidence.measured
+    ) -> tuple[Array, Array, Array]:
+        """Residuals of openings and landings (n,), each step's with the curve that the others give; these curves."""
+        measured, curves = self.world.evidence.measured, []
         p = Spliced(self.world, [curve], self.dwell).predict(values)
         opening, landing = measured.opening_s - p.opening_s, measured.landing_s - p.landing_s
         for fold in self._folds():
-            other = curve.moved(
-                curve.values + newton_step(curve, stack.without(fold[stack.event]), r, jacobian)
-            )
+            step = newton_step(curve, stack.without(fold[stack.event]), r, jacobian)
+            other = curve.moved(curve.values + step)
+            curves.append(other.values)
             p = Spliced(self.world, [other], self.dwell).predict(values)
             opening = np.where(fold, measured.opening_s - p.opening_s, opening)
             landing = np.where(fold, measured.landing_s - p.landing_s, landing)
-        return opening, landing
+        return opening, landing, np.array(curves)
 
 
 def plate_loss(world: World, values: Values) -> Array:

@@ -31,10 +31,11 @@ def bare_evidence() -> Evidence:
         channels=Channels(accelerometer=AccelerometerChannel(sensitivity=0.1, unit="V/g")),  # type: ignore[arg-type]
     )
     omega = 2 * np.pi * 25.37
+    each = np.repeat(np.eye(8), 2, axis=0) * np.tile([1.0, 1j], 8)[:, None]
     steps = Steps(
         np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1), np.full(1, 2, dtype=np.int64), np.zeros(1),
         PlateSteps(np.full((1, 8), omega), np.zeros((1, 8), complex), np.array([1 / 25.37])),
-        np.full((1, 8), TONE_MPS2), np.array([[True, True] + 6 * [False]]),
+        TONE_MPS2 * each[None], np.array([[True, True] + 6 * [False]]),
     )
     kinds = np.array([GAIN, PHASE], dtype=np.int64)
     two, ints = np.ones(2), np.ones(2, dtype=np.int64)

@@ -39,7 +39,7 @@ def test_what_a_step_shares_is_taken_out(make: Callable[..., World]) -> None:
     steps = world.evidence.steps
     noise = (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) * sigma * steps.forcing
     shaken = replace(steps.plate, acceleration_mps2=steps.plate.acceleration_mps2 + noise)
-    world = World(replace(world.evidence, steps=replace(steps, plate=shaken, sigma_mps2=sigma)), {})
+    world = World(replace(world.evidence, steps=replace(steps, plate=shaken, spread_mps2=3.0 * steps.spread_mps2)), {})
     whitener = Whitener.of(world, FRICTION)
     r = world.residuals(FRICTION)
     z, _ = whitener.white(r)
