@@ -19,6 +19,7 @@ from analysis.drop.rows import Drop, Rows, noise_of, predict_s, rows_of
 Array = NDArray[np.float64]
 
 _OUTLIER_SIGMA = 4.5
+_GROSS = 0.06  # of a flight's duration, within which no bounce is left out before anything is fitted
 _SMALLEST_JITTER_S, _SMALLEST_SCATTER = 1e-7, 1e-6
 _FEW_DROPS = 6
 _NUDGE = 1e-5  # of a parameter, for derivatives
@@ -67,15 +68,16 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.
     """
     rows = rows_of(drops)
     kept = rows.keep(~rows.from_height)
-    for _ in range(2):
+    for least in (_GROSS, 0.0, 0.0):
         theta = _start(SPEED_DRAG, kept)
-        for _ in range(6):
+        for _ in range(0 if least else 6):  # first without a fit: one gross bounce would bend it
             theta = step(SPEED_DRAG, theta, kept, (2e-4, 0.01), g_mps2).theta
         relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
         pooled = relative[rows.valid & ~rows.from_height]
         centre = float(np.median(pooled))
         width = 1.4826 * float(np.median(np.abs(pooled - centre))) + 5e-4
-        kept = rows.keep((np.abs(relative - centre) < _OUTLIER_SIGMA * width) & ~rows.from_height)
+        near = np.abs(relative - centre) < max(_OUTLIER_SIGMA * width, least)
+        kept = rows.keep(near & ~rows.from_height)
     kept = rows.keep(kept.valid | rows.from_height)
     return kept, rows.valid.sum(axis=1) - kept.valid.sum(axis=1)
 

@@ -65,8 +65,8 @@ def _read_other_wav(path: Path, reason: Exception) -> tuple[Array, float]:
             rate, values = wavfile.read(path)
     except (ValueError, EOFError, UnboundLocalError) as error:  # the last: no format chunk at all
         raise InputError(f"{path}: not a readable WAV file ({reason}); export it as 16-bit PCM WAV") from error
-    values = np.atleast_2d(np.asarray(values, dtype=np.float64).T).T
-    return values / max(float(np.abs(values).max(initial=0.0)), 1e-12), float(rate)
+    full = float(np.iinfo(values.dtype).max) + 1.0 if np.issubdtype(values.dtype, np.signedinteger) else 1.0
+    return np.atleast_2d(np.asarray(values, dtype=np.float64).T).T / full, float(rate)
 
 
 def _pcm(raw: bytes, width: int) -> Array:
@@ -111,11 +111,13 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> tuple[Array, Arr
     )
     strongest = np.sort(peaks[np.argsort(found["peak_heights"])[::-1][:_MOST_CANDIDATES]])
     if not len(strongest):
-        raise InputError(f"{where}: no sound in it stands out from the rest as an impact would")
+        raise InputError(f"{where}: no sound in it stands out as an impact would; record nearer to the plate")
     white = np.column_stack([_without_background(channel, rate_hz) for channel in filtered.T])
-    onsets = np.array([_refine(white, int(p) * hop, rate_hz) for p in strongest])
+    near = [int(p) * hop for p in strongest]
+    onsets = np.array([max(_refine(filtered, n, rate_hz), _refine(white, n, rate_hz))[1] for n in near])
     times, first = np.unique(onsets / rate_hz, return_index=True)
-    return times, _strength(white, onsets[first], rate_hz)
+    strength = [_strength(x, onsets[first], rate_hz) for x in (filtered, white)]  # dull taps; taps under a hum
+    return times, np.maximum(*strength)
 
 
 def _without_background(x: Array, rate_hz: float) -> Array:
@@ -129,7 +131,7 @@ def _without_background(x: Array, rate_hz: float) -> Array:
     correlation = np.fft.irfft(power)[: _PREDICTOR + 1]
     correlation[0] *= 1.0 + _LOUDEST_NOTHING
     ahead = linalg.solve_toeplitz(correlation[:-1], correlation[1:]) if correlation[0] > 0.0 else np.zeros(_PREDICTOR)
-    return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), 1.0, x))
+    return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), [1.0], x), dtype=np.float64)
 
 
 def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
@@ -164,8 +166,8 @@ def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
     return np.asarray(rise @ (share / share.sum())), hop
 
 
-def _refine(x: Array, near: int, rate_hz: float) -> float:
-    """Sample where the signal's variance changes: the minimum of Maeda's criterion over the channels together."""
+def _refine(x: Array, near: int, rate_hz: float) -> tuple[float, float]:
+    """How sharply the signal's variance changes, and where: the depth and place of the minimum of Maeda's criterion."""
     start = max(near - int(_BEFORE_S * rate_hz), 0)
     part = x[start : near + int(2 * _AFTER_S * rate_hz)]
     peak = int(np.abs(part).max(axis=1).argmax())
@@ -177,7 +179,9 @@ def _refine(x: Array, near: int, rate_hz: float) -> float:
     tiny = 1e-12 * float(total[-1].max()) / len(part) + 1e-300
     criterion = (n * np.log(head + tiny) + (len(part) - n) * np.log(tail + tiny)).sum(axis=1)
     edge = 4
-    return float(start + edge + 1 + int(criterion[edge:-1].argmin()))
+    at = edge + int(criterion[edge:-1].argmin())
+    alone = len(part) * float(np.log(total[-1] / len(part) + tiny).sum())
+    return alone - float(criterion[at]), float(start + at + 1)
 
 
 def contact_onsets(path: Path) -> tuple[Array, float]:

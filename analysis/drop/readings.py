@@ -30,6 +30,7 @@ _HEIGHT = {
 _ACROSS = {"x", "x1"}
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
+_UNITS = {*_METRES, *_SECONDS, "px", "pixel", "pixels", "frame", "frames", "deg", "rad", "1", ""}
 _INTERVAL = {
     "interval", "intervals", "intervall", "intervalle", "intervallo", "intervalli", "difference", "differenz",
     "differenza", "verschil", "durata", "dauer", "duur", "dt", "flight",
@@ -78,6 +79,10 @@ def read_table(grids: list[Grid], where: str) -> Array | Points:
         found = _paired_events(columns)
         if found is not None:
             return found
+    for _, columns in tables:
+        found = _counted_events(columns)
+        if found is not None:
+            return found
     for grid, columns in tables:
         points = _wide_tracks(grid) or _positions(columns)
         if points is not None:
@@ -122,7 +127,8 @@ def _names(heads: list[list[Cell]], width: int) -> list[str]:
 
 
 def _unit(text: str) -> bool:
-    return text.strip("()[] ").lower() in {*_METRES, *_SECONDS, "px", "pixel", "pixels", "frame"}
+    bare = re.sub(r"[\^*²]\d*$", "", text.strip("()[] ").lower())  # m/s^2 is a unit, too
+    return all(part.strip("^2²") in _UNITS for part in re.split(r"[/·* ]", bare))
 
 
 def _words(name: str) -> set[str]:
@@ -157,6 +163,19 @@ def _paired_events(columns: _Columns) -> Array | None:
             for shifted in (intervals[:-1], intervals[1:]):
                 if np.isfinite(shifted).sum() >= 2 and np.nanmax(np.abs(shifted - steps)) <= slack:
                     return times * (_unit_factor(columns.names[a], _SECONDS) or 1.0)
+    return None
+
+
+def _counted_events(columns: _Columns) -> Array | None:
+    """Event times beside nothing but their numbers: a counter, and a column of times that is no clock."""
+    v = columns.values
+    if v.shape[1] != 2:
+        return None
+    for counter, times in ((0, 1), (1, 0)):
+        numbered = np.all(np.isfinite(v)) and np.all(np.diff(v[:, counter]) == 1.0)
+        rising = np.all(np.diff(v[:, times]) > 0.0) and not _even(v[:, times])
+        if numbered and rising and _words(columns.names[times]) & _TIME:
+            return np.asarray(v[:, times] * (_unit_factor(columns.names[times], _SECONDS) or 1.0))
     return None
 
 

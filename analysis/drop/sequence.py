@@ -21,6 +21,9 @@ _RATIOS = np.linspace(0.20, 0.985, 80)
 _LOOK_AHEAD = 6  # events that may be false between two impacts, plus one
 _MOST_MISSED = 2  # impacts that may be missed in one interval
 _GAIN, _MISS_COST, _SKIP_COST, _BREAK_COST = 6.0, 3.5, 1.5, 3.0
+_CHANCE = 1.5  # steady bounces wanted for every time that the events outnumber the chain twofold
+_LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
+_LARGEST_GROWTH = 1.1  # of a flight after an irregular bounce: no bounce adds energy, some of the spin may come back
 _LONGEST_FLIGHT_S = 3.0
 _SHORTEST_FLIGHT_S = 0.008
 _LARGEST_LOG_SCATTER = 3.0  # in widths
@@ -83,19 +86,45 @@ def bounces_of(events_s: Array, where: str, uncertainty_s: float = 0.0, strength
     """
     events, first = np.unique(np.asarray(events_s, dtype=np.float64), return_index=True)
     weight = np.ones(len(events)) if strength is None else np.asarray(strength, dtype=np.float64)[first]
-    if len(events) >= 3:
-        chain, kinds, broken = _best_chain(events, weight)
-        if len(chain) >= 3 and _holds_a_bounce(kinds, broken) and _more_than_chance(weight, chain):
-            return _without_strays(events, chain, kinds, broken, uncertainty_s)
+    found = _one_drop(events, weight, uncertainty_s)
+    if found is not None:
+        return found
     raise InputError(
         f"{where}: {len(events)} events found, but no three of them follow each other as impacts of one ball do "
-        "(each flight shorter than the one before); record the drop from its first impact on, in a quiet room"
+        "(each flight shorter than the one before); record the drop from its first impact on, in a quiet room, "
+        "and give a table no columns but the impacts'"
     )
 
 
-def _more_than_chance(strength: Array, chain: list[int]) -> bool:
-    """Among many events some shrink steadily by chance: the longer the list, the longer the chain has to be."""
-    return len(chain) - 2 >= np.log2(strength.sum() / strength[chain].sum())
+def drops_of(events_s: Array, where: str, uncertainty_s: float = 0.0, strength: Array | None = None) -> list[Bounces]:
+    """All drops among ``events_s``, in order of time: a ball may be dropped several times in one recording.
+
+    Takes what `bounces_of` takes, and raises what it raises where there is not even one.
+    """
+    best = bounces_of(events_s, where, uncertainty_s, strength)
+    events, first = np.unique(np.asarray(events_s, dtype=np.float64), return_index=True)
+    weight = np.ones(len(events)) if strength is None else np.asarray(strength, dtype=np.float64)[first]
+    least = max(_LEAST_OF_FURTHER, len(best.impacts_s) // 2)
+    found, rest = [best], [events < best.impacts_s[0], events > best.impacts_s[-1]]
+    while rest:
+        part = rest.pop()
+        further = _one_drop(events[part], weight[part], uncertainty_s)
+        if further is not None and len(further.impacts_s) >= least:
+            found.append(further)
+            rest += [part & (events < further.impacts_s[0]), part & (events > further.impacts_s[-1])]
+    return sorted(found, key=lambda bounces: float(bounces.impacts_s[0]))
+
+
+def _one_drop(events: Array, strength: Array, uncertainty_s: float) -> Bounces | None:
+    if len(events) < 3:
+        return None
+    chain, kinds, broken = _best_chain(events, strength)
+    if len(chain) < 3 or not _holds_a_bounce(kinds, broken):
+        return None
+    steady = len(chain) - 2 - sum(kinds) - 2 * sum(broken)
+    if steady < _CHANCE * np.log2(strength.sum() / strength[chain].sum()):
+        return None  # among many events some shrink steadily by chance: the longer the list, the longer the chain
+    return _without_strays(events, chain, kinds, broken, uncertainty_s)
 
 
 def _without_strays(
@@ -155,7 +184,8 @@ def _best_chain(events: Array, strength: Array) -> tuple[list[int], list[int], l
                     continue
                 offset = np.log(first[:, None]) - np.log(_RATIOS * ends[h, i][1][None])
                 fits = np.abs(offset) < _LARGEST_LOG_SCATTER * width
-                gain = np.where(fits, _GAIN * strength[j] - 0.5 * (offset / width) ** 2, -_BREAK_COST)
+                cut_short = np.where(offset - np.log(_LARGEST_GROWTH / _RATIOS) < 0.0, -_BREAK_COST, -np.inf)
+                gain = np.where(fits, _GAIN * strength[j] - 0.5 * (offset / width) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]
                 kind = total.argmax(axis=1)
                 top = np.take_along_axis(total, kind[:, None], axis=1)[:, 0]

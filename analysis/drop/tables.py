@@ -55,7 +55,10 @@ def read_grids(path: Path) -> list[Grid]:
         grids = [Grid("", _text_rows(_decode(path)))]
     grids = [grid for grid in grids if any(isinstance(cell, float) for row in grid.rows for cell in row)]
     if not grids:
-        raise InputError(f"{path}: no table with numbers in it; expected impact times or tracked positions")
+        raise InputError(
+            f"{path}: no table with numbers in it; expected impact times (s), or time and height of a tracked ball: "
+            "export the measured columns with their headings"
+        )
     return grids
 
 
@@ -100,7 +103,7 @@ def _cell(value: object) -> Cell:
 
 def number_or_text(text: str) -> Cell:
     """A number if the whole cell is one, with point or comma; else the stripped text."""
-    text = text.strip().strip('"').strip()
+    text = text.strip().strip('"').strip().replace("\N{MINUS SIGN}", "-")
     if _NUMBER.fullmatch(text):
         return float(text.replace(",", "."))
     return text

@@ -150,7 +150,7 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
 def _schur(block: Block, p: int, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
     """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
     normal = block.normal + damping * np.diag(np.diag(block.normal))
-    local = np.asarray(np.linalg.inv(normal[p:, p:]), dtype=np.float64)
+    local = np.asarray(np.linalg.pinv(normal[p:, p:], rcond=1e-13, hermitian=True), dtype=np.float64)
     gain = normal[:p, p:] @ local
     return normal[:p, :p] - gain @ normal[p:, :p], block.rhs[:p] - gain @ block.rhs[p:], local, gain
 
@@ -195,7 +195,10 @@ def _at_apex(shape: Shape, flight: Flight, noise: float) -> Block:
     for _ in range(12):
         change = np.linalg.lstsq(block.normal[p:, p:], block.rhs[p:], rcond=None)[0]
         at, top = at + float(change[0]), top + float(change[1])
-        block = _block(shape.name, shape.values, at, top, flight, noise)
+        moved = _block(shape.name, shape.values, at, top, flight, noise)
+        if not moved.squares < block.squares:  # arrived; or a step too far, which a flight of few samples may take
+            break
+        block = moved
     return block
 
 

@@ -56,7 +56,7 @@ def command(
     import numpy as np
 
     from analysis.drop.rows import Drop
-    from analysis.drop.sources import load
+    from analysis.drop.sources import load_all
 
     if use_height not in ("check", "data"):
         fail(f"--use-height {use_height}: expected check or data", EXIT_USAGE)
@@ -71,9 +71,10 @@ def command(
     stated = [h if h[0] is not None else None for h in heights * (len(files) if len(heights) == 1 else 1)]
     rng = np.random.default_rng(seed)
     try:
-        loaded = [load(path, _bar) for path in files]
-        times = [item for item in loaded if isinstance(item, Drop)]
-        paths = [item for item in loaded if not isinstance(item, Drop)]
+        loaded = [(item, height) for path, height in zip(files, stated, strict=True) for item in load_all(path, _bar)]
+        times = [item for item, _ in loaded if isinstance(item, Drop)]
+        paths = [item for item, _ in loaded if not isinstance(item, Drop)]
+        stated = [height for _, height in loaded]
         if times and paths:
             fail("impact times and filmed paths cannot be fitted together; run them one kind at a time", EXIT_USAGE)
         if times:

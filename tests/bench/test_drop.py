@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import wavfile
 from typer.testing import CliRunner
 
 from bench.cli import app
@@ -98,15 +99,31 @@ def test_the_result_goes_into_a_profile(tmp_path: Path) -> None:
         (["{events}", "--drop-height", "0.2", "--drop-height", "0.3"], "2 heights for 1 files"),
         (["{events}", "{path}"], "one kind at a time"),
         (["{path}", "--scale", "0.1"], "times gravity"),
-        (["{song}"], "PCM WAV"),
+        (["{song}"], "only WAV is read"),
         (["{empty}"], "empty"),
+        (["{renamed}"], "starts with RIFF"),
+        (["{phone}"], "only WAV is read"),
+        (["{prose}"], "no table with numbers"),
+        (["{masses}"], "no columns but the impacts'"),
+        (["{still}"], "no motion"),
+        (["{quiet}"], "stands out"),
     ],
 )
 def test_wrong_calls_are_refused(tmp_path: Path, arguments: list[str], words: str) -> None:
     """A wrong call ends with status 2 and a line that says what is wrong."""
     (tmp_path / "song.mp3").write_bytes(b"ID3" + bytes(100))
     (tmp_path / "empty.csv").write_bytes(b"")
+    (tmp_path / "renamed.wav").write_text("only words\n", encoding="utf-8")
+    (tmp_path / "phone.wav").write_bytes(b"\0\0\0\x20ftypM4A \0\0\0\0" + bytes(100))
+    (tmp_path / "prose.xlsx").write_text("hello;world\n", encoding="utf-8")
+    (tmp_path / "masses.csv").write_text("name,mass\na,1\nb,5\nc,2\nd,4\n", encoding="utf-8")
+    (tmp_path / "still.csv").write_text(
+        "t (s),y (m)\n" + "".join(f"{k / 100},0.5\n" for k in range(50)), encoding="utf-8"
+    )
+    noise = np.random.default_rng(1).normal(0.0, 300.0, 88200).astype(np.int16)
+    wavfile.write(tmp_path / "quiet.wav", 44100, noise)
     names = {
+        **{file.stem: file for file in tmp_path.iterdir()},
         "events": _events(tmp_path),
         "path": _path(tmp_path),
         "song": tmp_path / "song.mp3",

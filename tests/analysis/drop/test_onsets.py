@@ -1,5 +1,6 @@
 """Onsets in a sound, and contact closings, against known impacts."""
 
+import struct
 from pathlib import Path
 from types import ModuleType
 
@@ -42,6 +43,46 @@ def test_sample_formats_read_alike(tmp_path: Path, kind: str) -> None:
     samples, rate = read_wav(tmp_path / "x.wav")
     assert rate == 8000.0
     assert np.corrcoef(samples[:, 0], wave)[0, 1] > 0.999
+
+
+@pytest.mark.parametrize(
+    "room",
+    [
+        {"hum": 0.05, "gain": 0.2},
+        {"gain": 3.0, "channels": 2, "rate_hz": 48_000.0},
+        {"speech": 0.005, "gain": 0.4},
+        {"noise": 5e-3, "rate_hz": 96_000.0},
+    ],
+    ids=["hum", "clipped", "speech", "noise"],
+)
+def test_onsets_in_an_ordinary_room(synthetic: ModuleType, room: dict[str, float]) -> None:
+    """Over hum, talk and noise, and where the recording clips, the loud impacts are found within a few samples."""
+    truth = synthetic.Truth(height_m=0.4, e0=0.82, hold_s=0.0)
+    setting = synthetic.Room(**room)
+    sound, impacts, loud = synthetic.sound(truth, setting, np.random.default_rng(6))
+    times, strength = sound_onsets(sound, setting.rate_hz, "x")
+    found = bounces_of(times, "x", strength=strength).impacts_s
+    due = impacts[(loud > 10.0 * (setting.noise + setting.speech)) & (np.diff(impacts, prepend=0.0) > 0.04)]
+    off = np.abs(found[:, None] - due[None]).min(axis=0)
+    assert len(due) >= 6 and off.max() < 1e-3 and np.median(off) < 1e-4
+    assert len(found) - len(due) <= 8  # the last, faint ones
+
+
+@pytest.mark.parametrize("size", ["whole", "streamed"])
+def test_24_bit_wav_of_a_recorder(tmp_path: Path, size: str) -> None:
+    """24 bit, an extensible header, a chunk in front, and sizes never filled in: what recorders write."""
+    codes = (0.5 * np.sin(np.arange(8000) / 9.0) * 8388607).astype("<i4")
+    data = codes.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
+    kind = struct.pack("<HHIIHHHHI", 0xFFFE, 1, 48000, 144000, 3, 24, 22, 24, 4)
+    kind += bytes.fromhex("0100000000001000800000aa00389b71")
+    length = len(data) if size == "whole" else 0xFFFFFFFF
+    body = b"WAVELIST" + struct.pack("<I", 4) + b"INFOfmt " + struct.pack("<I", len(kind)) + kind
+    body += b"data" + struct.pack("<I", length) + data
+    total = len(body) if size == "whole" else 0xFFFFFFFF
+    (tmp_path / "r.wav").write_bytes(b"RIFF" + struct.pack("<I", total) + body)
+    samples, rate = read_wav(tmp_path / "r.wav")
+    assert rate == 48000.0 and samples.shape == (8000, 1)
+    assert samples[:, 0] == pytest.approx(codes / 8388608.0)
 
 
 def test_silence_is_an_error() -> None:

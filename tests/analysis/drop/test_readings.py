@@ -18,12 +18,18 @@ EVENTS = {
     "quoted commas": '"Tijd (s)","Interval (s)"\n"1,5","0,4"\n"1,9","0,36"\n"2,26","0,32"\n"2,58","0"\n',
     "numbered rows": "n,Event time (s),Interval (s)\n1,1.5,0.4\n2,1.9,0.36\n3,2.26,0.32\n4,2.58,0\n",
     "times alone": "1.5\n1.9\n2.26\n2.58\n",
+    "numbered, no intervals": '"#","Time (s)"\n1,1.5\n2,1.9\n3,2.26\n4,2.58\n',
     "milliseconds": "t (ms),Interval (ms)\n1500,400\n1900,360\n2260,320\n2580,0\n",
 }
 PATHS = {
     "Tracker": ("mass A\t\t\nt\tx\ty\n", "{t:.3f}\t0.1\t{y:.4f}\n", 1.0),
     "German": ("Zeit (s);x (cm);Höhe (cm)\n", "{t:.3f};10;{cm:.4f}\n", 1.0),
     "units below": ("t,x,y\ns,m,m\n", "{t:.3f},0.1,{y:.4f}\n", 1.0),
+    "two lines above": ("mass A,,\nt (s),x (m),y (m)\n", "{t:.3f},0.1,{y:.4f}\n", 1.0),
+    "exponents": ("mass A,,\nt,x,y\n", "{t:.3E},1.0E-1,{y:.6E}\n", 1.0),
+    "speeds beside": ("t,y,vy,ay\ns,m,m/s,m/s^2\n", "{t:.3f},{y:.4f},2.5,-9.8\n", 1.0),
+    "typographic minus": ("Zeit in s;Höhe in m\n", "{t:.3f};{y:.4f}\n", 1.0),
+    "row numbers": (",time,height\n", "7,{t:.3f},{y:.4f}\n", 1.0),
     "no heading": ("", "{t:.3f} {y:.4f}\n", 1.0),
 }
 
@@ -49,10 +55,10 @@ def test_positions_in_any_dialect(tmp_path: Path, name: str) -> None:
     head, row, metre = PATHS[name]
     times = np.arange(20) / 100
     lines = [row.format(t=t, y=1 - 4.9 * t * t, cm=100 - 490 * t * t) for t in times]
-    if name == "German":
-        lines = [line.replace(".", ",") for line in lines]
+    if name in ("German", "typographic minus"):
+        lines = [line.replace(".", ",").replace("-", "\N{MINUS SIGN}") for line in lines]
     file = tmp_path / "path.csv"
-    file.write_text(head + "".join(lines), encoding="latin-1")
+    file.write_text(head + "".join(lines), encoding="utf-8" if name == "typographic minus" else "latin-1")
     found = read_table(read_grids(file), name)
     assert isinstance(found, Points) and found.in_seconds
     assert found.clock == pytest.approx(times)
