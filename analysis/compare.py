@@ -190,7 +190,8 @@ def compare(
         doubt = _doubt(found, around, 1.0 / (3.0 * flights.plate.rate_hz) * plate.omega_radps, float(settled))
         steps.append(_step(flights, plate, own, found, forcing, doubt))
     gammas = np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
-    seen = changes(classes, gammas)
+    order = _order(gammas)
+    seen = changes(tuple(classes[i] for i in order), gammas[order])
     chosen = [s for s in steps if s.periodic and s.measured.flights and s.predicted_s.size and not s.doubt]
     count = sum(s.measured.flights for s in chosen)
     inside = sum(s.within_sample * s.measured.flights for s in chosen if np.isfinite(s.within_sample))
@@ -201,6 +202,13 @@ def compare(
         1.0 - float(np.median(ratios)) if ratios else float("nan"), inside / count if count else float("nan"), count,
         sum(s.measured.double_hits for s in steps), flights.plate.rate_hz, flights.plate.ratio,
     )
+
+
+def _order(gammas: Floats) -> npt.NDArray[np.int64]:
+    """The steps along the ramp: as they came where gamma turns once at most, by gamma where they were shuffled."""
+    known = gammas[np.isfinite(gammas)]
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(known))))
+    return np.arange(len(gammas)) if turns <= 1 else np.argsort(gammas, kind="stable")
 
 
 def _doubt(found: Attractor, around: list[Attractor], allowed: float, settle_cycles: float) -> str:

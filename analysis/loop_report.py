@@ -20,12 +20,13 @@ from analysis.compare import FirstBifurcation, compare
 from analysis.flights import flights_of
 from analysis.pictures import badge_of
 from analysis.pictures_beyond import draw_discovery
-from analysis.pictures_loop import draw_candidates, draw_errors, draw_residuals
+from analysis.pictures_loop import draw_candidates, draw_errors
+from analysis.pictures_residuals import draw_landings, draw_plate, draw_takeoffs
+from analysis.reasoning import reasoning
 from analysis.thresholds import FROZEN
 from daq.errors import InputError
 from daq.recording import open_recording
-from model.effects import effect
-from model.effects.base import COMPILED_HOOKS
+from model.effects import effect, resolve
 
 STYLE = """
 body{font:16px/1.5 Georgia,serif;max-width:52rem;margin:2rem auto;padding:0 1rem;color:#1d2630}
@@ -59,7 +60,9 @@ def write_report(loop: Loop, recordings: Sequence[Path], folder: Path) -> Path:
     payload["first_bifurcation"] = first = _bifurcations(loop, recordings[0])
     (folder / "report.json").write_text(json.dumps(payload, indent=1) + "\n", encoding="utf-8")
     draw_errors(loop, folder, badge)
-    draw_residuals(loop, folder, badge)
+    draw_landings(loop, folder, badge)
+    draw_takeoffs(loop, folder, badge)
+    draw_plate(loop, folder, badge)
     draw_candidates(loop, folder, badge, FROZEN)
     if loop.discovered is not None:
         draw_discovery(loop.discovered, folder, badge)
@@ -71,9 +74,8 @@ def write_report(loop: Loop, recordings: Sequence[Path], folder: Path) -> Path:
 def _bifurcations(loop: Loop, recording: Path) -> dict[str, object] | None:
     """First bifurcation in the data, by the declared model and by the improved one; None without enough flights."""
     with open_recording(recording) as opened:
-        flights, setup, table = flights_of(opened), opened.setup, opened.steps
-    declared = _of_the_ball({n: dict(t) for n, t in setup.declared_values().items()})
-    improved = _of_the_ball(declared_after(loop))
+        flights, setup, table = flights_of(opened), loop.world.evidence.setup, opened.steps
+    declared, improved = resolve(setup.declared_values()), declared_after(loop)
     try:
         before = compare(flights, setup, effects=declared, steps_table=table).first
         after = before if improved == declared else compare(flights, setup, effects=improved, steps_table=table).first
@@ -82,15 +84,11 @@ def _bifurcations(loop: Loop, recording: Path) -> dict[str, object] | None:
     return {"measured": _bracket(before.measured), "before": _predicted(before), "after": _predicted(after)}
 
 
-def _of_the_ball(effects: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Effects that act on the ball: those of plate and instruments are in the measured motion already."""
-    return {n: t for n, t in effects.items() if effect(n).hooks.keys() & set(COMPILED_HOOKS)}
-
-
 def _bracket(change: Change | None) -> dict[str, object] | None:
     if change is None:
         return None
-    return {"type": change.type, "gamma_low": change.gamma_before, "gamma_high": change.gamma_after}
+    low, high = sorted((change.gamma_before, change.gamma_after))
+    return {"type": change.type, "gamma_low": low, "gamma_high": high}
 
 
 def _predicted(first: FirstBifurcation) -> dict[str, object]:
@@ -116,6 +114,8 @@ def _page(
 ) -> str:
     colour, words = VERDICTS[loop.verdict]
     named = " + ".join(f.name.replace("_", " ") for f in loop.effects)
+    partly = "; added so far: " if loop.verdict == "unexplained" else ": "
+    added = partly + named if named else ""
     mark = (
         '<span class="badge simulated">simulated rig</span>'
         if simulated
@@ -125,20 +125,24 @@ def _page(
         "<!doctype html><html lang='en'><meta charset='utf-8'>",
         f"<title>Closed loop: {html.escape(recordings[0].name)}</title>",
         f"<style>{STYLE}</style><h1>Closed loop</h1><p>{mark} {html.escape(', '.join(p.name for p in recordings))}</p>",
-        f"<p class='verdict' style='--c:{colour}'><b>{words}</b>{': ' + named if named else ''}</p>",
+        f"<p class='verdict' style='--c:{colour}'><b>{words}</b>{added}</p>",
         _errors_table(loop),
         _picture(folder, "errors"),
         _effects_table(loop),
         _bifurcation_words(first),
         "<h2>Why</h2>",
         _reasoning(loop),
-        _picture(folder, "residuals"),
         _picture(folder, "candidates"),
         _picture(folder, "discovered"),
         "<h2>What else it could be</h2>",
         _alternatives(loop),
         "<h2>What remains</h2>",
         _remains(loop),
+        "<h2>Residuals against what might cause them</h2>",
+        "<p>Every event is predicted from the one before it. Grey: the noise floor. Line: medians.</p>",
+        _picture(folder, "residuals"),
+        _picture(folder, "takeoffs"),
+        _picture(folder, "plate"),
         "</html>",
     ]
     return "\n".join(p for p in parts if p)
@@ -197,9 +201,9 @@ def _bifurcation_words(first: dict[str, object] | None) -> str:
 
 
 def _reasoning(loop: Loop) -> str:
-    lines = [f"<li>{html.escape(r)}</li>" for r in loop.attribution.rounds]
     summaries = [f"<li><b>{f.name}</b>: {html.escape(effect(f.name).effect.summary)}.</li>" for f in loop.effects]
-    return f"<ul>{''.join(summaries)}{''.join(lines)}</ul>"
+    lines = [f"<li>{html.escape(r)}</li>".replace(" us", " &micro;s") for r in reasoning(loop)]
+    return f"<ol>{''.join(lines)}</ol>" + (f"<ul>{''.join(summaries)}</ul>" if summaries else "")
 
 
 def _alternatives(loop: Loop) -> str:

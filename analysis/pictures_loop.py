@@ -1,4 +1,4 @@
-"""Pictures of the closed loop: errors step by step, residuals against what might cause them, candidates compared.
+"""Pictures of the closed loop: errors step by step, candidates compared (residuals: `analysis.pictures_residuals`).
 
 The rule kept here: before is always the pale colour and after the dark one, in the same units on the same axis, and the
 noise floor is drawn wherever an error is.
@@ -18,7 +18,6 @@ from analysis.pictures import figure
 Array = NDArray[np.float64]
 
 BEFORE, AFTER, FLOOR, RULED = "#e07a5f", "#12355b", "#8d99ae", "#adb5bd"
-LARGEST_US = 1e5
 
 
 def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
@@ -56,7 +55,7 @@ def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
             ax.semilogy(gamma[held], x[held], "D", ms=6, mfc="none", mew=1.5, color=colour, label=f"{name}, held out")
         ax.set_xlabel(label)
         ax.set_ylabel(r"landing error (robust), $\mu$s")
-        ax.legend(frameon=False, fontsize=8, ncols=2)
+        ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def _held(loop: Loop) -> NDArray[np.bool_]:
@@ -69,38 +68,6 @@ def _gamma(loop: Loop) -> tuple[Array, str]:
     if np.all(steps.ratio == 1):
         return 2.0 * steps.gamma, r"$\Gamma_{\mathrm{peak}}$   (c = 1)"
     return steps.gamma, r"$\Gamma = A\omega^2/g$"
-
-
-def draw_residuals(loop: Loop, folder: Path, badge: str) -> None:
-    """Landing residuals before and after against gamma, flight time, take-off phase and time in the run."""
-    world = loop.world
-    ev = world.evidence
-    rows = ev.judged
-    step = ev.measured.step[rows]
-    gamma, label = _gamma(loop)
-    phase = np.mod(2 * np.pi * ev.measured.opening_s / ev.steps.plate.period_s[ev.measured.step], 2 * np.pi)
-    covariates: list[tuple[Array, str]] = [
-        (gamma[step], label),
-        (1e3 * (ev.measured.landing_s - ev.measured.opening_s)[rows], "flight time, ms"),
-        (phase[rows], r"phase at take-off (forcing, from the first sample)"),
-        (ev.time_s[rows], "time in the run, s"),
-    ]
-    before = 1e6 * world.residuals(loop.attribution.before.fitted.values).landing_s[rows]
-    after = 1e6 * world.residuals(loop.best.fitted.values).landing_s[rows]
-    scale = max(3.0 * loop.noise_floor_us, 1.0) if np.isfinite(loop.noise_floor_us) else 10.0
-    with figure(folder, "residuals", badge, nrows=2, ncols=2, figsize=(8.4, 5.6), sharey=True) as (_, axes):
-        for ax, (x, name) in zip(axes.flat, covariates, strict=True):
-            ax.axhspan(-loop.noise_floor_us, loop.noise_floor_us, color=FLOOR, alpha=0.3, lw=0)
-            if loop.best is not loop.attribution.before:
-                ax.plot(x, np.clip(before, -LARGEST_US, LARGEST_US), ".", ms=3.5, color=BEFORE, label="before")
-            ax.plot(x, np.clip(after, -LARGEST_US, LARGEST_US), ".", ms=3.5, color=AFTER, label="after")
-            ax.set_yscale("symlog", linthresh=scale, linscale=0.8)
-            decades = [d for d in (1e2, 1e3, 1e4, 1e5) if d > 1.5 * scale]
-            ax.set_yticks([-d for d in decades[::-1]] + [0.0] + decades)
-            ax.set_xlabel(name)
-        for ax in axes[:, 0]:
-            ax.set_ylabel(r"landing, measured $-$ predicted, $\mu$s")
-        axes[0, 0].legend(frameon=False, fontsize=8)
 
 
 def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
@@ -125,15 +92,9 @@ def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
             ecolor="#495057",
             capsize=2,
         )
-        ax.axvline(limits.gain_nats, color=BEFORE, lw=1.2, ls="--")
-        ax.text(
-            limits.gain_nats,
-            len(rows) - 0.4,
-            " must exceed this, and 2 standard errors",
-            color=BEFORE,
-            fontsize=8,
-            va="bottom",
-        )
+        needed = f"needed: {limits.gain_nats:g} nats and {limits.gain_sigmas:g} standard errors"
+        ax.axvline(limits.gain_nats, color=BEFORE, lw=1.2, ls="--", label=needed)
+        ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0)
         ax.set_yticks(at, [name.replace("_", " ") for name, _ in rows])
         ax.set_xscale("symlog", linthresh=10.0)
         ax.set_xlim(left=0.0)
