@@ -138,6 +138,8 @@ def _page(
         _alternatives(loop),
         "<h2>What remains</h2>",
         _remains(loop),
+        "<h2>What this run could not have shown</h2>",
+        _hidden(loop),
         "<h2>Residuals against what might cause them</h2>",
         "<p>Every event is predicted from the one before it. Grey: the noise floor. Line: medians.</p>",
         _picture(folder, "residuals"),
@@ -158,7 +160,12 @@ def _errors_table(loop: Loop) -> str:
             f"{floor:.1f} &micro;s",
         ),
         ("landing times, robust", f"{b.landing_robust_us:.1f} &micro;s", f"{a.landing_robust_us:.1f} &micro;s", ""),
-        ("take-off times, robust", f"{b.takeoff_robust_us:.1f} &micro;s", f"{a.takeoff_robust_us:.1f} &micro;s", ""),
+        (
+            "take-off times, robust",
+            f"{b.takeoff_robust_us:.1f} &micro;s",
+            f"{a.takeoff_robust_us:.1f} &micro;s",
+            f"{loop.takeoff_floor_us:.1f} &micro;s",
+        ),
         (
             "flight times, relative",
             f"{100 * b.flight_time_relative:.3f} %",
@@ -234,3 +241,24 @@ def _remains(loop: Loop) -> str:
         words += f"<p>Discovered: {html.escape(loop.discovered.in_words)}.</p>"
     notes = "".join(f"<li>{html.escape(n)}</li>" for n in loop.notes)
     return words + (f"<ul>{notes}</ul>" if notes else "")
+
+
+def _hidden(loop: Loop) -> str:
+    """Detection limits of effects that were not added, and what no size would have shown."""
+    rows = "".join(
+        f"<tr><td>{name.partition('.')[0].replace('_', ' ')}</td><td><code>{name.partition('.')[2]}</code></td>"
+        f"<td>{size:.2g} {_unit(*name.split('.', 1))}</td></tr>"
+        for name, size in sorted(loop.detection.items())
+    )
+    blind = ", ".join(n.replace("_", " ") for n in loop.not_identifiable) or "none"
+    return (
+        "<p>An effect smaller than this would not have gained what is needed to be named, even alone:</p>"
+        f"<table><tr><th>effect</th><th>parameter</th><th>hidden below</th></tr>{rows}</table>"
+        f"<p>Not identifiable on this run at any size: {html.escape(blind)}.</p>"
+    )
+
+
+def _unit(name: str, parameter: str) -> str:
+    """Unit of a parameter as printed; nothing where it has none."""
+    unit = effect(name).effect.parameter(parameter).unit
+    return "" if unit == "1" else unit
