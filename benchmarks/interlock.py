@@ -131,11 +131,11 @@ def row(name: str, folder: Path) -> str:
     with open_recording(path) as recording:
         last = recording.drive_changes[-1]
         cycle = recording.rate_hz / profile.forcing.frequency_hz
-        noticed, zero = (last["first_sample"] - AT) / cycle, last["n_samples"] / cycle
+        noticed, zero = f"{(last['first_sample'] - AT) / cycle:.1f}", f"{last['n_samples'] / cycle:.2f}"
         if name == "card unplugged":
-            noticed = zero = float("nan")
+            noticed = zero = "at once"
         lost, ended, why = played - recording.n_samples, recording.attrs["ended"], recording.attrs["why"]
-        return f"| {name} | {noticed:.1f} | {zero:.2f} | {lost} | {ended} | {why} |"
+        return f"| {name} | {noticed} | {zero} | {lost} | {ended} | {why} |"
 
 
 def main() -> None:

@@ -88,13 +88,14 @@ def main() -> None:
           f"{report.state}{', suspect' if report.suspect else ''}, {size / 1e6:.0f} MB")
     shares = 100 * own / wall, 100 * (children[2] + children[3]) / wall
     print(f"processor: run {shares[0]:.1f} %, recorder {shares[1]:.1f} % of a core (its closing included)")
-    whole = at[(at[:, 2] > 0) & (at[:, 0] > began + 30)]
+    ended = began + summary.n_samples / rig.rate_hz  # afterwards the recorder writes the columns
+    whole = at[(at[:, 2] > 0) & (at[:, 0] > began + 30) & (at[:, 0] < ended)]
     for name, column in (("run", 1), ("recorder", 2)):
         slope = np.polyfit((whole[:, 0] - began) / 60.0, whole[:, column], 1)[0] if len(whole) > 2 else np.nan
         quarter = max(1, len(whole) // 4)
         first, last = whole[:quarter, column].mean(), whole[-quarter:, column].mean()
         print(f"memory of the {name}: {first:.1f} MB in the first quarter, {last:.1f} MB in the last, at most "
-              f"{whole[:, column].max():.1f} MB, {slope:+.3f} MB a minute")
+              f"{whole[:, column].max():.1f} MB, {slope:+.3f} MB a minute; {at[:, column].max():.1f} MB while closing")
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ CHUNK = 1024  # frames looked at together, at least
 LARGEST = 20_000  # samples lost at once that are looked for
 LATENCY = 20_000  # samples between playing and hearing, at most
 SURE_SAMPLES = 0.05  # a slip known less well than this decides nothing
+OPENING = 8  # chunks from which the latency is told, at most
 PATIENCE = 3  # chunks held back, at most, to settle a loss
 SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
 SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
@@ -181,7 +182,7 @@ class LossFinder:
         self._slip: float | None = None
         self._gain = 0.0
         self._rms: deque[float] = deque(maxlen=31)
-        self._before = np.zeros(0)
+        self._before = self._opening = np.zeros(0)
         self.heard_samples = self.lost_samples = 0
 
     def played(self, drive_v: Floats) -> None:
@@ -275,13 +276,21 @@ class LossFinder:
         return 0, lost, int(np.ceil(jitter_s * self._rate_hz)), 0
 
     def _begin(self, volts: Floats, first: int) -> None:
-        """The latency, from the first chunk in which the drive moves."""
-        if volts.min() == volts.max():
+        """The latency, once the drive moves.
+
+        A drive that grows looks like itself a part of a cycle earlier, only smaller: where several latencies fit, more
+        is listened to before one is believed.
+        """
+        now_lost = sum(block.lost_before for block, _ in self._waiting)
+        heard = volts if now_lost else np.concatenate([self._opening, volts])[-OPENING * self._chunk :]
+        self._opening = heard
+        if heard.min() == heard.max():
             return
-        lost = self.lost_samples + sum(block.lost_before for block, _ in self._waiting)
-        found = candidates(self._played, volts, first, lost - LATENCY, lost, 0.0)
-        found = [f for f in found if f.sigma < SURE_SAMPLES and f.rms_v < 0.1 * float(np.std(volts))]
-        if found:
+        first += len(volts) - len(heard)
+        lost = self.lost_samples + now_lost
+        found = candidates(self._played, heard, first, lost - LATENCY, lost, 0.0)
+        found = [f for f in found if f.sigma < SURE_SAMPLES and f.rms_v < 0.1 * float(np.std(heard))]
+        if len(found) == 1 or (found and len(heard) >= OPENING * self._chunk):
             best = max(found, key=lambda f: f.samples)  # where several fit, the least latency
             self._slip, self._gain = best.samples, best.gain
             self._rms.append(best.rms_v)

@@ -148,12 +148,12 @@ class ToneMeter:
         return Amplitudes(values[self._wanted], uncertainty[self._wanted])
 
     def estimate(self) -> Amplitudes | None:
-        """What all samples so far say, a window under way included; None before a whole cycle was measured."""
+        """What all samples so far say, a window under way included from a cycle on; None before a whole cycle."""
         both = self._total
-        if sum(np.count_nonzero(piece.quiet) for piece in self._pieces) > 2 * len(self._frequencies_hz) + 1:
+        if sum(np.count_nonzero(piece.quiet) for piece in self._pieces) * self._frequencies_hz[0] >= self._rate_hz:
             under_way = self._sums()
             both = under_way if both is None else both + under_way
-        if both is None or self._frequencies_hz[0] * both.quiet.n < self._rate_hz:
+        if both is None:
             return None
         whole = self._of(both)
         return replace(whole, uncertainty=_uncertainty(self.windows, whole.uncertainty))
@@ -231,13 +231,15 @@ def _uncertainty(windows: list[Amplitudes], claimed: Floats) -> Floats:
     """Standard uncertainty, of one quadrature, of the mean of ``windows``: by their scatter where they are enough.
 
     A fit claims what it would be in white noise; motion between the tones (ringing, a slow resonance, harmonics that
-    were not fitted) makes that too much where it repeats from window to window, and too little where it does not.
+    were not fitted) makes that too much where it repeats from window to window, and too little where it does not. The
+    claim counts as much as one more window, so that few windows that happen to agree are not believed too much.
     """
     if len(windows) < ENOUGH_WINDOWS:
         return claimed
     spread: Floats = np.std([window.values for window in windows], axis=0, ddof=1)
     degrees = 2.0 * (len(windows) - 1)  # two quadratures; Student's t of so many is wider than a normal by the root
-    return spread / math.sqrt(2.0 * len(windows)) * math.sqrt(degrees / (degrees - 2.0))
+    variance = (degrees * spread**2 / (2.0 * len(windows)) + 2.0 * claimed**2) / (degrees + 2.0)
+    return np.asarray(np.sqrt(variance * (degrees + 2.0) / degrees))
 
 
 def target_acceleration(setup: Setup, gamma: float) -> Complexes:

