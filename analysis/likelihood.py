@@ -245,6 +245,8 @@ class World:
         steps = ev.steps
         sigma = steps.sigma_mps2
         told = MODE_PART * np.abs(base.rung[:, : sigma.shape[1]])
+        if (swell := self._swell(values)) is not None:
+            told = np.hypot(told, swell[0].leaking(steps.plate, *swell[1:]))
         wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)
         for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
             tones = steps.plate.acceleration_mps2 + wider[:, j // 2, None] * steps.spread_mps2[:, j]

@@ -269,14 +269,27 @@ class Swells:
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         factor = seen[data.step[rows], k[rows]] / true[data.step[rows], k[rows]]
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(factor)), np.angle(factor))
-        mean = (np.exp(1j * phase) * _mean(self.span_s, np.array([2.0 * np.pi * hz]))[0]).imag
-        vague[rows] = LEAKING * np.abs(factor - 1.0 - (depth * mean)[data.step[rows]])
+        vague[rows] = LEAKING * np.abs(factor - 1.0 - (depth * self._means(hz))[data.step[rows]])
         rows = np.flatnonzero(np.isin(data.kind, (SECOND, THIRD, HUM)))
         false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a swell fakes
         out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
         vague[rows] = 2.0 * LEAKING * out[rows]
         out[data.kind == MODULATION] = self._in_windows(seen, true, pitch, depth, phase)
         return out, vague
+
+    def leaking(self, plate: PlateSteps, depth: Array, hz: float) -> Array:
+        """How well the forcing's tones are known for what leaks between them, m/s^2, in the places of ``plate``."""
+        out = np.zeros(plate.acceleration_mps2.shape)
+        seen = self._seen(plate)
+        true = self._true(seen, self._pitch(hz), depth, self.phases(hz))
+        leak = LEAKING * np.abs(seen - true * (1.0 + depth * self._means(hz))[:, None])
+        out[:, :2] = np.where(self._forced, leak[:, :2], 0.0)
+        return out
+
+    def _means(self, hz: float) -> Array:
+        """Mean of the swell of depth 1 over each step, (m,)."""
+        turned = _mean(self.span_s, np.array([2.0 * np.pi * hz]))[0]
+        return np.asarray((np.exp(1j * self.phases(hz)) * turned).imag)
 
     def _in_windows(self, seen: Complex, true: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Array:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
