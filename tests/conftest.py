@@ -33,7 +33,7 @@ def _missing() -> str:
 
 @contextmanager
 def virtual_rig(
-    folder: Path, *changes: tuple[str, str], period: int = 1024, server: str | None = None
+    folder: Path, *changes: tuple[str, str], period: int = 2048, server: str | None = None
 ) -> Iterator[Started]:
     """`bench virtual` on a JACK server of its own, or a named one: the profile as changed, its text, and the process.
 
@@ -71,15 +71,23 @@ def virtual_rig(
 
 
 @pytest.fixture(scope="session")
-def virtual_card(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Profile]:
-    """A sound card's profile, and the plant that answers to it as long as the tests run."""
-    with virtual_rig(tmp_path_factory.mktemp("card")) as (profile, _, _):
-        yield profile
+def virtual_sound(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Profile, str]]:
+    """A sound card's profile with its text, and the plant that answers to it as long as the tests run."""
+    with virtual_rig(tmp_path_factory.mktemp("card")) as (profile, text, _):
+        yield profile, text
+
+
+@pytest.fixture
+def virtual_card(virtual_sound: tuple[Profile, str]) -> Profile:
+    """The profile alone."""
+    return virtual_sound[0]
 
 
 @pytest.fixture(scope="session")
-def virtual_both(tmp_path_factory: pytest.TempPathFactory, virtual_card: Profile) -> Iterator[tuple[Profile, str]]:
-    """A profile of card and serial device with its text, and the plant behind both, on the server of `virtual_card`."""
+def virtual_both(
+    tmp_path_factory: pytest.TempPathFactory, virtual_sound: tuple[Profile, str]
+) -> Iterator[tuple[Profile, str]]:
+    """A profile of card and serial device with its text, and the plant behind both, on `virtual_sound`'s server."""
     folder = tmp_path_factory.mktemp("both")
     kind = f'kind = "soundcard+serial"\nport = "{(folder / "port").as_posix()}"'
     changes = (('kind = "soundcard"', kind), ('device = "shaker"', 'device = "both"'))

@@ -50,18 +50,24 @@ class CardStream:
         ----------
         alive
             Whether the driver still calls. One that went away is left as it is, at exit too: PortAudio would wait for
-            it for ever, or abort the program.
+            it for ever, or abort the program. It may go away any time, so it is asked again before each step.
         """
-        if not alive:
-            import sounddevice
+        counter = self._counter
+        steps: list[Callable[[], object]] = [
+            lambda: self._stream.abort(ignore_errors=True),
+            lambda: self._stream.close(ignore_errors=True),
+            _release if counter is None else counter.close,
+            _release,
+        ]
+        for step in steps:
+            if not alive or (counter is not None and counter.gone):
+                import sounddevice
 
-            sounddevice._initialized = 0  # so that nobody ends it
-            return
-        self._stream.abort(ignore_errors=True)
-        self._stream.close(ignore_errors=True)
-        if self._counter is not None:
-            self._counter.close()
-        _release()
+                sounddevice._initialized = 0  # so that nobody ends it
+                if counter is not None:
+                    counter.leave()
+                return
+            step()
 
 
 class FrameCounter:
@@ -73,10 +79,18 @@ class FrameCounter:
     def __init__(self) -> None:
         import jack
 
+        self.gone = False
+        jack.set_error_function(lambda text: None)  # what it says is said by exceptions
         try:
             self._client = jack.Client("shakerbench-clock", no_start_server=True)
+            self._client.set_shutdown_callback(self._shut_down)
+            self._client.activate()
         except jack.JackError as error:
             raise BackendError(f"the JACK server does not answer ({error})") from error
+
+    def _shut_down(self, status: object, reason: str) -> None:
+        """The server went away."""
+        self.gone = True
 
     def __call__(self) -> int:
         return int(self._client.last_frame_time)
@@ -84,6 +98,10 @@ class FrameCounter:
     def close(self) -> None:
         """Let the server go."""
         self._client.close()
+
+    def leave(self) -> None:
+        """Forget a server that died: to close what it left would wait for ever."""
+        self._client._ptr = None
 
 
 def cards() -> list[Card]:

