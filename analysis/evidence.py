@@ -144,8 +144,10 @@ def evidence_of(
     parts = []
     for path in paths:
         with open_recording(path) as recording:
+            if setup is not None:
+                recording.measure_with(setup)
             flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
-            parts.append(_part(recording, flights, setup or recording.setup))
+            parts.append(_part(recording, flights, recording.setup))
     return parts[0] if len(parts) == 1 else join(parts)
 
 

@@ -73,8 +73,10 @@ def write_report(loop: Loop, recordings: Sequence[Path], folder: Path) -> Path:
 
 def _bifurcations(loop: Loop, recording: Path) -> dict[str, object] | None:
     """First bifurcation in the data, by the declared model and by the improved one; None without enough flights."""
+    setup = loop.world.evidence.setup
     with open_recording(recording) as opened:
-        flights, setup, table = flights_of(opened), loop.world.evidence.setup, opened.steps
+        opened.measure_with(setup)
+        flights, table = flights_of(opened), opened.steps
     declared, improved = resolve(setup.declared_values()), declared_after(loop)
     try:
         before = compare(flights, setup, effects=declared, steps_table=table).first

@@ -58,7 +58,8 @@ def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tupl
             yield drawn, axes
             colour = "#a4161a" if badge.startswith("SIMULATED") else "#2d6a4f"
             drawn.text(
-                0.993, 1.0 - 0.07 / drawn.get_figheight(), badge, ha="right", va="top", fontsize=8, color="white", weight="bold",
+                0.993, 1.0 - 0.07 / drawn.get_figheight(), badge, ha="right", va="top", fontsize=8, color="white",
+                weight="bold",
                 bbox={"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"},
             )
             drawn.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / drawn.get_figheight()))

@@ -66,3 +66,16 @@ def test_friction_and_restitution_shorten_flights_and_move_the_first_bifurcation
     assert held.first.measured is not None
     assert held.first.predicted_type == "lock" or np.isnan(held.first.predicted_gamma)
     assert held.first.measured.gamma_after < 1.6
+
+
+def test_steps_in_random_order_are_compared_along_gamma(make) -> None:
+    """A shuffled ramp has its changes between neighbouring gammas, as the same ramp stepped up has."""
+    gammas = np.array([0.45, 0.7, 1.0, 1.4, 1.6, 1.75, 1.95])
+    brackets = []
+    for order in (np.arange(7), np.array([4, 0, 6, 2, 5, 1, 3])):
+        with open_recording(make(gammas[order], hold=16).path) as recording:
+            held = compare(flights_of(recording), recording.setup, steps_table=recording.steps)
+        first = held.first.measured
+        assert first is not None
+        brackets.append((first.type, round(first.gamma_before, 2), round(first.gamma_after, 2)))
+    assert brackets[0] == brackets[1] == ("lock", 1.6, 1.75)
