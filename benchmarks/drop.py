@@ -60,9 +60,9 @@ def films(count: int, seed: int) -> None:
         rng = np.random.default_rng([seed, k])
         paper = k % 5 == 0
         e0, f = (0.514, 0.3) if paper else (rng.uniform(0.4, 0.75), rng.uniform(0.05, 0.4))
+        f = 0.0 if k % 5 == 1 else f
         fps = 1000.0 if paper else rng.uniform(350.0, 700.0)
         truth = cam.Truth(e0=e0, friction=f, height_m=0.06 if paper else rng.uniform(0.04, 0.065))
-        f = 0.0 if k % 5 == 1 else f
         look = {"noise": rng.uniform(1, 4), "flicker": rng.uniform(0, 0.1), "exposure": rng.uniform(0.2, 0.8)}
         camera = cam.Camera(fps=fps, perspective=rng.uniform(-0.01, 0.01), **look)
         with tempfile.TemporaryDirectory() as folder:

@@ -22,6 +22,7 @@ _LONGEST_GAP = 8.0  # frames a track may be lost
 _GATE_OF_RANGE = 0.012
 _NEW_GATE_OF_RANGE, _NEW_FALL_OF_RANGE = 0.04, 0.15  # a track's first step: across, and up or down
 _RIVAL_SHARE = 0.4
+_RIVAL_TRAVEL = 0.3  # of the ball's way: the background flickers where the ball comes to rest
 _LEAST_BALLISTIC = 6  # windows
 
 
@@ -86,6 +87,7 @@ def ball_of(clock: Array, x: Array, y: Array, where: str) -> Track:
     for rival_count, rival_acceleration, rival in judged[1:]:
         together = np.intersect1d(clock[tracks[best]], clock[tracks[rival]])
         alike = 0.5 < rival_acceleration / acceleration < 2.0
+        alike &= float(np.ptp(y[tracks[rival]])) > _RIVAL_TRAVEL * float(np.ptp(y[tracks[best]]))
         if rival_count >= max(_RIVAL_SHARE * count, 2 * _LEAST_BALLISTIC) and alike and len(together) >= _WINDOW:
             raise InputError(
                 f"{where}: two movers: one near x = {np.median(x[tracks[best]]):.0f}, another near "

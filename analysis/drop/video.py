@@ -209,4 +209,16 @@ def _clean_frames(stack: NDArray[np.float32], film: Film) -> set[int]:
     still, lively = np.percentile(motion[calm], [5, 95])
     busy = calm[motion[calm] >= still + _LIVELY_SHARE * (lively - still)]  # not the ball's rest: it would stay behind
     pick = busy if len(busy) >= 9 else calm
-    return {int(pick[i]) for i in np.linspace(0, len(pick) - 1, min(_MOST_SAMPLES, len(pick))).astype(int)}
+    return _unlike(stack, pick)
+
+
+def _unlike(stack: NDArray[np.float32], pool: NDArray[np.intp]) -> set[int]:
+    """Frames of the pool that differ most from each other: where the ball lingers, few of them show it there."""
+    chosen = [int(pool[0])]
+    apart = np.full(len(pool), np.inf)
+    while len(chosen) < min(_MOST_SAMPLES, len(pool)):
+        changed = np.abs(stack[pool] - stack[chosen[-1]]) > _CHANGED_LEVELS
+        apart = np.minimum(apart, changed.mean(axis=(1, 2)))
+        apart[pool == chosen[-1]] = -1.0
+        chosen.append(int(pool[int(apart.argmax())]))
+    return set(chosen)
