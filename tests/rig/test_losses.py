@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.profiles import load
 from daq.block import Block, BlockFlag
 from daq.recording import RecordingWriter, open_recording, verify
+from rig.backends.simulated import SimulatedBackend
 from rig.losses import LossAccount
 from rig.run import run_ramp
 from rig.sim.faults import Fault, FaultyBackend, LostFrames, RepeatedBlock
+from rig.sim.scenario import Scenario
 
 LONGER = ("hold_cycles = 3", "hold_cycles = 60")
 
@@ -56,6 +59,17 @@ def test_a_loss_behind_a_buffer_is_found(make_profile, fake_rig, recording_path,
         ((at, n),) = recording.gaps.tolist()
         assert n == lost and abs(at - 4060) < 40
     assert not verify(recording_path).suspect
+
+
+@pytest.mark.parametrize(("at", "lost", "seed"), [(36_273, 107, 5), (21_968, 30, 11), (46_868, 2472, 23)])
+def test_the_start_of_two_tones_is_not_mistaken(recording_path, at: int, lost: int, seed: int) -> None:
+    """At c = 3 a drive that fades in looks like itself a third of a cycle earlier; the latency is told all the same."""
+    profile, _ = load("c3")
+    ramp = profile.ramp.model_copy(update={"gamma": (0.4, 0.7, 0.5), "order": None})
+    profile = profile.model_copy(update={"ramp": ramp})
+    rig = SimulatedBackend(profile.sampling.rate_hz, Scenario("ideal"), seed)
+    summary = record(profile, FaultyBackend(rig, [LostFrames(at, lost), Buffered(600)]), recording_path)
+    assert abs(summary.lost_samples - lost) <= 1
 
 
 def test_a_repeated_block_is_flagged(make_profile, fake_rig, recording_path) -> None:
