@@ -71,14 +71,17 @@ class ImpactScan:
 
     def add(self, volts: npt.NDArray[np.float32], first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``; samples found."""
-        found = np.empty(count // 4 + 2, dtype=np.int64)
+        beyond = max(min(LENGTH - LEAD, len(volts) - pad - count - LENGTH), 0)  # what rings before the next piece's own
+        heard = np.empty(count + beyond, np.float32)
+        found = np.empty(heard.size // 4 + 2, dtype=np.int64)
         limit = THRESHOLD * self.waveform.noise_v
-        n = _match(volts, pad, count, self.waveform.taps, np.float32(limit), np.empty(count, np.float32), found)
-        out = np.zeros((self.RECENT + n, 4))
+        n = _match(volts, pad, heard.size, self.waveform.taps, np.float32(limit), heard, found)
+        own = int(np.searchsorted(found[:n], pad + count))
+        out = np.zeros((self.RECENT + own, 4))
         recent = self._found[-1][-self.RECENT :]
         out[: len(recent)] = recent
         total = _time(
-            volts, first - pad, found[:n], self.waveform.fine, self._bank, self._norms, self.waveform.projector,
+            volts, first - pad, found[:n], own, self.waveform.fine, self._bank, self._norms, self.waveform.projector,
             limit, out, len(recent),
         )
         new = out[len(recent) : total].copy()
@@ -143,11 +146,14 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _time(x, offset, found, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
-    """Time each candidate ``found`` (index into ``x``; ``x[0]`` is sample ``offset``); rows go to ``out[n:]``."""
+def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
+    """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
+
+    The candidates after them belong to the next piece, but may be what these are an echo of.
+    """
     own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
     shifts, longest = bank.shape[0], fine.shape[0] // FINE
-    for c in range(found.shape[0]):
+    for c in range(count):
         index = found[c]
         echo[:] = 0.0
         for back in range(n - 1, -1, -1):
