@@ -1,0 +1,105 @@
+"""Attribution on runs with a known cause: named, tied where nobody could tell, left out again where it is idle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from analysis import attribution
+from analysis.attribution import Attribution, Attributor
+from analysis.candidates import Candidate, candidates_of
+from analysis.fit import Fitter
+from analysis.gains import MOST_OF_A_STEP, Compared
+from analysis.likelihood import Key, World
+
+GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
+SOME = ("coulomb_friction", "viscous_damping", "quadratic_drag", "local_gravity", "adhesion", "contact_latency")
+UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
+Explain = Callable[..., Attribution]
+
+
+@pytest.fixture
+def explain(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter], monkeypatch: pytest.MonkeyPatch
+) -> Explain:
+    """Explanation of a short run by a library of six."""
+
+    def few(world: World, hints_hz: object = ()) -> list[Candidate]:
+        return [c for c in candidates_of(world) if set(c.names) <= set(SOME)]
+
+    monkeypatch.setattr(attribution, "candidates_of", few)
+
+    def explained(truth: dict[Key, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> Attribution:
+        world = make(truth, seed, gammas=gammas)
+        return Attributor(world, fitter_of(world)).explain()
+
+    return explained
+
+
+def test_a_cause_is_named_with_its_size(explain: Explain) -> None:
+    """Friction of 0.05 alone: one name, both directions, no companion."""
+    found = explain({UP: 0.05, DOWN: 0.05}, 1)
+    assert found.best.names == ("coulomb_friction",)
+    for key in (UP, DOWN):
+        fitted = found.best.fitted
+        assert abs(fitted.values[key] - 0.05) < 4.0 * fitted.sigma(key)
+    assert found.ties[0] is not found.before
+    assert {names for names, _ in found.tried} >= {("coulomb_friction",)}
+
+
+def test_noise_is_given_no_name(explain: Explain) -> None:
+    """Nothing missing: the best is the declared model itself, and there is no tie set."""
+    found = explain({}, 2)
+    assert found.best is found.before
+    assert found.ties == ()
+
+
+def test_two_causes_are_both_named(explain: Explain) -> None:
+    """Damping with a plate that holds the ball: neither can stand in for the other."""
+    found = explain({RATE: 1.5, ("adhesion", "a_mps2"): 1.5}, 3, tuple(np.linspace(0.35, 1.35, 14)))
+    assert set(found.best.names) == {"viscous_damping", "adhesion"}
+
+
+def test_an_idle_companion_is_left_out_again(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """Drag that was added before friction explained everything goes when it is looked at again."""
+    world = make({UP: 0.05, DOWN: 0.05}, 4, gammas=GAMMAS)
+    attributor = Attributor(world, fitter_of(world))
+    drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),), ({("quadratic_drag", "k_per_m"): 0.5},))
+    friction = Candidate(("coulomb_friction",), (UP, DOWN), ({UP: 0.05, DOWN: 0.05},))
+    before = _nothing(attributor)
+    both = attributor.add(attributor.add(before, drag) or before, friction)
+    assert both is not None
+    assert both.names == ("quadratic_drag", "coulomb_friction")
+    said: list[str] = []
+    assert attributor._step_back(both, said).names == ("coulomb_friction",)
+    assert said == ["step back: quadratic_drag is no longer needed"]
+
+
+def _nothing(attributor: Attributor) -> attribution.Explanation:
+    whitener = attribution.Whitener.of(attributor.world, {})
+    fitted = attributor.fitter.fit(whitener, (), {})
+    return attribution.Explanation((), fitted, whitener, fitted.held_out(whitener))
+
+
+def test_a_few_steps_that_gain_much_do_not_hide_the_many_that_gain_little() -> None:
+    """One step of 900 nats makes the sum doubtful by its own spread; capped, all the others speak."""
+    train = np.ones(16, dtype=bool)
+    worse, better = np.full(16, 5.0), np.zeros(16)
+    worse[3] = 900.0
+    gain = Compared.of(worse, better, train)
+    assert gain.gain == pytest.approx(975.0)
+    assert gain.gain < 2.0 * gain.error
+    assert gain.even == pytest.approx(75.0 + MOST_OF_A_STEP)
+    assert gain.beyond(12.0, 2.0)
+
+
+def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
+    """Differences of either sign: the sum is positive, its error larger."""
+    rng = np.random.default_rng(0)
+    d = 10.0 * rng.standard_normal(16)
+    d += (15.0 - d.sum()) / 16
+    assert not Compared.of(d, np.zeros(16), np.ones(16, dtype=bool)).beyond(12.0, 2.0)
