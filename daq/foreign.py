@@ -165,11 +165,16 @@ def _plays(role: str, name: str) -> bool:
 
 
 def _mapped(source: Source, role: str, column: Column) -> Column:
-    """A mapped column under the name that the source knows: its name, another case of it, or its number from 1."""
+    """A mapped column under the name that the source knows: its name, another case of it, its last part, or its number.
+
+    The last part is what follows the folders of an HDF5 file; numbers count from 1.
+    """
     if column.name in source.names:
         match = column.name
     else:
-        same = [n for n in source.names if n.strip().lower() == column.name.strip().lower()]
+        wanted = column.name.strip().lower()
+        same = [n for n in source.names if n.strip().lower() == wanted]
+        same = same or [n for n in source.names if n.strip().lower().rsplit("/", 1)[-1] == wanted]
         if len(same) == 1:
             match = same[0]
         elif column.name.isdigit() and 1 <= int(column.name) <= len(source.names):

@@ -353,6 +353,20 @@ def test_ambiguous_and_wrong_maps(tmp_path: Path, columns: Columns) -> None:
             parse_map([item])
 
 
+def test_a_name_inside_a_folder_is_enough(tmp_path: Path, setup: Setup, columns: Columns) -> None:
+    """In an HDF5 file with folders the last part of a name will do, unless two folders share it."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in zip(("CH1", "CH2", "CH3"), list(columns.values())[1:], strict=True):
+            file[f"Waveforms/{name}"] = values
+        file["other/CH3"] = columns["drive_v"]
+    maps = ["continuity=ch1", "accelerometer=CH2", "drive=Waveforms/CH3"]
+    bring_in(tmp_path / "a.h5", tmp_path / "r.h5", setup, maps, rate_hz=RATE_HZ)
+    with open_recording(tmp_path / "r.h5") as recording:
+        np.testing.assert_allclose(recording.read_v("drive"), columns["drive_v"])
+    with pytest.raises(InputError, match="no such column"):
+        bring_in(tmp_path / "a.h5", tmp_path / "q.h5", setup, [*maps[:2], "drive=CH3"], rate_hz=RATE_HZ)
+
+
 def test_names_carry_units() -> None:
     """The unit at the end of a name, after an underscore or in brackets, is understood."""
     assert split_name("time_s") == ("time", "s")
