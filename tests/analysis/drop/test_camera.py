@@ -108,6 +108,27 @@ def test_a_film_is_tracked_to_a_tenth_of_a_pixel(synthetic: ModuleType, tmp_path
     assert np.sqrt((off**2).mean()) < 0.1
 
 
+def test_a_block_that_lingers_is_not_taken_for_background(synthetic: ModuleType, tmp_path: Path) -> None:
+    """A block near its resting place for most of the film, before a tilted camera, is followed to 0.1 pixel."""
+    target = tmp_path / "drop.avi"
+    truth = synthetic.Truth(height_m=0.0486, e0=0.463, friction=0.11)
+    camera = synthetic.Camera(fps=280.0, exposure=0.4, noise=1.4, flicker=0.07, perspective=0.01)
+    rows = synthetic.film(target, truth, camera, 0.38, np.random.default_rng(5))
+    tracked = track_film(target)
+    off = -tracked.track.height - rows[tracked.track.clock.astype(int)]
+    assert len(tracked.track.clock) >= 100 and np.sqrt((off**2).mean()) < 0.1
+
+
+def test_a_short_last_flight_does_not_call_for_drag(synthetic: ModuleType) -> None:
+    """Where the film ends early in a flight, that flight hardly has an apex; it must not decide on the shape."""
+    rng = np.random.default_rng(5)
+    frames = np.arange(216.0)
+    heights, _ = synthetic.path(synthetic.Truth(height_m=0.5, e0=0.75, hold_s=0.05), frames / 240.0, 2e-5)
+    track = ball_of(frames, np.zeros(216), heights + rng.normal(0.0, 3e-4, 216), "x")
+    fit = fit_camera([Clip("x", track.clock, track.height, track.acceleration)], np.random.default_rng(1))
+    assert choose(fit.rungs)[0] == "constant_restitution"
+
+
 def _write(target: Path, pictures: list[np.ndarray]) -> None:
     writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, pictures[0].shape[1::-1])
     for picture in pictures:

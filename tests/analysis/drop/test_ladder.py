@@ -78,3 +78,31 @@ def test_three_impacts_give_a_ratio_and_no_verdict(synthetic: ModuleType) -> Non
     assert result.payload["models"][0]["parameters"]["e0"]["value"] == pytest.approx(0.9)
     assert result.payload["models"][0]["held_out_rms_ms"] is None
     assert any("Too few bounces" in sentence for sentence in result.sentences)
+
+
+def test_rivals_that_do_as_well_are_named(synthetic: ModuleType) -> None:
+    """One drop with drag and scattering bounces: drag is chosen or tied, or nothing beyond a constant is."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        truth = synthetic.Truth(height_m=0.5, e0=0.88, drag_per_m=0.12, hold_s=0.0, scatter=0.004)
+        _, impacts = synthetic.path(truth, np.array([9.0]), 2e-4, settle_mps=0.5, rng=rng)
+        verdict = judge([Drop("x", bounces_of(impacts, "x"))], G, rng)
+        assert verdict.chosen == "constant_restitution" or "quadratic_drag" in verdict.tie_set
+
+
+def test_where_nothing_can_be_held_out_nothing_is_told(synthetic: ModuleType) -> None:
+    """With four impacts every simple rung stays in the tie set."""
+    drops = [Drop("short", bounces_of(np.array([0.0, 0.4, 0.76, 1.08]), "x"))]
+    verdict = judge(drops, G, np.random.default_rng(0))
+    wanted = {"constant_restitution", "speed_dependent_restitution", "quadratic_drag", "coulomb_friction"}
+    assert set(verdict.tie_set) == wanted
+
+
+def test_an_irregular_bounce_is_left_out(synthetic: ModuleType) -> None:
+    """A bounce that hits an edge spoils one ratio, which does not bend the fit."""
+    flights = 0.6 * 0.88 ** np.arange(10)
+    flights[4:] *= 0.8
+    drops = [Drop("edge", bounces_of(np.concatenate(([0.0], np.cumsum(flights))), "x"))]
+    verdict = judge(drops, G, np.random.default_rng(0))
+    assert verdict.left_out.sum() + drops[0].bounces.broken.sum() == 1
+    assert verdict.rung("constant_restitution").fit.theta[0] == pytest.approx(0.88, abs=1e-3)
