@@ -26,6 +26,13 @@ from model.roll import Predicted
 
 Array = NDArray[np.float64]
 
+REACHES = {  # what says how far flights go in a quantity that varies within them
+    "speed_mps": "impact_mps",
+    "velocity_mps": "plate_speed_at_takeoff_mps",
+    "absolute_velocity_mps": "plate_speed_at_takeoff_mps",
+    "since_takeoff_s": "flight_s",
+    "since_impact_s": "flight_s",
+}
 CLOSE = 1.05  # held-out scatter over uncertainty below which no finer knots are tried
 ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
@@ -45,11 +52,12 @@ class Discovery:
     in_words
         What the curve does.
     knots, values, low, high
-        The curve with its pointwise 95 % band, (k,), SI; straight between these points, constant beyond.
+        The curve with its pointwise 95 % band, (k,), SI; straight between these points, constant beyond. A force is
+        positive where it pushes up.
     term_unit
         Unit of the values.
     seen
-        Values of the covariate at the flights, for a rug; empty for a quantity within the flight.
+        Values of the covariate at the flights, or how far flights go in a quantity that varies within them: for a rug.
     gain, over_constant
         Held-out gain over the best named explanation, and over the same term as a constant.
     resembles
@@ -177,8 +185,11 @@ def _told(
     curve = best.curve
     words, unit, scale = spoken(curve.term)
     judged = world.evidence.judged
-    seen = tables[curve.term.of][judged] if curve.term.columns else np.zeros(0)
+    seen = tables[curve.term.of if curve.term.columns else REACHES.get(curve.term.of, curve.term.of)][judged]
     told, half = curve.at(curve.points), best.band
+    low, high = np.clip(told - half, curve.term.low, None), np.clip(told + half, None, curve.term.high)
+    if curve.term.name == "force" and curve.term.columns:  # a pull, as it is fitted; a force points up
+        told, low, high = -told, -high, -low
     names = dict.fromkeys(spoken(p.curve.term)[0] for p in rivals)
     names.pop(words, None)
     return Discovery(
@@ -189,8 +200,8 @@ def _told(
         in_words(curve),
         curve.points,
         told,
-        np.clip(told - half, curve.term.low, None),
-        np.clip(told + half, None, curve.term.high),
+        low,
+        high,
         curve.term.unit,
         seen[np.isfinite(seen)],
         gain,
