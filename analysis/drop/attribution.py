@@ -209,7 +209,8 @@ def choose(rungs: Sequence[Scored]) -> tuple[str, tuple[str, ...]]:
         gain, _ = gain_of(rival, rungs[0])
         behind, beaten = gain_of(best, rival)
         if rival.model.nests(best.model):  # more parameters: named only where they seem to help, if not beyond doubt
-            if behind < -HINT_NATS:
+            simpler = any(r.model.name in ties[1:] and rival.model.nests(r.model) for r in rungs)
+            if behind < -HINT_NATS and not simpler:
                 ties.append(rival.model.name)
         elif not (beaten and behind > TIE_NATS) and gain > HINT_NATS:
             ties.append(rival.model.name)

@@ -235,6 +235,9 @@ def _in_words(payload: dict[str, Any], units: Units, files: int) -> list[str]:
         e, speed = bounce["restitution"], bounce.get("speed_in_mps")
         at = f" at {speed:.3f} m/s" if speed is not None else ""
         words.append(f"restitution {e['value']:.4f} ({e['low']:.4f} to {e['high']:.4f}){at}")
+    tall = payload["drop_height_m"]
+    if tall["value"] is not None:
+        words.append(f"fell {tall['value']:.4f} m ({tall['low']:.4f} to {tall['high']:.4f}) to the first impact")
     f = payload["friction"]
     words.append(f"friction {f['value']:.4f} g ({f['low']:.4f} to {f['high']:.4f})")
     if not quality["parabola_fits"]:

@@ -214,10 +214,10 @@ def _clean_frames(stack: NDArray[np.float32], film: Film) -> set[int]:
 
 def _unlike(stack: NDArray[np.float32], pool: NDArray[np.intp]) -> set[int]:
     """Frames of the pool that differ most from each other: where the ball lingers, few of them show it there."""
-    chosen = [int(pool[0])]
+    chosen, coarse = [int(pool[0])], stack[pool][:, ::4, ::4]
     apart = np.full(len(pool), np.inf)
     while len(chosen) < min(_MOST_SAMPLES, len(pool)):
-        changed = np.abs(stack[pool] - stack[chosen[-1]]) > _CHANGED_LEVELS
+        changed = np.abs(coarse - stack[chosen[-1], ::4, ::4]) > _CHANGED_LEVELS
         apart = np.minimum(apart, changed.mean(axis=(1, 2)))
         apart[pool == chosen[-1]] = -1.0
         chosen.append(int(pool[int(apart.argmax())]))
