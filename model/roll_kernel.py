@@ -57,6 +57,7 @@ LONGEST_PERIODS = 60.0
 TAIL_PART = 2e-4  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
 MOST_SECANTS = 40
+RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 
 
@@ -471,7 +472,7 @@ def weak_rebounds(land, hit, target, weak_mps, q, qd, om, ze, ratio, w, ar, ai, 
         off, v0, kind, end = leave(land, hit, 0.0, q, qd, om, ze, w, ar, ai, dt, p)
         passed += 1
         if kind != 1:
-            if abs(end - target) < abs(near - target):
+            if end - near > RESOLVED_S and abs(end - target) < abs(near - target):
                 near, near_hit, near_passed = end, 0.0, passed
             break
         lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
@@ -479,7 +480,7 @@ def weak_rebounds(land, hit, target, weak_mps, q, qd, om, ze, ratio, w, ar, ai, 
             break
         q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
         land, hit = off + lasts, v_next
-        if abs(land - target) < abs(near - target):
+        if land - near > RESOLVED_S and abs(land - target) < abs(near - target):
             near, near_hit, near_passed = land, hit, passed
     return near, near_hit, near_passed
 
