@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from daq.block import Block
 from rig.losses import LossAccount
@@ -49,3 +50,27 @@ def test_a_short_block_is_no_loss_of_its_own(make_profile: Callable[..., Profile
     account.heard(Block(40, np.zeros((160, 1), np.int16)), 100)
     account.flush()
     assert account.lost_samples == 0 and account.expected_samples == 200
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_late_program_is_no_lost_period(make_profile: Callable[..., Profile], counted: bool) -> None:
+    """The drive ran dry while the program was kept from running for one of its periods: nothing is declared as lost.
+
+    Where the driver's own count says so, a late clock does not matter; without the count it would.
+    """
+    profile = make_profile()
+    account = LossAccount(profile, 0, (SCALE, 0.0))
+    account.lag_samples, account.declares = 3 * LAG, True
+    rate_hz = profile.sampling.rate_hz
+    drive = np.sin(2 * np.pi * np.arange(6000) / 79.0)
+    heard = np.concatenate([np.zeros(3 * LAG), drive])
+    heard[3000:3060] = 0.0
+    for k in range(60):
+        account.played(drive[100 * k : 100 * (k + 1)])
+        due_ns = round(1e9 * (100 * k + 1000) / rate_hz)
+        late_ns = round(79e9 / rate_hz) if 30 <= k < 36 else 0
+        codes = np.rint(heard[100 * k : 100 * (k + 1), np.newaxis] / SCALE).astype(np.int16)
+        ended_ns = due_ns + round(1e11 / rate_hz) + late_ns
+        account.heard(Block(100 * k, codes, clock_ns=ended_ns, adc_ns=due_ns if counted else 0), 100)
+    account.flush()
+    assert (account.lost_samples == 0) == counted
