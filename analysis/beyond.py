@@ -33,6 +33,7 @@ REACHES = {  # what says how far flights go in a quantity that varies within the
     "since_takeoff_s": "flight_s",
     "since_impact_s": "flight_s",
 }
+AGAIN = 2  # of the finalists that may be tried with finer knots
 CLOSE = 1.05  # held-out scatter over uncertainty below which no finer knots are tried
 ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
@@ -148,12 +149,15 @@ def _straightest(found: Sequence[Polished], train: NDArray[np.bool_]) -> Polishe
 
 
 def _finalists(search: TermSearch) -> list[Polished]:
-    """The best first looks in joint fits; the best one with finer knots, too, if within the flight it falls short."""
+    """The best first looks in joint fits; the first of them with finer knots, too, if within the flight it falls short.
+
+    A term that bends sharply may lose to one that bends less, so that the second best is given the same chance.
+    """
     with ThreadPoolExecutor(THREADS) as pool:
         found = sorted(pool.map(lambda t: search.polished(t.curve), search.first_looks()), key=lambda p: p.held_out)
-    best = found[0]
-    finer = not best.curve.term.columns and _scatter(best, search.train) >= CLOSE
-    return [*found, search.polished(best.curve.finer())] if finer else found
+        falls_short = not found[0].curve.term.columns and _scatter(found[0], search.train) >= CLOSE
+        again = [p.curve.finer() for p in found[:AGAIN] if falls_short and not p.curve.term.columns]
+        return found + list(pool.map(search.polished, again))
 
 
 def _bases(explanation: Explanation) -> list[tuple[Candidate, ...]]:

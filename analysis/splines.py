@@ -25,7 +25,7 @@ SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # to the middle
 HALVINGS = 4
 FAR_NATS, ENOUGH_NATS = 5.0, 0.2  # a step that gains more has led far; one that gains less is the last
 START_SIZES: dict[str, Array] = {
-    "force": np.concatenate([np.geomspace(0.05, 20.0, 6), -np.geomspace(0.05, 20.0, 6)]),
+    "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
     "friction": np.geomspace(0.005, 2.0, 6),
     "restitution": np.geomspace(0.03, 0.9, 6),
 }

@@ -105,8 +105,8 @@ def event_term(name: str, of: str) -> Term:
 def _within(name: str, of: str, effect: str, place: float, against: bool = False) -> Term:
     fixed = {"of": place} | ({"against": 1.0} if against else {})
     unit, nudge = ("g", 0.003) if effect == "smooth_friction" else ("m/s^2", 0.03)
-    low, words = (0.0, "dry friction") if name == "friction" else (-20.0, "a force")
-    return Term(name, of, unit, words, low, 20.0, nudge, (), effect, tuple(fixed.items()))
+    low, high, words = (0.0, 20.0, "dry friction") if name == "friction" else (-200.0, 200.0, "a force")
+    return Term(name, of, unit, words, low, high, nudge, (), effect, tuple(fixed.items()))
 
 
 IN_FLIGHT: tuple[Term, ...] = (
