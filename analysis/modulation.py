@@ -248,10 +248,14 @@ class Swells:
         """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
         pitch, w = self._pitch(hz), 2.0 * np.pi * hz
         phase, forced = self.phases(hz), self._forced
-        z = np.where(forced, self._true(self._seen(plate), pitch, depth, phase)[:, :2], 0.0)
+        seen = self._seen(plate)
+        true = self._true(seen, pitch, depth, phase)
+        z = np.where(forced, true[:, :2], 0.0)
+        apart = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
+        false = np.take_along_axis(seen - true, np.argmin(apart, axis=2), axis=1)  # lines that the swell fakes, too
+        steady = np.where(plate.acceleration_mps2 == 0.0, 0.0, plate.acceleration_mps2 - false)
         turn = (depth * np.exp(1j * phase) / 2j)[:, None]
-        tones = np.concatenate([plate.acceleration_mps2, z * turn, z * np.conj(turn)], axis=1)
-        tones[:, :2] = np.where(forced, z, tones[:, :2])
+        tones = np.concatenate([steady, z * turn, z * np.conj(turn)], axis=1)
         below = self.omega_radps[:, :2] - w
         tones[:, -2:] = np.where(below < 0.0, np.conj(tones[:, -2:]), tones[:, -2:])
         omega = np.concatenate([plate.omega_radps, self.omega_radps[:, :2] + w, np.abs(below) + (below == 0.0)], axis=1)
