@@ -160,9 +160,14 @@ class Attributor:
     def _refined(self, x: Explanation) -> Explanation:
         """Fitted once more from where it stands: slopes of calibrations are those of where a fit began.
 
-        Where a calibration and an effect trade places, a fit that came from far stops short, sure of itself.
+        Where a calibration and an effect trade places, a fit that came from far stops short, sure of itself: its own
+        misses count as excess, with which it is content. So it is also fitted as if there were none, and what the data
+        like better stays.
         """
-        return self._judged(x.candidates, self._settled(self.fitter.fit(x.whitener, x.free, x.fitted.values)))
+        again = self._settled(self.fitter.fit(x.whitener, x.free, x.fitted.values))
+        lean = self.fitter.fit(Whitener.of(self.world, again.values, lean=True), x.free, again.values)
+        better = self._quick(x.whitener, lean.values) < self._quick(x.whitener, again.values) - HOPELESS_NATS
+        return self._judged(x.candidates, lean if better else again)
 
     def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
         whitener = Whitener.of(self.world, fitted.values)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from analysis.evidence import Evidence
 from analysis.modulation import Swells
 from analysis.platedata import SQUARED, PlateData, expected, rung
-from analysis.robust import NEVER, excess_of, log_odds, plate_scale, robust_loss
+from analysis.robust import LEAST_EXCESS_S, NEVER, excess_of, log_odds, plate_scale, robust_loss
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -306,8 +306,8 @@ class Whitener:
     total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
 
     @classmethod
-    def of(cls, world: World, values: Values) -> Whitener:
-        """From the uncertainty and the excess at ``values``."""
+    def of(cls, world: World, values: Values, *, lean: bool = False) -> Whitener:
+        """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
         ev = world.evidence
         u, r = world.uncertainty(values), world.residuals(values)
         opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
@@ -320,6 +320,8 @@ class Whitener:
             excess_of(bare[first], total[first], period[first])[0],
             excess_of(bare[~first], total[~first], period[~first])[0],
         )
+        if lean:
+            excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
         edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
         order = np.argsort(step, kind="stable")
@@ -331,7 +333,7 @@ class Whitener:
             z = unit[:, None].copy()
             _unshare(z, np.clip(unit, -CLIP, CLIP)[:, None], bounds, shared, shrink)
             raised = _raised(excess, z[:, 0], sd, first[order])
-            if raised == excess:
+            if raised == excess or lean:
                 break
             excess = raised
         logs += np.log(sd)
