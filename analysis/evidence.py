@@ -33,6 +33,7 @@ MAX_TONES = 8
 TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
 WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
+FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
 
 
@@ -97,6 +98,8 @@ class Evidence:
     unseen_s : float
         Flights shorter than this cannot have been seen.
     sources : tuple of str
+    closure_s : float
+        How long an impact keeps the circuit closed: what contacts last from which the ball leaves at once.
     hints_hz : tuple of float
         Lines that stand out below the forcing in several steps: where a table resonance may be.
     swells : Swells or None
@@ -117,6 +120,7 @@ class Evidence:
     notes: tuple[str, ...] = field(default=())
     hints_hz: tuple[float, ...] = ()
     swells: Swells | None = None
+    closure_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.judged)
@@ -208,6 +212,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         sources=(str(recording.path),),
         notes=notes,
         hints_hz=hints,
+        closure_s=_closure_s(measured),
         swells=Swells.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
@@ -227,6 +232,12 @@ def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDA
     factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
     felt = forcing | (rows >= len(s.multiples))
     return np.asarray((factor[::2] + 1j * factor[1::2]).T * np.repeat(felt, 2)[:, None])
+
+
+def _closure_s(measured: Measured) -> float:
+    """Middle of the contacts from which the ball left at once; 0 where there are few."""
+    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.at_once[1:] & measured.linked[1:]]
+    return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
 
 
 def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
@@ -310,5 +321,6 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
+        closure_s=float(np.median([p.closure_s for p in parts])),
         swells=Swells.join(swells) if (swells := [p.swells for p in parts if p.swells is not None]) else None,
     )

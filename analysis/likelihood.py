@@ -173,6 +173,7 @@ class World:
             self.rows(values) if rows is None else rows,
             gap_m=gap,
             unseen_s=ev.unseen_s,
+            closure_s=ev.closure_s,
             weak_mps=ev.weak_mps,
             kick=kick,
         )

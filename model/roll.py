@@ -187,6 +187,7 @@ def one_ahead(
     gap_m: Array | float = 0.0,
     unseen_s: float = 1e-4,
     passable_s: float = 2e-3,
+    closure_s: float = 0.0,
     weak_mps: Array | float = 0.0,
     kick: tuple[float, float] = (0.0, 0.0),
 ) -> Predicted:
@@ -205,6 +206,8 @@ def one_ahead(
     passable_s
         Flights shorter than this may have escaped the instrument: they are passed over when they end before the
         measured flight begins.
+    closure_s
+        How long an impact keeps the circuit closed, the ball gone or not: one passed over delays the opening.
     weak_mps
         An impact slower than this, from which the ball leaves at once, may have left no mark: the measured flight went
         on through it. Infinite where nothing but the contact circuit watches; one number or (n,).
@@ -244,6 +247,7 @@ def one_ahead(
             gap,
             unseen_s,
             passable_s,
+            closure_s,
             weak,
             np.array(kick),
             listen,

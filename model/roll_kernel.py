@@ -433,10 +433,13 @@ def strike(q, qd, s, v_in, om, ze, ratio, p):
 
 
 @njit(cache=True, error_model="numpy")
-def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, after, passable_s):
+def next_flight(
+    t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, after, passable_s, closure_s
+):
     """From an impact at time t with speed v_in to the next flight that an instrument sees.
 
-    Flights shorter than ``unseen_s`` are passed over, and those shorter than ``passable_s`` that end before ``after``.
+    Flights shorter than ``unseen_s`` are passed over, and those shorter than ``passable_s`` that end before ``after``;
+    the impact that ends one keeps the circuit closed for ``closure_s``, wherever the ball is.
     (q, qd) is the mode's state just after the impact at t. Returns (take-off, launch velocity, landing, impact speed,
     opening, flights passed over, kind, q, qd at take-off); kind -1 when there is none.
     """
@@ -450,7 +453,10 @@ def next_flight(t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, 
         if lasts < 0.0:
             break
         if lasts > unseen_s and not (lasts < passable_s and off + lasts < after):
-            return off, v0, off + lasts, v_hit, off + max(opened, 0.0), hidden, kind, qt, qdt
+            opens = off + max(opened, 0.0)
+            if hidden > 0:
+                opens = max(opens, t + closure_s)
+            return off, v0, off + lasts, v_hit, opens, hidden, kind, qt, qdt
         dwell = 0.0 if kind == 1 else off - t + dwell
         t = off + lasts
         q, qd = strike(qt, qdt, lasts, v_hit, om, ze, ratio, p)
@@ -617,6 +623,7 @@ def one_ahead(
     gap,
     unseen_s,
     passable_s,
+    closure_s,
     weak_mps,
     kick,
     listen,
@@ -678,6 +685,7 @@ def one_ahead(
                 min(unseen_s, 0.5 * (landing[i] - opening[i])),
                 opening[i],
                 passable_s,
+                closure_s,
             )
             if kind >= 0 and hit < weak_mps[i]:
                 qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
@@ -744,7 +752,7 @@ def march(t, v_in, q, qd, period, w, ar, ai, p, forced, rough, gap, unseen_s, ou
     om, ze, ratio = mode(p)
     for i in range(out.shape[0]):
         off, v0, land, hit, _, hidden, kind, qt, qdt = next_flight(
-            t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, -1e300, 0.0
+            t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, -1e300, 0.0, 0.0
         )
         if kind < 0:
             return i, t, v_in, q, qd

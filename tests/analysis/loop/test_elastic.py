@@ -95,3 +95,20 @@ def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(make: Call
     landing = ev.measured.landing_s + 1e-4 * last
     moved = World(replace(ev, measured=replace(ev.measured, landing_s=landing)), {})
     assert np.array_equal(fragile(world, REBOUNDS)[last], fragile(moved, REBOUNDS)[last])
+
+
+def test_an_impact_passed_over_keeps_the_circuit_closed() -> None:
+    """A bounce too small to be seen delays the opening of the flight after it by no more than the contact's closure."""
+    plate, closure_s = moving(1.9), 2e-2
+    effects = {"restitution": {"e0": 0.2}}
+    orbit = march(
+        effects, g_mps2=G, period_s=PERIOD_S, omega_radps=plate.omega_radps[0],
+        acceleration_mps2=plate.acceleration_mps2[0], flights=60, unseen_s=2e-3,
+    )  # fmt: skip
+    flights = table(orbit.landing_s, orbit.takeoff_s, ~orbit.after_rest, np.arange(len(orbit.landing_s)) > 1)
+    sharp, late = (one_ahead(flights, plate, row(effects, G), closure_s=s) for s in (0.0, closure_s))
+    delay = (late.opening_s - sharp.opening_s)[2:]
+    passed = sharp.hidden[2:] > 0
+    assert np.array_equal(late.landing_s, sharp.landing_s, equal_nan=True)
+    assert np.all(delay[~passed] == 0.0)
+    assert 0.0 < delay[passed].max() <= closure_s
