@@ -15,6 +15,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.least_squares import both_senses, mean_turn, projected, swollen, turns
 from analysis.plate_motion import StepPlate
 from analysis.platedata import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from model.roll import PlateSteps
@@ -158,8 +159,8 @@ class Swells:
         out = np.zeros(len(hz))
         for first in range(0, len(hz), CHUNK):
             some = slice(first, first + CHUNK)
-            steps = _mean(self.span_s, 2.0 * np.pi * hz[some])
-            windows = _mean(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
+            steps = mean_turn(self.span_s, 2.0 * np.pi * hz[some])
+            windows = mean_turn(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
             rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
             for r in self._runs:
                 normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
@@ -191,9 +192,9 @@ class Swells:
             if len(self._pitches) >= KEPT:
                 self._pitches.clear()
             w, of = 2.0 * np.pi * hz, self.window_step
-            e, own = _turns(self.omega_radps), _turns(self.omega_radps[:, :2])
-            up, down = (_projected(self.span_s, e, own[:, 1:], x)[:, 1:] for x in (w, -w))
-            in_up, in_down = (_projected(self.window_span_s, own[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
+            e, own = turns(self.omega_radps), turns(self.omega_radps[:, :2])
+            up, down = (projected(self.span_s, e, own[:, 1:], x)[:, 1:] for x in (w, -w))
+            in_up, in_down = (projected(self.window_span_s, own[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
             pitch = _Pitch(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
             found = self._pitches[hz] = replace(pitch, swell=self._fitted(pitch))
         return found
@@ -292,16 +293,16 @@ class Swells:
 
     def _means(self, hz: float) -> Array:
         """Mean of the swell of depth 1 over each step, (m,)."""
-        turned = _mean(self.span_s, np.array([2.0 * np.pi * hz]))[0]
+        turned = mean_turn(self.span_s, np.array([2.0 * np.pi * hz]))[0]
         return np.asarray((np.exp(1j * self.phases(hz)) * turned).imag)
 
     def _in_windows(self, seen: Complex, true: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Array:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
         of, forced = self.window_step, self._forced
-        z = _both_senses(np.where(forced, true[:, :2], 0.0))[of]
-        false = _both_senses((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
-        swollen = _swollen(pitch.window_up, pitch.window_down, phase[of])
-        found = z + depth[of, None] * (swollen @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
+        z = both_senses(np.where(forced, true[:, :2], 0.0))[of]
+        false = both_senses((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
+        swelling = swollen(pitch.window_up, pitch.window_down, phase[of])
+        found = z + depth[of, None] * (swelling @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
         own = np.where(forced, seen[:, :2], 0.0)[of]
         power = np.sum(np.abs(own) ** 2, axis=1)
         change = np.sum((np.conj(own) * (2.0 * found[:, :2] - own)).real, axis=1)
@@ -310,8 +311,8 @@ class Swells:
     @cached_property
     def _others(self) -> Complex:
         """What windows make of the tones beyond the forcing's two, (w, 4, b)."""
-        own, others = (_turns(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None)))
-        return _projected(self.window_span_s, own, others[:, 1:])[:, 1:]
+        own, others = (turns(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None)))
+        return projected(self.window_span_s, own, others[:, 1:])[:, 1:]
 
     @property
     def _forced(self) -> NDArray[np.bool_]:
@@ -327,10 +328,10 @@ class Swells:
     def _true(self, seen: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Complex:
         """The tones without the share that the swell has in the fits ``seen``, (m, k)."""
         k = self.omega_radps.shape[1]
-        swollen = _swollen(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
+        swelling = swollen(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
         change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
-        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * swollen
-        return np.asarray(2.0 * np.linalg.solve(change, _both_senses(seen)[..., None])[:, :k, 0])
+        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * swelling
+        return np.asarray(2.0 * np.linalg.solve(change, both_senses(seen)[..., None])[:, :k, 0])
 
 
 @dataclass(frozen=True)
@@ -343,28 +344,6 @@ class _Pitch:
     window_up: Complex
     window_down: Complex
     swell: Complex
-
-
-def _turns(omega: Array) -> Array:
-    """Angular frequencies of a constant and of tones (n, k) in both senses, (n, 2 k + 1)."""
-    return np.column_stack([np.zeros(len(omega)), omega, -omega])
-
-
-def _projected(span_s: Array, e: Array, others: Array, w: float = 0.0) -> Complex:
-    """What least squares with turns ``e`` (n, a) over spans (n, 2) make of turns ``others + w`` (n, b), (n, a, b)."""
-    middle, half = span_s.mean(axis=1)[:, None, None], 0.5 * np.diff(span_s, axis=1)[:, :, None]
-
-    def mean(x: Array) -> Complex:
-        return np.asarray(np.exp(1j * x * middle) * np.sinc(x * half / np.pi))
-
-    side = mean(others[:, None, :] + w - e[:, :, None])
-    return np.asarray(np.linalg.solve(mean(e[:, None, :] - e[:, :, None]), side))
-
-
-def _swollen(up: Complex, down: Complex, phase: Array) -> Complex:
-    """Projections of tones times ``sin(w t + phase)``, from those shifted up and down by w, (n, a, b)."""
-    turn = np.exp(1j * phase)[:, None, None]
-    return np.asarray((turn * up - np.conj(turn) * down) / 2j)
 
 
 def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
@@ -383,17 +362,6 @@ def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
 def _spans(s: StepPlate) -> Array:
     """From where to where each window of a step goes, (w, 2)."""
     return s.windows.time_s[:, None] + 0.5 * s.windows.length_s * np.array([-1.0, 1.0])
-
-
-def _both_senses(z: Complex) -> Complex:
-    """Real tones (n, 2) as amplitudes of turns in both senses, (n, 4)."""
-    return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)
-
-
-def _mean(span_s: Array, w: Array) -> Complex:
-    """Mean of ``exp(i w t)`` over spans (n, 2) at each of ``w`` (f,), (f, n)."""
-    middle, half = span_s.mean(axis=1), 0.5 * np.diff(span_s, axis=1)[:, 0]
-    return np.asarray(np.exp(1j * w[:, None] * middle) * np.sinc(w[:, None] * half / np.pi))
 
 
 def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:

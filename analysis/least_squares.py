@@ -1,0 +1,45 @@
+"""Least squares of tones over spans of time, in closed form: what a fit makes of turns that are not quite its own.
+
+The rule kept here: spans are whole, nothing is masked; a tone is a pair of turns ``exp(i w t)`` and ``exp(-i w t)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def turns(omega: Array) -> Array:
+    """Angular frequencies of a constant and of tones (n, k) in both senses, (n, 2 k + 1)."""
+    return np.column_stack([np.zeros(len(omega)), omega, -omega])
+
+
+def projected(span_s: Array, e: Array, others: Array, w: float = 0.0) -> Complex:
+    """What least squares with turns ``e`` (n, a) over spans (n, 2) make of turns ``others + w`` (n, b), (n, a, b)."""
+    middle, half = span_s.mean(axis=1)[:, None, None], 0.5 * np.diff(span_s, axis=1)[:, :, None]
+
+    def mean(x: Array) -> Complex:
+        return np.asarray(np.exp(1j * x * middle) * np.sinc(x * half / np.pi))
+
+    side = mean(others[:, None, :] + w - e[:, :, None])
+    return np.asarray(np.linalg.solve(mean(e[:, None, :] - e[:, :, None]), side))
+
+
+def swollen(up: Complex, down: Complex, phase: Array) -> Complex:
+    """Projections of tones times ``sin(w t + phase)``, from those shifted up and down by w, (n, a, b)."""
+    turn = np.exp(1j * phase)[:, None, None]
+    return np.asarray((turn * up - np.conj(turn) * down) / 2j)
+
+
+def both_senses(z: Complex) -> Complex:
+    """Real tones (n, 2) as amplitudes of turns in both senses, (n, 4)."""
+    return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)
+
+
+def mean_turn(span_s: Array, w: Array) -> Complex:
+    """Mean of ``exp(i w t)`` over spans (n, 2) at each of ``w`` (f,), (f, n)."""
+    middle, half = span_s.mean(axis=1), 0.5 * np.diff(span_s, axis=1)[:, 0]
+    return np.asarray(np.exp(1j * w[:, None] * middle) * np.sinc(w[:, None] * half / np.pi))
