@@ -106,10 +106,10 @@ def remainder(world: World, explanation: Explanation) -> Remainder:
 def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
     """Root mean square of residuals over uncertainty, cut at `FARTHEST`; of openings or landings, the greater."""
     r = world.residuals(values)
-    out = [0.0]
+    out, firm = [0.0], ~fragile(world, values)  # whether the others happen at all hangs on less than is known
     for residual, sigma, rows in (
-        (r.opening_s, u.opening_total_s, world.opens),
-        (r.landing_s, u.landing_total_s, world.evidence.judged & ~fragile(world, values)),
+        (r.opening_s, u.opening_total_s, world.opens & firm),
+        (r.landing_s, u.landing_total_s, world.evidence.judged & firm),
     ):
         if rows.any():
             out.append(float(np.sqrt(np.mean(_unit(residual, sigma)[rows] ** 2))))
