@@ -70,8 +70,8 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.
     kept = rows.keep(~rows.from_height)
     for least in (_GROSS, 0.0, 0.0):
         theta = _start(SPEED_DRAG, kept)
-        for _ in range(0 if least else 6):  # first without a fit: one gross bounce would bend it
-            theta = step(SPEED_DRAG, theta, kept, (2e-4, 0.01), g_mps2).theta
+        if not least:  # first without a fit: one gross bounce would bend it
+            theta = converge(SPEED_DRAG, theta, kept, (2e-4, 0.01), g_mps2)
         relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
         pooled = relative[rows.valid & ~rows.from_height]
         centre = float(np.median(pooled))
