@@ -25,7 +25,7 @@ from rig.profile import Profile
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 
-START_S = 20.0
+START_S = 10.0
 PRIORITY = 40  # of the server, where it may have one
 AC_CORNER_HZ = 5.0  # high-pass corner of the virtual card's inputs with ``coupling = "ac"``
 
@@ -162,19 +162,28 @@ def jack_server(name: str, rate_hz: float, period: int) -> Iterator[bool]:
     jackd = shutil.which("jackd")
     if jackd is None:
         raise InputError("jackd: not installed; on Debian: apt-get install jackd2")
-    first = ["-R", "-P", str(PRIORITY)] if _may_run_first() else ["-r"]
-    command = [jackd, *first, "-n", name, "-d", "dummy", "-r", f"{rate_hz:.0f}", "-p", str(period)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = _started(jackd, name, rate_hz, period)
     try:
-        until = time.monotonic() + START_S
-        while not _answers(name):
-            if process.poll() is not None or time.monotonic() > until:
-                raise InputError(f"JACK server {name!r} does not start: try  {' '.join(command)}")
-            time.sleep(0.1)
         yield True
     finally:
         process.terminate()
         process.wait(10.0)
+
+
+def _started(jackd: str, name: str, rate_hz: float, period: int) -> subprocess.Popen[bytes]:
+    """A server that answers: before all other work where that is allowed and works; raises `InputError`."""
+    command: list[str] = []
+    for mode in [["-R", "-P", str(PRIORITY)], ["-r"]] if _may_run_first() else [["-r"]]:
+        command = [jackd, *mode, "-n", name, "-d", "dummy", "-r", f"{rate_hz:.0f}", "-p", str(period)]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        until = time.monotonic() + START_S
+        while process.poll() is None and time.monotonic() < until:
+            if _answers(name):
+                return process
+            time.sleep(0.1)
+        process.kill()
+        process.wait()
+    raise InputError(f"JACK server {name!r} does not start: try  {' '.join(command)}")
 
 
 def _may_run_first() -> bool:
