@@ -183,7 +183,10 @@ def _started(jackd: str, name: str, rate_hz: float, period: int) -> subprocess.P
             time.sleep(0.1)
         process.kill()
         process.wait()
-    raise InputError(f"JACK server {name!r} does not start: try  {' '.join(command)}")
+    raise InputError(
+        f"JACK server {name!r} does not start: try  {' '.join(command)}  (servers that were killed keep their places: "
+        "with none running, remove /dev/shm/jack*)"
+    )
 
 
 def _may_run_first() -> bool:
