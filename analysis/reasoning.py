@@ -5,10 +5,13 @@ The rule kept here: every sentence is made of numbers that are in the verdict's 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from analysis.close_loop import Loop
 from analysis.platedata import KINDS
+from analysis.remainder import SHARED_S
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects import effect
 
@@ -91,10 +94,13 @@ def _why_this_verdict(loop: Loop, limits: Thresholds) -> list[str]:
         why.append(f"what is left is {left.ratio:.2f} times the noise (p = {left.p_lack_of_fit:.1g}){with_what}")
     if left.plate_ratio > limits.plate_ratio:
         why.append(f"the plate is off by {left.plate_ratio:.2f} sigmas rms ({limits.plate_ratio:g} allowed)")
-    if loop.best is not loop.attribution.before and loop.after.landing_rms_us > limits.clean_bill * floor:
+    named = loop.best is not loop.attribution.before
+    landings, takeoffs = (
+        limits.clean_bill * math.hypot(x, 1e6 * SHARED_S) for x in (floor, loop.takeoff_floor_us)
+    )
+    if named and loop.after.landing_rms_us > landings:
         why.append(f"{held}: more than {limits.clean_bill:g} times")
-    takeoffs = limits.clean_bill * loop.takeoff_floor_us
-    if loop.best is not loop.attribution.before and loop.after.takeoff_robust_us > takeoffs:
+    if named and loop.after.takeoff_robust_us > takeoffs:
         missed = loop.after.takeoff_robust_us
         why.append(f"take-offs are missed by {missed:.3g} us (robust), noise {loop.takeoff_floor_us:.3g} us")
     return [f"called unexplained because {'; '.join(why)}."]

@@ -16,10 +16,11 @@ from daq.errors import InputError
 from daq.recording import open_recording
 
 
-def write_improved(loop: Loop, recording: Path, path: Path) -> list[str]:
+def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = None) -> list[str]:
     """Write the profile of ``recording`` with the effects of ``loop`` declared in it to the new file ``path``.
 
-    Returns what was found and is not declared, in words.
+    ``text`` is the profile by which the loop was closed, where that is not the recording's own. Returns what was found
+    and is not declared, in words.
 
     Raises
     ------
@@ -28,8 +29,9 @@ def write_improved(loop: Loop, recording: Path, path: Path) -> list[str]:
     """
     if path.exists():
         raise InputError(f"{path}: exists already; name a new file for the improved profile")
-    with open_recording(recording) as opened:
-        text = str(opened.attrs.get("profile_text", ""))
+    if text is None:
+        with open_recording(recording) as opened:
+            text = str(opened.attrs.get("profile_text", ""))
     if not text.strip():
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
     fitted = loop.best.fitted

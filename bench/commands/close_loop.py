@@ -47,10 +47,11 @@ def command(
             if not path.is_file():
                 raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
         _warn_of_calibrations(recordings)
+        text: str | None = None
         if until_clear:
             loop, recordings = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
-            setup = None if profile is None else load_measuring(profile)[0]
+            setup, text = (None, None) if profile is None else load_measuring(profile)
             with progress_bar(quiet) as bar:
                 loop = close_loop(recordings, setup=setup, progress=bar)
         ranked = possible_runs(loop, recordings[0])
@@ -58,7 +59,9 @@ def command(
         if next_run is not None and ranked:
             write_next(ranked, recordings[0], next_run)
             say(f"next run: {next_run} ({ranked[0].design.words})")
-        _keep(loop, recordings, report, improved, say)
+        elif next_run is not None:
+            say(f"next run: {next_run} is not written, because nothing ties that another run would tell apart")
+        _keep(loop, recordings, report, improved, text, say)
         if not quiet:
             show(loop)
             for run in ranked[:3]:
@@ -86,7 +89,12 @@ def _nothing(line: str) -> None:
 
 
 def _keep(
-    loop: Loop, recordings: list[Path], report: Path | None, improved: Path | None, say: Callable[[str], None]
+    loop: Loop,
+    recordings: list[Path],
+    report: Path | None,
+    improved: Path | None,
+    text: str | None,
+    say: Callable[[str], None],
 ) -> None:
     """Write the report and the improved profile where they are asked for."""
     if report is not None:
@@ -96,7 +104,7 @@ def _keep(
     if improved is not None:
         from bench.improved import write_improved
 
-        left = write_improved(loop, recordings[0], improved)
+        left = write_improved(loop, recordings[0], improved, text)
         say(f"improved profile: {improved}")
         for words in left:
             say(f"  not declared in it: {words}")

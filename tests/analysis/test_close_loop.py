@@ -33,6 +33,13 @@ def test_no_clean_bill_while_held_out_events_are_missed(after: Errors) -> None:
     assert verdict_of(True, NOISE, after, FLOORS, FROZEN) == "unexplained"
 
 
+def test_a_floor_below_what_the_circuit_may_do_is_no_reason_to_doubt() -> None:
+    """Take-offs known to half a microsecond and missed by one: the circuit's own physics, not a missing cause."""
+    small = replace(HIT, takeoff_robust_us=0.9)
+    assert verdict_of(True, NOISE, small, (10.0, 0.45), FROZEN) == "explained"
+    assert verdict_of(True, NOISE, replace(HIT, takeoff_robust_us=2.0), (10.0, 0.45), FROZEN) == "unexplained"
+
+
 def test_a_miss_without_a_name_is_left_to_the_tests_of_the_remainder() -> None:
     """One hidden bounce among clean held-out flights is no alarm: nothing was claimed that it could refute."""
     assert verdict_of(False, NOISE, replace(HIT, landing_rms_us=40.0), FLOORS, FROZEN) == "nothing_missing"
