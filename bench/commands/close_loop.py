@@ -148,7 +148,10 @@ def show(loop: Loop) -> None:
         "landing, rms (us)", f"{b.landing_rms_us:.1f}", f"{a.landing_rms_us:.1f}", f"{loop.noise_floor_us:.1f}"
     )
     table.add_row("landing, robust (us)", f"{b.landing_robust_us:.1f}", f"{a.landing_robust_us:.1f}", "")
-    table.add_row("take-off, robust (us)", f"{b.takeoff_robust_us:.1f}", f"{a.takeoff_robust_us:.1f}", "")
+    table.add_row(
+        "take-off, robust (us)", f"{b.takeoff_robust_us:.1f}", f"{a.takeoff_robust_us:.1f}",
+        f"{loop.takeoff_floor_us:.1f}",
+    )
     table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
     out.print(table)
     for line in (*loop.attribution.rounds, *loop.notes):

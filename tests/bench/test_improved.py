@@ -1,0 +1,63 @@
+"""The improved profile: declarations with their pedigree, read by whatever comes next."""
+
+import datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from analysis.likelihood import DRIFT
+from bench.improved import write_improved
+from bench.profiles import load
+from daq.errors import InputError
+
+SIMULATED = (Path(__file__).parents[2] / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
+UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
+
+
+def found(values: dict[tuple[str, str], float], in_words: str = "") -> Any:
+    """A loop that found ``values``, each known to a tenth."""
+    fitted = SimpleNamespace(values=values, sigma=lambda key: 0.1 * abs(values[key]))
+    discovered = SimpleNamespace(in_words=in_words) if in_words else None
+    return SimpleNamespace(best=SimpleNamespace(free=tuple(values), fitted=fitted), discovered=discovered)
+
+
+def test_what_was_found_is_declared_with_its_pedigree(tmp_path: Path) -> None:
+    """Value, standard deviation, date and recording; every other line as it was; the next command reads it."""
+    path = tmp_path / "better.toml"
+    assert write_improved(found({UP: 0.12, DOWN: 0.15}), Path("run.h5"), path, SIMULATED) == []
+    profile, text = load(path)
+    up = profile.declared["coulomb_friction"]["mu_up"]
+    assert (up.value, up.uncertainty) == (0.12, pytest.approx(0.012))
+    assert up.date == datetime.date.today() and "run.h5" in up.source
+    assert text.startswith(SIMULATED.rstrip())
+    assert profile.declared_values() == {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.15}}
+
+
+def test_what_cannot_be_declared_is_said(tmp_path: Path) -> None:
+    """A trend of one run and a nameless term stand in comments, and the profile still parses."""
+    path = tmp_path / "better.toml"
+    trend = (UP[0], UP[1] + DRIFT)
+    left = write_improved(found({UP: 0.1, trend: 0.03}, "a pull that grows above 4 mm"), Path("run.h5"), path, SIMULATED)
+    assert len(left) == 2 and "0.03" in left[0] and "above 4 mm" in left[1]
+    profile, text = load(path)
+    assert profile.declared_values() == {"coulomb_friction": {"mu_up": 0.1}}
+    assert all(f"# not declared: {words}" in text for words in left)
+
+
+def test_an_older_declaration_is_replaced(tmp_path: Path) -> None:
+    """What the recording's profile declared and the fit freed again gets its new value, once."""
+    path = tmp_path / "better.toml"
+    old = SIMULATED + "\n[declared.coulomb_friction]\nmu_up = 0.3\nmu_down = 0.3\n"
+    write_improved(found({UP: 0.12}), Path("run.h5"), path, old)
+    assert load(path)[0].declared_values() == {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.3}}
+
+
+def test_no_file_is_overwritten(tmp_path: Path) -> None:
+    """A profile that exists is refused by name."""
+    path = tmp_path / "better.toml"
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError, match="exists already"):
+        write_improved(found({UP: 0.12}), Path("run.h5"), path, SIMULATED)
+    assert path.read_text(encoding="utf-8") == "mine"
