@@ -39,7 +39,8 @@ def test_what_cannot_be_declared_is_said(tmp_path: Path) -> None:
     """A trend of one run and a nameless term stand in comments, and the profile still parses."""
     path = tmp_path / "better.toml"
     trend = (UP[0], UP[1] + DRIFT)
-    left = write_improved(found({UP: 0.1, trend: 0.03}, "a pull that grows above 4 mm"), Path("run.h5"), path, SIMULATED)
+    loop = found({UP: 0.1, trend: 0.03}, "a pull that grows above 4 mm")
+    left = write_improved(loop, Path("run.h5"), path, SIMULATED)
     assert len(left) == 2 and "0.03" in left[0] and "above 4 mm" in left[1]
     profile, text = load(path)
     assert profile.declared_values() == {"coulomb_friction": {"mu_up": 0.1}}
