@@ -23,6 +23,7 @@ Ints = npt.NDArray[np.int64]
 
 HARMONICS = 5
 MAINS_HZ = (50.0, 60.0)
+APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # masked before an impact
 SURELY_CLEAR = 0.85  # of a step, above which no mask can do harm
@@ -213,7 +214,7 @@ class Folder:
         multiples = tuple(m for m in multiples_of(fold.ratio) if m == 1 or m * fold.frequency_hz < limit)
         tones = fold.frequency_hz * np.array(multiples)
         long_enough = [m for m in MAINS_HZ if m < limit and fold.hold_s > 5.0 / m]
-        lines = [m for m in long_enough if np.abs(tones - m).min() > 0.5 / fold.hold_s]
+        lines = [m for m in long_enough if np.abs(tones - m).min() > APART / fold.hold_s]
         return multiples, np.concatenate([tones, lines])
 
     def _close_step(self) -> None:

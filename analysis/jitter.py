@@ -68,7 +68,8 @@ def with_jitter(
 def _scatter(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[float, int]:
     """Sum of squares about a polynomial of `SLOW` coefficients and the lines, and the degrees of freedom in it."""
     slow = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, len(off_s)), SLOW - 1)
-    turned = np.exp(1j * np.outer(time_s - time_s[0], lines_radps))
+    regular = time_s - off_s - time_s[0]  # a line taken at jittered times would hold the jitter, and explain it
+    turned = np.exp(1j * np.outer(regular, lines_radps))
     shapes = np.hstack([slow, turned.real, turned.imag])
     if len(off_s) <= shapes.shape[1]:
         return 0.0, 0

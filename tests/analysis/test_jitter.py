@@ -58,3 +58,14 @@ def test_hum_is_no_jitter() -> None:
     blind, told = np.mean(found, axis=0)
     assert blind > 5e-5
     assert told == pytest.approx(np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5), rel=1 / 6)
+
+
+def test_a_line_beside_a_harmonic_does_not_explain_the_jitter_away() -> None:
+    """Half a turn of beat in a step is almost a parabola: taken at jittered times it would fit the jitter itself."""
+    found = []
+    for seed in range(8):
+        time_s, step = edges(np.random.default_rng(seed), 2e-5)
+        line = 2 * np.pi * (2 / PERIOD_S - 0.7)
+        own, lines = np.full(time_s.size, 1e-6), [np.array([line])] * 12
+        found.append(with_jitter(time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S), lines)[0])
+    assert np.mean(found) == pytest.approx(np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5), rel=0.2)
