@@ -31,6 +31,7 @@ CYCLES_SHOWN = 4  # cycles put through the instrument
 NEAR_SAMPLES = 1.0
 SHORT = 0.02  # of the longest predicted flight: what is shorter is a bounce
 BIFURCATION_STEPS = 200
+STARTS = ("take-off", "rest")  # of the model; an integrated ball may come back to rest just above its threshold
 SEEN = 4.0  # standard deviations by which a harmonic stands out
 
 
@@ -287,7 +288,7 @@ def _first(
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), 1.2 * max(p.gamma for p in plates)
-    found = [b for b in observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type != "take-off"]
+    found = [b for b in observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS]
     if not found:
         return FirstBifurcation(measured, "", nan, nan)
     same = next((b.gamma for b in found if measured is not None and b.type == measured.type), nan)

@@ -152,5 +152,5 @@ def draw_plate(loop: Loop, folder: Path, badge: str) -> None:
         ticks = [t for t in TICKS if abs(t) <= max(largest, 2.0)]
         axes[2].set_xticks(ticks, [str(t) for t in ticks])
         axes[2].set_yticks(range(len(present)), [KINDS[k] for k in present])
-        axes[2].set_xlabel("every datum, in its standard deviations")
+        axes[2].set_xlabel("each datum, in sigmas")
         axes[0].legend(frameon=False, fontsize=8)

@@ -53,3 +53,15 @@ def test_another_profile_reads_the_same_volts(make: Callable[..., Any]) -> None:
         other = recording.setup.model_copy(update={"forcing": recording.setup.forcing.model_copy(update={"ratio": 2})})
         with pytest.raises(InputError, match=r"c = 1"):
             recording.measure_with(other)
+
+
+def test_an_integrated_ball_has_the_bifurcation_of_the_exact_one(make: Callable[..., Any]) -> None:
+    """With a trace of viscous damping the model is integrated; its first change is the lock, at the same gamma."""
+    made = make(np.array([0.55, 0.9, 1.3, 1.7]), hold=12)
+    with open_recording(made.path) as recording:
+        flights = flights_of(recording)
+        exact = compare(flights, recording.setup, steps_table=recording.steps)
+        trace = {"viscous_damping": {"rate_per_s": 1e-4}}
+        integrated = compare(flights, recording.setup, effects=trace, steps_table=recording.steps)
+    assert exact.first.predicted_type == integrated.first.predicted_type == "lock"
+    assert integrated.first.predicted_gamma == pytest.approx(exact.first.predicted_gamma, abs=2e-4)
