@@ -17,9 +17,10 @@ from analysis.candidates import Candidate as Candidate
 from analysis.candidates import candidates_of, trends_of
 from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.gains import Compared as Compared
-from analysis.likelihood import Key, Whitener, World, plate_effects
+from analysis.likelihood import Key, World, plate_effects
 from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
+from analysis.whitening import Whitener
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -137,7 +138,11 @@ class Attributor:
             kept = self._step_back(accepted, rounds)
             rivals = found if kept is accepted else []
             best = self._refined(kept)
-        return Attribution(before, best, self._ties(before, best, rivals), tuple(tried), tuple(rounds))
+        ties = self._ties(before, best, rivals)
+        if best is not before:
+            best = self._lean(best)
+            ties = (best, *ties[1:])
+        return Attribution(before, best, ties, tuple(tried), tuple(rounds))
 
     def _accepted(
         self, best: Explanation, found: Sequence[Explanation], depth: int
@@ -160,14 +165,19 @@ class Attributor:
     def _refined(self, x: Explanation) -> Explanation:
         """Fitted once more from where it stands: slopes of calibrations are those of where a fit began.
 
-        Where a calibration and an effect trade places, a fit that came from far stops short, sure of itself: its own
-        misses count as excess, with which it is content. So it is also fitted as if there were none, and what the data
-        like better stays.
+        Where a calibration and an effect trade places, a fit that came from far stops short, sure of itself.
         """
-        again = self._settled(self.fitter.fit(x.whitener, x.free, x.fitted.values))
-        lean = self.fitter.fit(Whitener.of(self.world, again.values, lean=True), x.free, again.values)
-        better = self._quick(x.whitener, lean.values) < self._quick(x.whitener, again.values) - HOPELESS_NATS
-        return self._judged(x.candidates, lean if better else again)
+        return self._judged(x.candidates, self._settled(self.fitter.fit(x.whitener, x.free, x.fitted.values)))
+
+    def _lean(self, x: Explanation) -> Explanation:
+        """The final explanation fitted as if it left nothing over, where the data like that better.
+
+        A fit's own misses count as excess, with which it may be content. Only the last fit is made so: while candidates
+        are compared, all are fitted alike.
+        """
+        lean = self.fitter.fit(Whitener.of(self.world, x.fitted.values, lean=True), x.free, x.fitted.values)
+        better = self._quick(x.whitener, lean.values) < self._quick(x.whitener, x.fitted.values) - HOPELESS_NATS
+        return self._judged(x.candidates, lean) if better else x
 
     def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
         whitener = Whitener.of(self.world, fitted.values)

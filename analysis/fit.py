@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.likelihood import DRIFT, Key, Whitener, World, step_losses
+from analysis.likelihood import DRIFT, Key, World
 from analysis.robust import robust_loss, robust_weight
+from analysis.whitening import Whitener, step_losses
 from daq.setup import Setup
 from model.effects import Parameter, effect, registry
 

@@ -1,8 +1,7 @@
-"""How well a set of effects explains the evidence: residuals one event ahead, their uncertainty, robust loss by step.
+"""What a set of effects says of the evidence: residuals one event ahead, and their uncertainty.
 
 The rule kept here: every residual is judged by the uncertainty of what was measured, carried through the prediction
-(edges of this and the earlier flights, the plate's tones), never by the scatter of residuals. The plate's tones err
-for a whole step together, so residuals of one step are whitened together.
+(edges of this and the earlier flights, the plate's tones), never by the scatter of residuals.
 """
 
 from __future__ import annotations
@@ -12,13 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
 from analysis.modulation import Swells
-from analysis.platedata import SQUARED, PlateData, expected, rung
-from analysis.robust import LEAST_EXCESS_S, NEVER, excess_of, log_odds, plate_scale, robust_loss
+from analysis.platedata import SQUARED, expected, rung
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -28,8 +25,6 @@ Values = Mapping[Key, float]
 
 DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
-CLIP = 6.0  # a residual beyond so many sigmas does not speak for what its step has in common
-RAISES, RAISED_FROM, ENOUGH_EVENTS = 4, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
 EDGE_STEP_S = 2e-6
 MODE_PART = 0.2  # of what a plate mode puts into a tone, by which the fit of that tone sees it otherwise
 KICK = 0.25  # of what gravity adds to a speed in a period: half a usual impact
@@ -269,193 +264,12 @@ class World:
         )
 
 
-def _capped(x: Array, cap: Array) -> Array:
-    """Residuals within their caps; where nothing was predicted, the cap itself."""
-    return np.clip(np.where(np.isfinite(x), x, cap), -cap, cap)
-
-
 def _finite(x: Array) -> Array:
     return np.where(np.abs(x) < 5e-3, np.nan_to_num(x), 0.0)
 
 
 def _slope(difference: Array) -> Array:
     return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -30.0, 30.0)
-
-
-@dataclass(frozen=True)
-class Whitener:
-    """Turns residuals into independent unit ones, step by step; fixed while a fit runs.
-
-    ``excess_s`` is what the residuals scatter beyond their uncertainty, for openings and for landings: a model that
-    misses something is compared with others at its own excess, and an excess of nothing is the aim.
-    """
-
-    opening: NDArray[np.int64]
-    landing: NDArray[np.int64]
-    step: NDArray[np.int64]
-    order: NDArray[np.int64]
-    bounds: NDArray[np.int64]  # of the steps' blocks
-    sd: Array
-    shared: Array  # directions in which a step's residuals err together, orthonormal in each block
-    shrink: Array
-    period_s: Array  # of the stacked events, before they are ordered by step
-    log_sigma: Array  # of each whitened residual
-    odds: Array  # of each event being another than predicted, and of no plate datum
-    plate_sigma: Array
-    plate_log: Array
-    excess_s: tuple[float, float]
-    total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
-
-    @classmethod
-    def of(cls, world: World, values: Values, *, lean: bool = False) -> Whitener:
-        """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
-        ev = world.evidence
-        u, r = world.uncertainty(values), world.residuals(values)
-        opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
-        step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
-        period = ev.steps.plate.period_s[step]
-        first = np.arange(len(step)) < len(opening)
-        bare = _capped(np.concatenate([r.opening_s[opening], r.landing_s[landing]]), FARTHEST_PERIODS * period)
-        total = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
-        excess = (
-            excess_of(bare[first], total[first], period[first])[0],
-            excess_of(bare[~first], total[~first], period[~first])[0],
-        )
-        if lean:
-            excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
-        edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
-        tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
-        order = np.argsort(step, kind="stable")
-        bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
-        for _ in range(RAISES):
-            sd = np.hypot(edges, np.where(first, *excess))[order]
-            shared, shrink, logs = _shared(tones[order] / sd[:, None], bounds)
-            unit = bare[order] / sd
-            z = unit[:, None].copy()
-            _unshare(z, np.clip(unit, -CLIP, CLIP)[:, None], bounds, shared, shrink)
-            raised = _raised(excess, z[:, 0], sd, first[order])
-            if raised == excess or lean:
-                break
-            excess = raised
-        logs += np.log(sd)
-        sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
-        odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
-        return cls(
-            opening,
-            landing,
-            step[order],
-            order,
-            bounds,
-            sd,
-            shared,
-            shrink,
-            period,
-            logs,
-            odds,
-            sigma,
-            log,
-            excess,
-            total,
-        )
-
-    def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
-        """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
-        step = np.empty_like(self.step)
-        step[self.order] = self.step
-        events = self._events(r)
-        channel = np.arange(len(events)) < len(self.opening)
-        total = 0.0
-        for rows in (channel & train[step], ~channel & train[step]):
-            total += excess_of(events[rows], self.total_s[rows], self.period_s[rows])[1]
-        rows = train[plate.step]
-        sigma, log = plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
-        return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
-
-    def _events(self, r: Residuals) -> Array:
-        both = np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]])
-        return _capped(both, FARTHEST_PERIODS * self.period_s)
-
-    def stacked(self, r: Residuals) -> Array:
-        """Bare residuals in one column: events in the order of ``step``, then plate data."""
-        return np.concatenate([self._events(r)[self.order], r.plate])
-
-    def white_all(self, bare: Array) -> Array:
-        """Whitened residuals, from bare ones."""
-        n = len(self.step)
-        unit = bare[:n] / self.sd
-        return np.concatenate(
-            [self._unshared(unit[:, None], np.clip(unit, -CLIP, CLIP)[:, None])[:, 0], bare[n:] / self.plate_sigma]
-        )
-
-    def white_slopes(self, slopes: Array, bare: Array) -> Array:
-        """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
-        n = len(self.step)
-        unit = slopes[:n] / self.sd[:, None]
-        speaks = np.abs(bare[:n] / self.sd) < CLIP
-        return np.concatenate([self._unshared(unit, unit * speaks[:, None]), slopes[n:] / self.plate_sigma[:, None]])
-
-    def _unshared(self, y: Array, heard: Array) -> Array:
-        out = np.ascontiguousarray(y)
-        _unshare(out, np.ascontiguousarray(heard), self.bounds, self.shared, self.shrink)
-        return out
-
-    def white(self, r: Residuals) -> tuple[Array, Array]:
-        """Whitened event residuals (in the order of ``step``) and plate residuals."""
-        both = self.white_all(self.stacked(r))
-        return both[: len(self.step)], both[len(self.step) :]
-
-
-def _raised(
-    excess: tuple[float, float], z: Array, sd: Array, opening: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """The excess raised where residuals still scatter by more than a unit once what a step shares is taken out."""
-    out = list(excess)
-    for i, rows in enumerate((opening, ~opening)):
-        scale = 1.4826 * float(np.median(np.abs(z[rows]))) if rows.sum() >= ENOUGH_EVENTS else 0.0
-        if scale > RAISED_FROM:
-            out[i] = float(np.sqrt(excess[i] ** 2 + (scale**2 - 1.0) * np.median(sd[rows]) ** 2))
-    return out[0], out[1]
-
-
-def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Orthonormal directions in which each block errs together, their shrinkage, and its share of each log sigma."""
-    shared = np.zeros_like(tones)
-    logs, shrink = np.zeros(len(tones)), np.zeros((len(bounds) - 1, tones.shape[1]))
-    for i in range(len(bounds) - 1):
-        rows = slice(bounds[i], bounds[i + 1])
-        vectors, sizes, _ = np.linalg.svd(tones[rows], full_matrices=False)
-        shared[rows, : len(sizes)] = vectors
-        shrink[i, : len(sizes)] = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
-        logs[rows] = 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
-    return shared, shrink, logs
-
-
-@njit(cache=True)
-def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
-    """Take from each block what its residuals have in common: ``y += U shrink U^T heard``, in place, (n, columns)."""
-    for i in range(len(bounds) - 1):
-        for q in range(shared.shape[1]):
-            if shrink[i, q] == 0.0:
-                continue
-            for c in range(y.shape[1]):
-                total = 0.0
-                for j in range(bounds[i], bounds[i + 1]):
-                    total += shared[j, q] * heard[j, c]
-                total *= shrink[i, q]
-                for j in range(bounds[i], bounds[i + 1]):
-                    y[j, c] += total * shared[j, q]
-
-
-def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Array]:
-    """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
-    m, n = len(world.evidence.steps), len(whitener.step)
-    events, plate = whitener.white(r)
-    by_event = robust_loss(events, whitener.odds[:n]) + whitener.log_sigma
-    by_datum = robust_loss(plate) + whitener.plate_log
-    return {
-        "events": np.asarray(np.bincount(whitener.step, by_event, minlength=m), dtype=np.float64),
-        "plate": np.asarray(np.bincount(world.evidence.plate.step, by_datum, minlength=m), dtype=np.float64),
-    }
 
 
 @functools.cache

@@ -17,8 +17,9 @@ from analysis.attribution import Explanation
 from analysis.close_loop import Loop
 from analysis.evidence import Evidence, Steps
 from analysis.fit import Fitter, Prior, priors_of
-from analysis.likelihood import DRIFT, Key, Whitener, World
+from analysis.likelihood import DRIFT, Key, World
 from analysis.platedata import GAIN, PHASE, PlateData, expected
+from analysis.whitening import Whitener
 from daq.setup import Setup
 from model.effects import effect
 from model.effects.base import COMPILED_HOOKS

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from analysis.fit import parameter_of
-from analysis.likelihood import DRIFT, Key, Whitener, World
+from analysis.likelihood import DRIFT, Key, World
+from analysis.whitening import Whitener
 
 Point = dict[Key, float]
 

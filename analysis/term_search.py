@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.attribution import THREADS, Candidate, Explanation
 from analysis.bases import basis_of, knots_of
 from analysis.fit import Fitter
-from analysis.likelihood import Key, Values, Whitener, World
+from analysis.likelihood import Key, Values, World
 from analysis.robust import robust_loss
 from analysis.search import thinned
 from analysis.splines import (
@@ -33,6 +33,7 @@ from analysis.splines import (
     try_in_flight,
 )
 from analysis.terms import EVENT_GRIDS, IN_FLIGHT, Curve, Spliced, Term, event_terms, ranges_of
+from analysis.whitening import Whitener
 from model.effects import effect
 
 Array = NDArray[np.float64]

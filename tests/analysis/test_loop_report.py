@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 import analysis.close_loop
 from analysis.attribution import Attribution, Attributor, Candidate, Compared
 from analysis.close_loop import Loop, as_json
-from analysis.likelihood import Whitener
 from analysis.loop_report import VERDICTS, write_report
+from analysis.whitening import Whitener
 from bench.cli import app
 
 KEYS = (

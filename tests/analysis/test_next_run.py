@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from analysis.evidence import Evidence, Steps
 from analysis.fit import Fitter, priors_of
-from analysis.likelihood import Whitener, World
+from analysis.likelihood import World
 from analysis.next_run import Design, designs_for, rehearse
 from analysis.platedata import PlateData
+from analysis.whitening import Whitener
 from daq.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
 from model.roll import Measured, PlateSteps
 
@@ -28,7 +29,8 @@ def seen_evidence() -> Evidence:
     none = np.zeros(0, dtype=np.int64)
     steps = Steps(
         np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([1.0]), np.ones(1, np.int64), np.zeros(1),
-        PlateSteps(np.full((1, 8), 159.4), np.zeros((1, 8), complex), np.array([1 / 25.37])), np.full((1, 16, 8), 0.001 + 0j),
+        PlateSteps(np.full((1, 8), 159.4), np.zeros((1, 8), complex), np.array([1 / 25.37])),
+        np.full((1, 16, 8), 0.001 + 0j),
         np.array([[True] + 7 * [False]]),
     )
     one = np.full(3, 1e-5)

@@ -13,10 +13,11 @@ from analysis.beyond import discover
 from analysis.covariates import covariates
 from analysis.errors_of import errors_on, judged_rows, noise_floor_us
 from analysis.fit import Fitter
-from analysis.likelihood import Key, Whitener, World
+from analysis.likelihood import Key, World
 from analysis.splines import Stack, best_start, try_in_flight
 from analysis.term_search import FIRST_TAILS, TermSearch
 from analysis.terms import IN_FLIGHT, Curve, event_term, ranges_of
+from analysis.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 
 DEEPEST_M = 8e-3

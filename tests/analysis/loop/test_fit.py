@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 from analysis.fit import FARTHEST_SIGMAS, Fitter, Prior, priors_of
-from analysis.likelihood import Whitener, World
+from analysis.likelihood import World
+from analysis.whitening import Whitener
 
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
 TRUTH = {UP: 0.12, DOWN: 0.18}

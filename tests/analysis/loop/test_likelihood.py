@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.likelihood import Whitener, World, step_losses
+from analysis.likelihood import World
+from analysis.whitening import Whitener, step_losses
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 SEEDS = range(4)
