@@ -17,9 +17,10 @@ from analysis.candidates import Candidate as Candidate
 from analysis.candidates import candidates_of, trends_of
 from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.gains import Compared as Compared
-from analysis.likelihood import Key, Whitener, World, plate_effects
+from analysis.likelihood import Key, World, plate_effects
 from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
+from analysis.whitening import Whitener
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
