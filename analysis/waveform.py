@@ -19,6 +19,7 @@ ECHO_S = 6.4e-3  # and seconds
 FINE = 8  # template points per sample
 UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
 LOUD = 2.2  # root mean square over two samples, in noise of a point, that is waveform and not noise
+SLOW_S = 1e-3  # a mean over so long leaves no ringing
 ONSET_SIGMAS = 5.0  # of that noise: no onset is seen below
 MIN_LANDINGS = 6  # landings needed to learn a waveform
 TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
@@ -108,7 +109,7 @@ def learn_waveform(
     direction = mean / strength
     size = flat @ direction
     fine, sigma_v = _oversample(snippets, fractions, size, noise_v)
-    known = _known_part(fine, sigma_v)
+    known = _known_part(fine, sigma_v, rate_hz)
     if known is None:
         return None
     fine = _from_onset(known, sigma_v)
@@ -143,13 +144,16 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
     return np.asarray(np.interp(grid, grid[known], mean[:points][known])), sigma_v
 
 
-def _known_part(fine: Floats, sigma_v: float) -> Floats | None:
-    """The waveform up to where it no longer stands out of the noise of its own points; None where it never does.
+def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
+    """The waveform up to where no ringing stands out of the noise of its own points; None where it never does.
 
     A few landings leave noise in the mean; subtracted after every impact, it would only add to the recording's own.
+    And what goes on slowly after a landing is the plate's own motion under another load: that must not be subtracted.
     """
-    loud = np.convolve(fine**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
-    peak = int(np.argmax(np.abs(fine)))
+    width = max(round(SLOW_S * rate_hz * FINE), 1)
+    quick = fine - np.convolve(fine, np.ones(width) / width, mode="same")
+    loud = np.convolve(quick**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
+    peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:
         return None
     last = int(np.flatnonzero(loud).max()) + FINE

@@ -12,6 +12,7 @@ from analysis.errors_of import errors_on, fragile, judged_rows, noise_floors_us
 from analysis.likelihood import World
 from model.effects import row
 from model.roll import Measured, PlateSteps, march, one_ahead
+from model.roll_kernel import RESOLVED_S
 
 G = 9.80665
 E0 = 0.4
@@ -57,7 +58,8 @@ def test_a_chatter_is_met_at_the_bounce_that_was_seen(dated: int | str) -> None:
         np.array([0.0, end + 3e-6]), np.array([-2.0 * speed / G, 0.0]), np.array([False, True]), np.array([False, True])
     )
     p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": E0}}, G), weak_mps=np.inf)
-    assert p.landing_s[1] == pytest.approx(end, abs=1e-7)
+    nearest = RESOLVED_S if dated == "end" else 1e-7  # impacts closer together than the circuit resolves are one
+    assert p.landing_s[1] == pytest.approx(end, abs=nearest)
 
 
 def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
