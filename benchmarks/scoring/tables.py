@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from benchmarks.scoring.truth import AT_ONE, OTHER_PARAMETERS, expected_covariate, expected_names
+from benchmarks.scoring.truth import AT_ONE, COVERED, OTHER_PARAMETERS, expected_covariate, expected_names
 
 Row = dict[str, Any]
 
@@ -54,11 +54,16 @@ def truth_of(row: Row) -> set[str]:
     return {name for effect in row["hidden"] for name in expected_names(row["plant"], effect)}
 
 
+def covered(row: Row) -> bool:
+    """Whether what is hidden lies within what the profile states of its own scales."""
+    return row["plant"] == "other" and any(abs(v) < COVERED.get(k, 0.0) for k, v in row["truth"].items())
+
+
 def show(rows: Sequence[Row]) -> None:
     """Everything, as Markdown."""
     failed = [r for r in rows if "failed" in r]
     rows = [r for r in rows if "failed" not in r]
-    named = [r for r in rows if r["kind"] in ("strong", "weak")]
+    named = [r for r in rows if r["kind"] in ("strong", "weak") and not covered(r)]
     print(f"{len(rows)} trials, {len(failed)} failed\n")
     for plant in ("other", "own"):
         _rates([r for r in rows if r["plant"] == plant], [r for r in named if r["plant"] == plant], plant)
@@ -102,6 +107,8 @@ def _rates(rows: Sequence[Row], named: Sequence[Row], plant: str) -> None:
         print(f"| {label}: in the tie set | {rate(some, tied)} |")
         print(f"| {label}: a wrong name alone | {rate(some, wrong)} |")
         print(f"| {label}: exactly the one, explained | {rate(some, exact)} |")
+    hidden = [r for r in rows if r["kind"] == "weak" and covered(r)]
+    print(f"| within the stated uncertainty of a scale: nothing missing | {rate(hidden, _quiet)} |")
     print(f"| clean: false alarms | {rate(clean, lambda r: r['verdict'] != 'nothing_missing')} |")
     print(f"| outside the library: flagged | {rate(outside, lambda r: r['verdict'] == 'unexplained')} |")
     print(f"| outside: explained though the error is above 1.5 floors | {rate(outside, _clean_bill)} |")
@@ -134,6 +141,10 @@ def parameters(row: Row) -> list[Row]:
                     "inside": found["low"] <= true <= found["high"], "truth": true, "found": found,
                 })  # fmt: skip
     return out
+
+
+def _quiet(r: Row) -> bool:
+    return bool(r["verdict"] == "nothing_missing")
 
 
 def _clean_bill(r: Row) -> bool:
