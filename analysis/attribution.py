@@ -333,7 +333,10 @@ class Attributor:
         return [c for c in pool if not set(c.names) & set(best.names)]
 
     def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
-        """The candidate of lowest held-out loss that passes; of those that tie with it, the simplest."""
+        """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
+
+        Every parameter has a price, and no step counts for more than `analysis.gains.MOST_OF_A_STEP`.
+        """
         nats, sigmas = (
             (self.limits.gain_nats, self.limits.gain_sigmas)
             if depth == 0
@@ -348,7 +351,8 @@ class Attributor:
             return None
         top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
         close = [x for x in passing if self._tied(top, x)]
-        return min(close, key=lambda x: (len(x.free), float(x.per_step[self.train].sum())))
+        behind = {id(x): Compared.of(x.per_step, top.per_step, self.train).even for x in close}
+        return min(close, key=lambda x: behind[id(x)] + self.limits.tie_nats * len(x.free))
 
     def _worse(self, best: Explanation, x: Explanation) -> bool:
         for channel in x.losses:

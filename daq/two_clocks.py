@@ -12,13 +12,15 @@ of a quartz wanders with its temperature. Kalman filter forwards, Rauch-Tung-Str
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from daq.block import CLOCK_DTYPE, MAP_DTYPE
-from daq.clock import LATENCY, Played, slip_at
+from daq.clock import LATENCY, SMALLEST_MISFIT, Played, slip_at
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +30,8 @@ SURE = 8.0  # the marker's peak over the noise around it
 WORST_PPM = 500.0  # by which two clocks may differ
 SURE_SAMPLES = 1.0  # a window that says less is no reading
 JUMP_SAMPLES = 0.5
+BROKEN = 4.0  # times the usual misfit, beyond which a window was cut or patched and says nothing
+USUAL = 31  # windows from which the usual misfit is told
 WANDERS = 10.0 ** np.arange(-24.0, -13.0)  # variance of the rate gained in one sample, tried one by one
 START_RATE = WORST_PPM * 1e-6
 UNKNOWN = 1e6  # variance of a slip of which nothing is known, samples squared
@@ -86,6 +90,7 @@ class ClockTracker:
         self._at, self._state = float(at), (marker_slip, 0.0, 1.0, 0.0, START_RATE**2)
         self._heard = np.zeros(0)
         self._first = at
+        self._misfits: deque[float] = deque(maxlen=USUAL)
 
     def played(self, drive_v: Floats) -> None:
         """Say what was handed to the device that plays."""
@@ -111,9 +116,14 @@ class ClockTracker:
         seen = slip_at(self._played, volts, first, round(slip))
         if seen.sigma > SURE_SAMPLES or seen.gain <= 0.0:
             return
+        self._misfits.append(seen.rms_v)
+        if seen.rms_v > BROKEN * max(float(np.median(self._misfits)), SMALLEST_MISFIT * float(np.std(volts))):
+            return
         off, variance = seen.samples - slip, seen.sigma**2
         jump = abs(off) > max(JUMP_SAMPLES, 6.0 * (float(np.sqrt(ss)) + seen.sigma))
-        total = (ss + UNKNOWN if jump else ss) + variance
+        if jump:  # where the slip was wrong the rate may have been, too
+            ss, sr, rr = ss + UNKNOWN, 0.0, START_RATE**2
+        total = ss + variance
         a, b = 1.0 - variance / total, sr / total
         rate += b * off
         self._at, self._state = centre, (slip + a * off, rate, a * variance, sr * (1.0 - a), rr - b * sr)

@@ -97,6 +97,18 @@ def test_a_drive_that_is_interrupted_is_marked_as_a_jump() -> None:
     np.testing.assert_allclose(fit["played_sample"], place[[60_000, 200_000]], atol=0.03)
 
 
+def test_windows_that_a_busy_machine_broke_do_not_spoil_the_rate() -> None:
+    """The output starves piece by piece, falls behind and catches up at once: afterwards the rate is right to a ppm."""
+    place, rate = slips(int(12 * RATE))
+    rng = np.random.default_rng(5)
+    place[1_000:18_000] -= np.linspace(0.0, 15.0, 17_000)
+    for at in range(1_000, 18_000, 500):
+        place[at : at + 200] += rng.integers(-40, 40)
+    rows = np.concatenate(tracked(place, 40.0).readings)
+    at = np.array([60_000, 120_000, 230_000])
+    np.testing.assert_allclose(fit_clock(rows, at)["rate"], rate[at], rtol=0.0, atol=1e-6)
+
+
 def test_silence_says_nothing() -> None:
     """Without a drive there are no readings, and a map of nothing is NaN."""
     tracker = ClockTracker(0.0, 0, 1000, RATE)
