@@ -13,17 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis import tone_results
+from analysis.mains import LOBE, MAINS_HZ, MainsLine, heard_hz, line_of, lines_apart, moved
 from analysis.plate_motion import StepPlate
 from analysis.stream import Piece, block_means
 from daq.recording import Recording
-from daq.tones import LockIn
+from daq.tones import LockIn, ToneFit
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 HARMONICS = 5
-MAINS_HZ = (50.0, 60.0)
-APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # masked before an impact
 SURELY_CLEAR = 0.85  # of a step, above which no mask can do harm
@@ -62,6 +61,7 @@ class StepFold:
     frequency_hz: float = np.nan
     frequency_uncertainty_hz: float = np.inf
     multiples: tuple[int, ...] = ()
+    mains: tuple[MainsLine, ...] = ()
     folded: LockIn | None = None
     least_band: int = BANDS
     looks: list[tone_results.Look] = field(default_factory=list)
@@ -109,6 +109,7 @@ class Folder:
         self.stops = steps["first_sample"] + steps["n_samples"]
         self.done: list[StepPlate | None] = []
         self.fold: StepFold | None = None
+        self.mains = [line_of(hz) for hz in MAINS_HZ]
         self.hits: list[Ints] = []
 
     def add(self, piece: Piece, hits: Ints) -> None:
@@ -123,7 +124,9 @@ class Folder:
             if self.fold is None:
                 hold_s = max((stop - start) / self.rate_hz, 1.0 / self.rate_hz)
                 nominal, ratio = float(self.steps["frequency_hz"][k]), int(self.steps["ratio"][k])
-                self.fold = StepFold(k, nominal, ratio, start, start, hold_s)
+                middle_s = 0.5 * (start + stop) / self.rate_hz
+                lines = tuple(line.later(middle_s) for line in self.mains)
+                self.fold = StepFold(k, nominal, ratio, start, start, hold_s, mains=lines)
             self._take(self.fold, piece, means, max(start, piece.first), min(stop, piece.last), begins)
             if stop <= piece.last:
                 self._close_step()
@@ -189,6 +192,9 @@ class Folder:
                 if changed:
                     self._accumulate(fold, rate)
                     look = tone_results.second_look(fold, rate)
+            if look is not None and self._follow_mains(fold, look, rate):
+                self._accumulate(fold, rate)
+                look = tone_results.second_look(fold, rate)
         else:
             self._accumulate(fold, rate)
             look = tone_results.second_look(fold, rate)
@@ -199,8 +205,8 @@ class Folder:
 
     def _accumulate(self, fold: StepFold, rate_hz: float) -> None:
         """Fold the spans in; the first chapter sets the tones, and the mask by how much it leaves of them."""
-        if fold.folded is None or fold.folded.frequencies_hz[0] != fold.frequency_hz:
-            fold.multiples, frequencies = self._frequencies(fold)
+        fold.multiples, frequencies = self._frequencies(fold)
+        if fold.folded is None or not np.array_equal(fold.folded.frequencies_hz, frequencies):
             fold.folded = LockIn(rate_hz, frequencies, 2, self.width, sorts=3 * BANDS)
             fold.least_band = BANDS
         for span in fold.spans:
@@ -213,9 +219,33 @@ class Folder:
         limit = 0.45 * self.rate_hz / self.width
         multiples = tuple(m for m in multiples_of(fold.ratio) if m == 1 or m * fold.frequency_hz < limit)
         tones = fold.frequency_hz * np.array(multiples)
-        long_enough = [m for m in MAINS_HZ if m < limit and fold.hold_s > 5.0 / m]
-        lines = [m for m in long_enough if np.abs(tones - m).min() > APART / fold.hold_s]
+        lines = lines_apart([m.hz for m in fold.mains if m.hz < limit], tones, fold.hold_s)
         return multiples, np.concatenate([tones, lines])
+
+    def _follow_mains(self, fold: StepFold, look: tone_results.Look, rate_hz: float) -> bool:
+        """Move the step's mains lines to where they are heard; whether any was."""
+        length_s, fit = fold.blocks / rate_hz, look.fits[0]
+        tones = len(fold.multiples)
+        every_hz = fit.frequencies_hz.copy()
+        for i, line in enumerate(fold.mains):
+            place = next((k for k in range(tones, len(every_hz)) if every_hz[k] == line.hz), None)
+            if place is None:
+                continue
+
+            def fit_at(hz: float, place: int = place) -> ToneFit:
+                trial = LockIn(rate_hz, np.concatenate([every_hz[:place], [hz], every_hz[place + 1 :]]), 1, self.width)
+                for span in fold.spans:
+                    trial.add(span.values[:, :1], span.first, span.sort % BANDS >= fold.least_band)
+                return trial.solve()
+
+            begin_hz = line.hz
+            if length_s * line.reach_hz > LOBE:
+                begin_hz = heard_hz(*_left_by(fold, fit, place, rate_hz), line, length_s)
+            found = moved(line, place, fit_at, begin_hz, np.delete(every_hz, place), length_s)
+            every_hz[place] = found.hz
+            fold.mains = (*fold.mains[:i], found, *fold.mains[i + 1 :])
+        self.mains = list(fold.mains)
+        return not np.array_equal(every_hz, fit.frequencies_hz)
 
     def _close_step(self) -> None:
         """Solve the step and keep its result."""
@@ -224,6 +254,21 @@ class Folder:
             return
         self._close_chapter(fold)
         self.done.append(None if fold.folded is None else tone_results.step_plate(self.recording, fold))
+
+
+def _left_by(fold: StepFold, fit: ToneFit, kept: int, rate_hz: float) -> tuple[Floats, Floats]:
+    """What the fit leaves of the accelerometer's clear blocks, its tone ``kept`` left in; and when, in seconds."""
+    own = LockIn(rate_hz, fit.frequencies_hz, 1, 1 if fold.folded is None else fold.folded.boxcar)
+    z = np.delete(fit.amplitudes * own.response(), kept)
+    turns = 2j * np.pi * np.delete(fit.frequencies_hz, kept)
+    left, when = [], []
+    for span in fold.spans:
+        clear = span.sort % BANDS >= fold.least_band
+        time_s = (span.first + np.flatnonzero(clear)) / rate_hz
+        model = sum(((a * np.exp(w * time_s)).real for a, w in zip(z, turns, strict=True)), np.zeros(len(time_s)))
+        left.append(span.values[clear, 0] - fit.offset - model)
+        when.append(time_s)
+    return np.concatenate(left), np.concatenate(when)
 
 
 def _least_band(fold: StepFold, folded: LockIn) -> int:

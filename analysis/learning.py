@@ -12,6 +12,7 @@ import numpy.typing as npt
 from numba import njit
 
 from analysis.impacts import ImpactScan
+from analysis.mains import MAINS_HZ, lines_apart
 from analysis.stream import PAD, Piece
 from analysis.waveform import LEAD, Waveform, echo_samples, learn_waveform
 from daq.tones import fit_tones
@@ -97,6 +98,7 @@ def _without_motion(
             continue
         own = slice(start - piece.first + PAD, stop - piece.first + PAD)
         tones_hz = row["frequency_hz"] * np.unique([1, 2, 3, row["ratio"]])
+        tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, (stop - start) / rate_hz))  # hum is no ringing
         try:
             fit = fit_tones(volts[own], start, rate_hz, tones_hz, quiet[own])
         except ValueError:  # too little is quiet in this piece of the step
