@@ -1,6 +1,6 @@
-"""Least squares of tones over spans of time, in closed form: what a fit makes of turns that are not quite its own.
+"""Tones as turns: shifted, swelling, and their means over whole spans, in closed form.
 
-The rule kept here: spans are whole, nothing is masked; a tone is a pair of turns ``exp(i w t)`` and ``exp(-i w t)``.
+The rule kept here: a tone is a pair of turns ``exp(i w t)`` and ``exp(-i w t)``.
 """
 
 from __future__ import annotations
@@ -15,17 +15,6 @@ Complex = NDArray[np.complex128]
 def turns(omega: Array) -> Array:
     """Angular frequencies of a constant and of tones (n, k) in both senses, (n, 2 k + 1)."""
     return np.column_stack([np.zeros(len(omega)), omega, -omega])
-
-
-def projected(span_s: Array, e: Array, others: Array, w: float = 0.0) -> Complex:
-    """What least squares with turns ``e`` (n, a) over spans (n, 2) make of turns ``others + w`` (n, b), (n, a, b)."""
-    middle, half = span_s.mean(axis=1)[:, None, None], 0.5 * np.diff(span_s, axis=1)[:, :, None]
-
-    def mean(x: Array) -> Complex:
-        return np.asarray(np.exp(1j * x * middle) * np.sinc(x * half / np.pi))
-
-    side = mean(others[:, None, :] + w - e[:, :, None])
-    return np.asarray(np.linalg.solve(mean(e[:, None, :] - e[:, :, None]), side))
 
 
 def swollen(up: Complex, down: Complex, phase: Array) -> Complex:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
 from analysis.modulation import Swells
-from analysis.platedata import SQUARED, expected, rung
+from analysis.platedata import SQUARED, doubt_of_squares, expected, rung
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -219,6 +219,7 @@ class World:
         if (swell := self._swell(values)) is not None:
             swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
             said, vague = said + swelling, np.hypot(vague, leaking)
+        vague = np.hypot(vague, doubt_of_squares(ev.plate, said))
         plate = ev.plate.sigma / np.hypot(ev.plate.sigma, vague) * (ev.plate.value - said)
         return Residuals(opening, landing, plate, p)
 
@@ -227,7 +228,7 @@ class World:
         ev = self.evidence
         n = len(ev)
         base = self.predict(values)
-        open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2
+        open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2 + _finite(base.doubt_s) ** 2
         index = np.arange(n)
         for colour in range(3):
             chosen = index % 3 == colour

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.least_squares import both_senses, mean_turn, projected, swollen, turns
+from analysis.kept import Kept
+from analysis.least_squares import both_senses, mean_turn, swollen, turns
 from analysis.plate_motion import StepPlate
 from analysis.platedata import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from model.roll import PlateSteps
@@ -32,7 +33,7 @@ GROWTH = 4  # by which the scanned part of a long recording grows from round to 
 SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
 RIDGE, TINY = 1e-9, 1e-300
 SMALL = 1e-3  # depth from which slopes are taken
-LEAKING = 0.5  # of what leaks from tone to tone, by which masks may change it
+LEAKING = 0.05  # of what leaks from tone to tone, by which the averaging over blocks may change it
 KEPT = 4  # frequencies for which the projections are kept
 LEAST = 4  # steps, that say anything
 SAME = 0.2  # periods in a recording by which two frequencies must differ to be two
@@ -60,6 +61,8 @@ class Swells:
     window_step, window_span_s, value, sigma
         Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
         order of the `MODULATION` rows of the plate data.
+    kept
+        What of steps and windows their fits have seen.
     """
 
     recording: Ints
@@ -73,6 +76,7 @@ class Swells:
     window_span_s: Array
     value: Array
     sigma: Array
+    kept: Kept
 
     @classmethod
     def of(cls, fitted: Sequence[StepPlate], spans_s: Array, data: PlateData) -> Self:
@@ -90,6 +94,7 @@ class Swells:
             np.array([len(s.forcing_multiples) for s in fitted], dtype=np.int64),
             gain, np.where(known, np.where(known, weight, 1.0) ** -0.5, np.inf),
             data.step[rows], np.concatenate([np.zeros((0, 2)), *spans]), data.value[rows], data.sigma[rows],
+            _kept(fitted),
         )  # fmt: skip
 
     @classmethod
@@ -97,10 +102,13 @@ class Swells:
         """Those of several recordings, steps and recordings counted on."""
         k = max(p.omega_radps.shape[1] for p in parts)
         parts = [p._widened(k) for p in parts]
-        columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__}
+        names = [name for name in cls.__dataclass_fields__ if name != "kept"]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
         steps = np.cumsum([0] + [len(p.recording) for p in parts[:-1]])
         runs = np.cumsum([0] + [int(p.recording.max(initial=-1)) + 1 for p in parts[:-1]])
         columns["window_step"] = np.concatenate([p.window_step + s for p, s in zip(parts, steps, strict=True)])
+        windows = np.cumsum([0] + [len(p.value) for p in parts[:-1]])
+        columns["kept"] = Kept.join([p.kept for p in parts], steps, windows)
         columns["recording"] = np.concatenate([p.recording + r for p, r in zip(parts, runs, strict=True)])
         return cls(**columns)
 
@@ -193,8 +201,10 @@ class Swells:
                 self._pitches.clear()
             w, of = 2.0 * np.pi * hz, self.window_step
             e, own = turns(self.omega_radps), turns(self.omega_radps[:, :2])
-            up, down = (projected(self.span_s, e, own[:, 1:], x)[:, 1:] for x in (w, -w))
-            in_up, in_down = (projected(self.window_span_s, own[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
+            windows = self.kept.in_windows
+            every, forced = _in_both_senses(self.seen_mps2 != 0.0), _in_both_senses(self._forced)
+            up, down = (self.kept.projected(e, every, own[:, 1:], x)[:, 1:] for x in (w, -w))
+            in_up, in_down = (windows.projected(own[of], forced[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
             pitch = _Pitch(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
             found = self._pitches[hz] = replace(pitch, swell=self._fitted(pitch))
         return found
@@ -265,7 +275,7 @@ class Swells:
     def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> tuple[Array, Array]:
         """What the swell adds to each plate datum, and how well that is known, (r,) each.
 
-        What leaks from tone to tone is changed by what is masked after impacts; the swell's mean over a step is not.
+        What leaks from tone to tone is known less well than the swell's mean over a step.
         """
         out, vague = np.zeros((2, len(data)))
         pitch, phase, seen = self._pitch(hz), self.phases(hz), self._seen(plate)
@@ -312,7 +322,8 @@ class Swells:
     def _others(self) -> Complex:
         """What windows make of the tones beyond the forcing's two, (w, 4, b)."""
         own, others = (turns(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None)))
-        return projected(self.window_span_s, own, others[:, 1:])[:, 1:]
+        forced = _in_both_senses(self._forced)[self.window_step]
+        return self.kept.in_windows.projected(own, forced, others[:, 1:])[:, 1:]
 
     @property
     def _forced(self) -> NDArray[np.bool_]:
@@ -357,6 +368,18 @@ def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
         omega[i, : len(order)] = 2.0 * np.pi * s.acceleration.frequencies_hz[order]
         z[i, : len(order)] = s.acceleration.amplitudes[order]
     return omega, z
+
+
+def _kept(fitted: Sequence[StepPlate]) -> Kept:
+    """What the fits of all steps have seen; windows of steps that have too few of them are none."""
+    count = [len(s.windows.time_s) if len(s.windows.time_s) >= LEAST_WINDOWS else 0 for s in fitted]
+    parts = [replace(s.kept, window=np.where(n > 0, s.kept.window, -1)) for s, n in zip(fitted, count, strict=True)]
+    return Kept.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
+
+
+def _in_both_senses(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which turns are fitted, the constant first, from which tones are, (n, 2 k + 1)."""
+    return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])
 
 
 def _spans(s: StepPlate) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.apart import Sides
+from analysis.kept import Kept
 from daq.tones import ToneFit
 from model.tones import Plate
 
@@ -138,6 +139,8 @@ class StepPlate:
         Fraction of the hold left out after impacts.
     windows : Windows
     slow : SlowMotion
+    kept : Kept
+        What of the hold the fits have seen.
     """
 
     step: int
@@ -159,6 +162,7 @@ class StepPlate:
     masked: float
     windows: Windows
     slow: SlowMotion
+    kept: Kept
 
     @cached_property
     def _apart(self) -> tuple[ToneFit | None, ToneFit | None]:

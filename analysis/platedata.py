@@ -208,6 +208,17 @@ def _square_sigma(square: float, noise: float) -> float:
     return float(np.sqrt(4.0 * square * noise**2 + 4.0 * noise**4))
 
 
+def doubt_of_squares(data: PlateData, said: Array) -> Array:
+    """What an amplitude that is said to be larger than it was measured adds to the uncertainty of its square, (r,).
+
+    Noise times the amplitude is what a square errs by, and chance may have made the measured one small.
+    """
+    squared = np.isin(data.kind, SQUARED)
+    value, sigma = (np.where(squared, x, 0.0) for x in (data.value, data.sigma))
+    noise = (np.sqrt(value**2 + 3.0 * sigma**2) - value) / 6.0  # of a quadrature, squared: `_square_sigma` undone
+    return np.asarray(np.where(squared, 2.0 * np.sqrt(noise * np.maximum(said - value - 2.0 * noise, 0.0)), 0.0))
+
+
 def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
     """Contact against flight, offset, clock."""
     rows: list[tuple[float, ...]] = []

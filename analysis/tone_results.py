@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from analysis import fold_kernel
 from analysis.apart import Sides, scaled
+from analysis.kept import Kept
+from analysis.mains import doubted
 from analysis.plate_motion import SlowMotion, StepPlate, Windows
 from daq.recording import Recording
 from daq.setup import Setup
@@ -38,7 +40,8 @@ class Look:
 
     ``slow`` at ``slow_s``; per window of a few cycles its middle ``time_s``, amplitudes (w, tones, channels) and the
     relative spread (w, tones) that times a channel's ``noise`` (channels,) is an amplitude's uncertainty; the fit of
-    each channel. The noise is the rms about the tones within windows: what swells slowly is none.
+    each channel, and what was kept for it. The noise is the rms about the tones within windows: what swells slowly is
+    none.
     """
 
     slow_s: Floats
@@ -48,6 +51,7 @@ class Look:
     spread: Floats
     noise: Floats
     fits: tuple[ToneFit, ToneFit]
+    kept: Kept
 
 
 def second_look(fold: StepFold, rate_hz: float) -> Look | None:
@@ -65,21 +69,26 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
     group = max(int(rate_hz / (SLOW_PER_CYCLE * fold.frequency_hz)), 1)
     length = max(round(WINDOW_CYCLES * rate_hz / fold.frequency_hz), 1)
     q = 2 * rows.size + 1
-    parts = []
+    bands = folding_bands(folded)
+    parts, kept, counted = [], [], 0
     for span in fold.spans:
-        n = span.sort.size
+        n, keep = span.sort.size, span.sort % bands >= fold.least_band
         slow, seen = np.zeros(n // group), np.zeros(n // group, dtype=np.int64)
         windows = n // length
         gram, side, power = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros((windows, 2))
         used = np.zeros(windows, dtype=np.int64)
         fold_kernel.second_look(
-            span.values, span.sort % folding_bands(folded) >= fold.least_band, span.first,
+            span.values, keep, span.first,
             folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
             gram, side, power, used,
         )
         slow_s = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
         time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
         enough = used >= max(0.4 * length, 2 * q)
+        of = np.append(np.where(enough, counted + np.cumsum(enough) - 1, -1), -1)
+        within = of[np.minimum(np.arange(n) // length, windows)]
+        kept.append(Kept.of_blocks(span.first, keep, within, span.sort // bands == 0, 1.0 / rate_hz))
+        counted += int(enough.sum())
         slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
         parts.append((slow_s, slow, *(column[enough] for column in (time_s, gram, side, power, used))))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
@@ -91,7 +100,8 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
     left = np.maximum(power.sum(axis=0) - np.sum(side * solution, axis=(0, 1)), 0.0)
     freedom = float(count.sum()) - q * count.size
     noise = np.sqrt(left / freedom) if freedom > 0.0 else np.array([f.rms for f in fits])
-    return Look(slow_s, slow, time_s, z, spread, noise, fits)
+    none = np.zeros(len(kept), dtype=np.int64)
+    return Look(slow_s, slow, time_s, z, spread, noise, fits, Kept.join(kept, none, none))
 
 
 def folding_bands(folded: LockIn) -> int:
@@ -162,6 +172,7 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
     windows = _windows(fold, factor, len(rows))
     quiet = min((float(k.noise[0]) for k in fold.looks), default=volts.rms) * abs(factor)
     acceleration = _without_swell(acceleration, windows, acceleration.amplitudes[rows], quiet)
+    acceleration = doubted(acceleration, fold.mains, factor)
     sides = Sides(fold.folded.part(fold.clear_sorts((0,))), total, tuple(rows), volts.rms, factor, zero_v)
     gamma = gamma_of(acceleration.amplitudes, multiples, setup, fold.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
@@ -176,7 +187,7 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
         gamma_drive=_drive_gamma(drive, multiples, setup, fold.ratio),
         phase0_rad=float(np.mod(np.angle(acceleration.amplitudes[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(fold.folded.n, 1), windows=windows,
-        slow=_slow(fold, factor),
+        slow=_slow(fold, factor), kept=_kept(fold),
     )
 
 
@@ -210,6 +221,12 @@ def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
         np.asarray(both[:, :, 0] * factor, dtype=np.complex128), sigma[:, :, 0] * abs(factor),
         both[:, :, 1], sigma[:, :, 1],
     )
+
+
+def _kept(fold: StepFold) -> Kept:
+    """All chapters' stretches in one, their windows counted on."""
+    windows = np.cumsum([0] + [k.time_s.size for k in fold.looks[:-1]])
+    return Kept.join([k.kept for k in fold.looks], np.zeros(len(fold.looks), dtype=np.int64), windows)
 
 
 def _slow(fold: StepFold, factor: float) -> SlowMotion:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from analysis.evidence import Evidence, evidence_of
+from analysis.kept import Kept
 from analysis.likelihood import Key, World
 from analysis.modulation import Swells
 from analysis.platedata import MODULATION
@@ -21,6 +22,7 @@ G = 9.80665
 FORCING_HZ = 25.37
 DEPTH, HZ, PHASE = 0.06, 2.3, 0.7
 CARRIERS = np.array([16.0 * np.exp(0.4j), 30.0 * np.exp(-1.1j)])
+STEP_S = 20.0 / FORCING_HZ / 20_000  # of the fine grid
 LINE_HZ = 50.0  # a fitted line beside the second tone: the swell leaks into it
 OTHERS_HZ = (*(FORCING_HZ * m for m in (3, 4, 5, 6)), LINE_HZ)
 DEEP: tuple[Key, Key] = (("amplitude_modulation", "depth"), ("amplitude_modulation", "frequency_hz"))
@@ -41,34 +43,47 @@ def fitted(t: NDArray[np.float64], x: NDArray[np.float64], hz: NDArray[np.float6
     return np.asarray(found[: len(hz)] + 1j * found[len(hz) :])
 
 
-def swells_of(phases: tuple[float, ...], *, spans: int = 6, noise: float = 0.0) -> tuple[Swells, PlateSteps]:
-    """Steps and windows of recordings of a plate that swells with these phases, fitted as an analysis does."""
+def swells_of(
+    phases: tuple[float, ...], *, spans: int = 6, noise: float = 0.0, masked: float = 0.0
+) -> tuple[Swells, PlateSteps]:
+    """Steps and windows of recordings of a plate that swells with these phases, fitted as an analysis does.
+
+    The part ``masked`` of each cycle of the first tone is left out.
+    """
     rng = np.random.default_rng(5)
     every = np.array([FORCING_HZ, 2 * FORCING_HZ, *OTHERS_HZ])
     table: dict[str, list[object]] = {name: [] for name in ("z", "span", "recording", "step", "window", "value")}
+    kept = []
     for recording, phase in enumerate(phases):
         for k in range(spans):
             start = 0.31 + 1.7 * k
-            t = start + (np.arange(20_000) + 0.5) * 20.0 / FORCING_HZ / 20_000
+            t = start + (np.arange(20_000) + 0.5) * STEP_S
             x = swelling(t, phase) + noise * rng.standard_normal(len(t))
-            z = fitted(t, x, every)
+            keep = np.mod(FORCING_HZ * t - 0.4, 1.0) >= masked
+            z = fitted(t[keep], x[keep], every)
             left = x - np.real(np.exp(2j * np.pi * np.outer(t, every)) @ z)
             for part in range(9):
-                own = slice(part * 2_100, (part + 1) * 2_100)
+                own = np.flatnonzero(keep & (np.arange(20_000) // 2_100 == part))
                 seen = z[:2] + fitted(t[own], left[own], every[:2])
                 change = np.sum((np.conj(z[:2]) * (seen - z[:2])).real) / np.sum(np.abs(z[:2]) ** 2)
                 table["step"].append(len(table["z"]))
-                table["window"].append((t[own][0], t[own][-1]))
+                table["window"].append((start + part * 2_100 * STEP_S, start + (part + 1) * 2_100 * STEP_S))
                 table["value"].append(change)
+            within = 9 * len(kept) + np.arange(20_000) // 2_100
+            within[9 * 2_100 :] = -1
+            stretches = Kept.of_blocks(0, keep, within, np.zeros(20_000, dtype=np.bool_), STEP_S)
+            kept.append(replace(stretches, span_s=stretches.span_s + start))
             table["z"].append(z)
             table["span"].append((start, start + 20.0 / FORCING_HZ))
             table["recording"].append(recording)
     z, m = np.array(table["z"]), len(table["z"])
     value = np.array(table["value"], dtype=np.float64)
+    none = np.zeros(m, dtype=np.int64)
     swells = Swells(
         np.array(table["recording"], dtype=np.int64), np.array(table["span"]), np.tile(2.0 * np.pi * every, (m, 1)), z,
         np.full(m, 2), np.full(m, np.nan), np.full(m, np.inf), np.array(table["step"], dtype=np.int64),
         np.array(table["window"]), value, np.full(len(value), 1e-3),
+        Kept.join(kept, np.arange(m), none),
     )
     tones = np.zeros((m, 8), dtype=np.complex128)
     tones[:, :2] = z[:, :2]
@@ -85,9 +100,10 @@ def test_the_modulated_tones_are_the_plate_that_swells() -> None:
     assert (turned @ modulated.acceleration_mps2[0]).real == pytest.approx(swelling(t), abs=2e-3)
 
 
-def test_windows_show_what_least_squares_finds_in_them() -> None:
-    """The deviation said of each window is the one fitted there, the line beside the second tone included."""
-    swells, plate = swells_of((PHASE,))
+@pytest.mark.parametrize("masked", [0.0, 0.35])
+def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
+    """The deviation said of each window is the one fitted there, the line beside the second tone and masks included."""
+    swells, plate = swells_of((PHASE,), masked=masked)
     pitch = swells._pitch(HZ)
     phase, depth = np.full(6, PHASE), np.full(6, DEPTH)
     true = swells._true(swells._seen(plate), pitch, depth, phase)

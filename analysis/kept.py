@@ -1,0 +1,139 @@
+"""Which stretches of a step a tone fit has seen, and what least squares over just these make of any motion.
+
+The rule kept here: what a mask leaves out is left out of the prediction, too; a tone is a pair of turns
+``exp(i w t)`` and ``exp(-i w t)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+NEAR = 1e-4  # radians over a stretch, below which two turns are one
+SLIGHT = 1e-9  # added to normal equations whose diagonal is 1
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Stretches that fits have seen, none of them across the bounds of a window or of a contact; arrays (r,).
+
+    Attributes
+    ----------
+    step
+        Row of the step, in order.
+    span_s
+        From when to when, on the time axis of the tones' phases, (r, 2).
+    window
+        Row of the window that the stretch is part of; -1 for none.
+    contact
+        Whether the ball lay on the plate all the while.
+    """
+
+    step: Ints
+    span_s: Array
+    window: Ints
+    contact: NDArray[np.bool_]
+
+    @classmethod
+    def whole(cls, span_s: Array) -> Self:
+        """Each step with nothing left out, ``span_s`` (m, 2)."""
+        m = len(span_s)
+        return cls(np.arange(m), span_s, np.full(m, -1), np.zeros(m, dtype=np.bool_))
+
+    @classmethod
+    def join(cls, parts: Sequence[Self], steps: Ints, windows: Ints) -> Self:
+        """All parts in one, their rows of steps and windows counted on from ``steps`` and ``windows``."""
+        if not parts:
+            return cls.whole(np.zeros((0, 2)))
+        return cls(
+            np.concatenate([p.step + s for p, s in zip(parts, steps, strict=True)]),
+            np.concatenate([p.span_s for p in parts]),
+            np.concatenate([np.where(p.window < 0, -1, p.window + w) for p, w in zip(parts, windows, strict=True)]),
+            np.concatenate([p.contact for p in parts]),
+        )
+
+    @classmethod
+    def of_blocks(
+        cls, first: int, keep: NDArray[np.bool_], window: Ints, contact: NDArray[np.bool_], block_s: float
+    ) -> Self:
+        """Of consecutive blocks (n,) from number ``first`` on: which are kept, in which window, on the plate."""
+        label = np.where(keep, 2 * window + contact, -3)
+        starts = np.flatnonzero(np.diff(label, prepend=-4))
+        ends = np.append(starts[1:], len(label))
+        rows = keep[starts]
+        span_s = (first + np.column_stack([starts, ends])[rows]) * block_s
+        at = starts[rows]
+        return cls(np.zeros(len(at), dtype=np.int64), span_s, window[at], contact[at])
+
+    @cached_property
+    def seconds(self) -> Array:
+        """Length of each stretch."""
+        return np.asarray(self.span_s[:, 1] - self.span_s[:, 0])
+
+    @cached_property
+    def in_windows(self) -> Self:
+        """The windows' stretches, ordered by window, which takes the place of the step."""
+        rows = np.flatnonzero(self.window >= 0)
+        rows = rows[np.argsort(self.window[rows], kind="stable")]
+        return type(self)(self.window[rows], self.span_s[rows], self.window[rows], self.contact[rows])
+
+    @cached_property
+    def in_contact(self) -> Self:
+        """The stretches in contact."""
+        rows = self.contact
+        return type(self)(self.step[rows], self.span_s[rows], self.window[rows], self.contact[rows])
+
+    def overlaps(self, e: Array, others: Array) -> Complex:
+        """Integrals of ``exp(i (others - e) t)`` over each step, ``e`` (n, a) and ``others`` (n, b): (n, a, b), s."""
+        e, others = np.ascontiguousarray(e), np.ascontiguousarray(others)
+        out = np.zeros((len(e), e.shape[1], others.shape[1]), dtype=np.complex128)
+        _overlaps(self.step, self.span_s, e, others, out)
+        return out
+
+    def projected(self, e: Array, fitted: NDArray[np.bool_], others: Array, w: float = 0.0) -> Complex:
+        """What least squares with turns ``e`` (n, a), those that are ``fitted``, make of turns ``others + w`` (n, b).
+
+        Shape (n, a, b), zero for what is not fitted.
+        """
+        gram = self.overlaps(e, e) * (fitted[:, :, None] & fitted[:, None, :])
+        return solved(gram, self.overlaps(e, others + w) * fitted[:, :, None])
+
+
+def solved(gram: Complex, side: Complex) -> Complex:
+    """Solutions of normal equations (n, a, a) with right sides (n, a, b); unknowns that nothing bears on are zero."""
+    size = np.sqrt(np.abs(np.diagonal(gram, axis1=1, axis2=2)))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    scaled = gram * scale[:, :, None] * scale[:, None, :] + SLIGHT * np.eye(gram.shape[1])
+    return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * side))
+
+
+@njit(cache=True, error_model="numpy")
+def _overlaps(step, span_s, e, others, out):  # type: ignore[no-untyped-def]
+    """Add the stretches' integrals to ``out`` (n, a, b): from both ends' turns, each calculated once."""
+    a, b = e.shape[1], others.shape[1]
+    ends, starts = np.empty((2, a), dtype=np.complex128), np.empty((2, b), dtype=np.complex128)
+    for r in range(step.shape[0]):
+        n, length, middle = step[r], span_s[r, 1] - span_s[r, 0], 0.5 * (span_s[r, 0] + span_s[r, 1])
+        for end in range(2):
+            for i in range(a):
+                ends[end, i] = np.exp(-1j * e[n, i] * span_s[r, end])
+            for j in range(b):
+                starts[end, j] = np.exp(1j * others[n, j] * span_s[r, end])
+        for i in range(a):
+            for j in range(b):
+                apart = others[n, j] - e[n, i]
+                if abs(apart) * length < NEAR:
+                    out[n, i, j] += length * np.exp(1j * apart * middle)
+                else:
+                    turned = starts[1, j] * ends[1, i] - starts[0, j] * ends[0, i]
+                    out[n, i, j] += turned / (1j * apart)
