@@ -18,6 +18,7 @@ from analysis.candidates import candidates_of, trends_of
 from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.gains import Compared as Compared
 from analysis.likelihood import Key, World, plate_effects
+from analysis.remainder import plate_ratio_of, ratio_of
 from analysis.search import Landscape, Point, joint_points, thinned
 from analysis.thresholds import FROZEN, Thresholds
 from analysis.whitening import Whitener
@@ -124,6 +125,9 @@ class Attributor:
         pool = candidates_of(self.world, hints_hz or self.world.evidence.hints_hz)
         rivals: list[Explanation] = []
         for depth in range(self.limits.most_effects):
+            if depth and self._quiet(best):
+                rounds.append(f"round {depth + 1}: what is left is no more than noise")
+                break
             options = pool if depth == 0 else self._promising(pool, best) + trends_of(best.free)
             found = self._round(best, options, depth)
             if depth == 0:
@@ -143,6 +147,12 @@ class Attributor:
             best = self._lean(best)
             ties = (best, *ties[1:])
         return Attribution(before, best, ties, tuple(tried), tuple(rounds))
+
+    def _quiet(self, best: Explanation) -> bool:
+        """Whether so little is left that a further effect could only fit noise."""
+        values = best.fitted.values
+        landings = ratio_of(self.world, values, self.world.uncertainty(values))
+        return landings < self.limits.quiet_ratio and plate_ratio_of(self.world, values) < self.limits.quiet_ratio
 
     def _accepted(
         self, best: Explanation, found: Sequence[Explanation], depth: int

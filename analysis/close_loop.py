@@ -21,7 +21,8 @@ from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
 from analysis.evidence import Evidence, evidence_of
 from analysis.fit import Fitter, priors_of
 from analysis.likelihood import DRIFT, World
-from analysis.remainder import SHARED_S, Remainder, remainder
+from analysis.remainder import Remainder, remainder
+from analysis.robust import SHARED_S
 from analysis.thresholds import FROZEN, Thresholds
 from daq.errors import InputError
 from daq.setup import Setup

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flights import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.impacts import ECHO_MARGIN, THRESHOLD
 from analysis.jitter import with_jitter
 from analysis.modulation import Swells
 from analysis.plate import StepPlate
@@ -22,6 +23,7 @@ from analysis.platedata import PlateData, plate_data
 from daq.recording import Recording, open_recording
 from daq.setup import Setup
 from model.roll import Measured, PlateSteps
+from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
 
@@ -34,7 +36,9 @@ TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is fol
 WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
-WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
+WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer, or slower than is often heard
+HEARD = 1.5  # times the scan's threshold, above which an impact is heard whatever the noise
+RINGING_S = 2.5e-3  # after an impact, in which a weak one may drown
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,9 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
     sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
-    weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
+    weak = np.full(len(judged), np.inf)
+    if flights.edges.witness is not None:
+        weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Evidence(
@@ -232,6 +238,27 @@ def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDA
     factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
     felt = forcing | (rows >= len(s.multiples))
     return np.asarray((factor[::2] + 1j * factor[1::2]).T * np.repeat(felt, 2)[:, None])
+
+
+def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
+    """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
+
+    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
+    While an impact rings, only a part of its own size is heard.
+    """
+    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
+    velocity = steps.plate.acceleration_mps2[measured.step] / turns
+    at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
+    strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
+    impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
+    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
+    if heard.sum() < FEW_CONTACTS:
+        return np.full(len(rest), WEAK_MPS)
+    speed = float(np.median(impact[heard] / strength[heard]))
+    before = np.concatenate([[0.0], strength[:-1]])
+    rings = measured.at_once & (duration_s < RINGING_S)
+    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
+    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
 
 
 def _closure_s(measured: Measured) -> float:

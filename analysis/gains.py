@@ -40,8 +40,11 @@ class Compared:
         return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP, MOST_OF_A_STEP)))
 
     def beyond(self, nats: float, sigmas: float) -> bool:
-        """Whether it is at least so many nats and standard errors, as it is or with each step limited."""
-        return self.gain > nats and (
+        """Whether it is at least so many nats and standard errors, as it is or with each step limited.
+
+        A sum of which its own error leaves nothing is doubtful however its steps are limited.
+        """
+        return self.gain > max(nats, self.error) and (
             self.gain > sigmas * self.error or self.even > max(nats, sigmas * self.even_error)
         )
 

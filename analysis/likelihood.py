@@ -245,13 +245,13 @@ class World:
         if (swell := self._swell(values)) is not None:
             told = np.hypot(told, swell[0].leaking(steps.plate, *swell[1:]))
         wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)
+        moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
         for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
-            tones = steps.plate.acceleration_mps2 + wider[:, j // 2, None] * steps.spread_mps2[:, j]
-            moved = self.predict(values, tones=tones)
-            columns_open.append(_finite(moved.opening_s - base.opening_s))
-            columns_land.append(_finite(moved.landing_s - base.landing_s))
-        for kick in self._kicks(values):  # large enough that what is not linear in it counts as noise of its own
-            ahead, behind = self.predict(values, kick=kick), self.predict(values, kick=(-kick[0], -kick[1]))
+            by = wider[:, j // 2, None] * steps.spread_mps2[:, j]
+            moves.append(({"tones": steps.plate.acceleration_mps2 + by}, {"tones": steps.plate.acceleration_mps2 - by}))
+        moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in self._kicks(values)]
+        for there, back_again in moves:  # large enough that what is not linear in it counts as noise of its own
+            ahead, behind = self.predict(values, **there), self.predict(values, **back_again)
             columns_open.append(_finite(0.5 * (ahead.opening_s - behind.opening_s)))
             columns_land.append(_finite(0.5 * (ahead.landing_s - behind.landing_s)))
             open_var = open_var + _finite(0.5 * (ahead.opening_s + behind.opening_s) - base.opening_s) ** 2

@@ -11,7 +11,7 @@ import numpy as np
 
 from analysis.close_loop import Loop
 from analysis.platedata import KINDS
-from analysis.remainder import SHARED_S
+from analysis.robust import SHARED_S
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects import effect
 

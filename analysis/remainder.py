@@ -11,21 +11,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from analysis.attribution import Explanation
 from analysis.covariates import covariates
 from analysis.errors_of import fragile
 from analysis.likelihood import EDGE_STEP_S, Uncertainty, Values, World
-from analysis.robust import LEAST_EXCESS_S
+from analysis.robust import LEAST_EXCESS_S, SHARED_S
 from analysis.thresholds import FROZEN
+
+if TYPE_CHECKING:
+    from analysis.attribution import Explanation
 
 Array = NDArray[np.float64]
 
-SHARED_S = 1e-6  # by which all edges of one kind in a step may be off together: the circuit's own physics
 FARTHEST = 6.0  # a residual beyond so many of its own uncertainties counts as one at this distance
 CLIPPED = 4.0  # the same for independent residuals: a rare graze must not look like a law
 SCALE_KNOWN = 0.12  # relative: how well jitter found from some dozens of edges is known

@@ -15,6 +15,7 @@ FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
 ASTRAY = 0.03  # share of events that may be another one than predicted: anywhere within a period
 T_PEAK = 0.3796  # density of that t at its centre
 LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
+SHARED_S = 1e-6  # by which all edges of one kind in a step may be off together: the circuit's own physics
 LARGEST_EXCESS_S = 2e-2
 NEVER = -np.inf
 

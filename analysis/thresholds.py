@@ -32,6 +32,8 @@ class Thresholds:
         And at least so many times the noise floor, so that a trifle in a long run is not a discovery.
     plate_ratio
         The same for plate data (root mean square of normalised residuals).
+    quiet_ratio
+        Ratio, of flights and of plate data, below which no second cause is looked for.
     clean_bill
         Times the noise floor: where held-out events are missed by more, nothing is called explained.
     most_effects
@@ -51,6 +53,7 @@ class Thresholds:
     lack_p: float = 1e-4
     lack_ratio: float = 1.25
     plate_ratio: float = 1.6
+    quiet_ratio: float = 1.25
     clean_bill: float = 1.5
     most_effects: int = 3
 

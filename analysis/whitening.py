@@ -1,7 +1,7 @@
 """From bare residuals to independent unit ones, step by step, and their robust loss.
 
-The rule kept here: the plate's tones err for a whole step together, so residuals of one step are whitened together,
-and weights stay as they are while a fit runs.
+The rule kept here: the plate's tones err for a whole step together, and so does the contact circuit a little; so
+residuals of one step are whitened together, and weights stay as they are while a fit runs.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from analysis.likelihood import FARTHEST_PERIODS, Residuals, Values, World
 from analysis.platedata import PlateData
-from analysis.robust import LEAST_EXCESS_S, NEVER, excess_of, log_odds, plate_scale, robust_loss
+from analysis.robust import LEAST_EXCESS_S, NEVER, SHARED_S, excess_of, log_odds, plate_scale, robust_loss
 
 Array = NDArray[np.float64]
 
 CLIP = 6.0  # a residual beyond so many sigmas does not speak for what its step has in common
+STRAIGHT = 0.1  # of what a step shares: by how much a graze bends what is taken for linear
 RAISES, RAISED_FROM, ENOUGH_EVENTS = 4, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
 
 
@@ -70,6 +71,8 @@ class Whitener:
             excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
         edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
+        edges = np.hypot(edges, STRAIGHT * np.linalg.norm(tones, axis=1))
+        tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
         for _ in range(RAISES):

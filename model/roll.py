@@ -163,8 +163,9 @@ class Predicted:
     """What one event ahead says of each measured flight; arrays of shape (n,), NaN where nothing can be said.
 
     ``kind`` is 1 when thrown or bounced at once, 0 after a rest, -1 when there is no prediction; ``launch_mps`` and
-    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one. ``rung`` (m, l)
-    is what a plate mode puts into each of the plate's tones and into `MULTIPLES` of the forcing, m/s^2.
+    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one. ``doubt_s`` is by
+    how much later the landing may be seen, where bounces that no instrument resolves follow it. ``rung`` (m, l) is what
+    a plate mode puts into each of the plate's tones and into `MULTIPLES` of the forcing, m/s^2.
     """
 
     takeoff_s: Array
@@ -176,6 +177,7 @@ class Predicted:
     kind: Array
     launch_mps: Array
     impact_mps: Array
+    doubt_s: Array
     rung: NDArray[np.complex128]
 
 
@@ -227,7 +229,7 @@ def one_ahead(
         tones: NDArray[np.complex128], wanted: NDArray[np.bool_], listen: Array
     ) -> tuple[Array, NDArray[np.complex128]]:
         """The kernel's table, and what the plate mode puts into the tones of ``listen``."""
-        out = np.full((n, 9), np.nan)
+        out = np.full((n, 10), np.nan)
         heard, seconds = np.zeros(listen.shape, dtype=np.complex128), np.zeros(len(tones))
         kernel().one_ahead(
             measured.opening_s,

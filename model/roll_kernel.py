@@ -57,6 +57,7 @@ LONGEST_PERIODS = 60.0
 TAIL_PART = 2e-4  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
 MOST_SECANTS = 40
+UNRESOLVED_PART = 0.2  # of the time between impacts that are one: how well it is known which one counts
 RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 
@@ -465,30 +466,35 @@ def next_flight(
 
 
 @njit(cache=True, error_model="numpy")
-def weak_rebounds(land, hit, target, weak_mps, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
+def weak_rebounds(land, hit, target, weak_mps, closure_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
     """Which landing ends a flight as the instrument shows it, given a first landing.
 
     An impact slower than ``weak_mps`` from which the ball leaves at once may have left no mark: the flight seems to go
     on through it, and ends at the impact nearest to ``target``, or at the end of the chatter where that is nearer.
-    (q, qd) is the mode's state just after the landing. Returns (landing, impact speed, impacts passed).
+    Impacts closer together than `RESOLVED_S` are one, and which of them is no free choice: the first where each keeps
+    the circuit closed for a while (``closure_s``), else the last, less a part of what lies between, which is in doubt.
+    (q, qd) is the mode's state just after the landing. Returns (landing, impact speed, impacts passed, doubt in s).
     """
-    near, near_hit, near_passed = land, hit, 0
+    near, near_hit, near_passed, doubt = land, hit, 0, 0.0
     passed = 0
-    while hit < weak_mps and land < target and passed < MOST_BOUNCES:
+    while hit < weak_mps and passed < MOST_BOUNCES:
         off, v0, kind, end = leave(land, hit, 0.0, q, qd, om, ze, w, ar, ai, dt, p)
         passed += 1
-        if kind != 1:
-            if end - near > RESOLVED_S and abs(end - target) < abs(near - target):
-                near, near_hit, near_passed = end, 0.0, passed
-            break
-        lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
-        if lasts < 0.0:
-            break
-        q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
+        lasts, v_next = end - off, 0.0
+        if kind == 1:
+            lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
+            if lasts < 0.0:
+                break
+            q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
         land, hit = off + lasts, v_next
-        if land - near > RESOLVED_S and abs(land - target) < abs(near - target):
-            near, near_hit, near_passed = land, hit, passed
-    return near, near_hit, near_passed
+        if land - near <= RESOLVED_S:
+            if closure_s == 0.0:
+                near, near_hit, near_passed, doubt = land, hit, passed, doubt + UNRESOLVED_PART * (land - near)
+        elif abs(land - target) < abs(near - target):
+            near, near_hit, near_passed, doubt = land, hit, passed, 0.0
+        if kind != 1 or land - RESOLVED_S > max(target, near):
+            break
+    return near, near_hit, near_passed, doubt
 
 
 @njit(cache=True, error_model="numpy")
@@ -636,10 +642,11 @@ def one_ahead(
     ``opening, landing, at_once, linked, step`` (n,) describe the measured flights in order: seen to open, seen to land,
     whether it left at its predecessor's landing, whether its predecessor is the flight before it without a gap, and the
     row of ``period`` (m,), ``w, ar, ai`` (m, k) with the plate's motion; only those ``wanted`` are predicted;
-    ``p`` (n, P + 1). Fills ``out`` (n, 9):
+    ``p`` (n, P + 1). Fills ``out`` (n, 10):
     take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as predicted, then
     launch velocity and impact speed of the measured flight itself (where an elastic impact needs them).
     ``kick`` (2,) is added to the plate mode's displacement and velocity wherever the chain of flights begins anew.
+    Column 9 is by how much later the landing may be seen: see `weak_rebounds`.
     Adds what the plate mode puts into tones of ``listen`` (m, l) to ``heard`` (m, l), and the time to ``heard_s`` (m,).
     """
     q, qd = 0.0, 0.0  # of the plate mode about its place without the ball, just after the landing before
@@ -664,7 +671,7 @@ def one_ahead(
                 q, qd, _ = settled(opening[i], wi, ri, ii, pi)
             q, qd = q + kick[0], qd + kick[1]
             t_previous = opening[i]
-        passed = 0
+        passed, out[i, 9] = 0, 0.0
         if (wanted[i] or bounce[i]) and linked[i] and (known or not bounce[i]):
             off, v0, land, hit, opened, hidden, kind, qt, qdt = next_flight(
                 t_previous,
@@ -689,11 +696,12 @@ def one_ahead(
             )
             if kind >= 0 and hit < weak_mps[i]:
                 qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
-                land, hit, passed = weak_rebounds(
+                land, hit, passed, out[i, 9] = weak_rebounds(
                     land,
                     hit,
                     landing[i],
                     weak_mps[i],
+                    closure_s,
                     qt,
                     qdt,
                     om,
