@@ -27,6 +27,9 @@ EFFECT = Effect(
             shape=True,
             meaning="speed over which it weakens",
         ),
+        Parameter(
+            "exponent", "1", 0.5, 2.0, 0.2, absent=2.0, scan=(1.0, 2.0), shape=True, meaning="how abruptly it weakens"
+        ),
     ),
     seen_in=("takeoff", "landing", "bounce"),
     confused_with={"coulomb_friction": "slow and fast passages", "adhesion": "landing times of fast flights"},
@@ -39,5 +42,4 @@ def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k + 1] == 0.0:
         return float(p[-1] * p[k])
-    ratio = speed / p[k + 2]
-    return float(p[-1] * (p[k] + p[k + 1] * math.exp(-ratio * ratio)))
+    return float(p[-1] * (p[k] + p[k + 1] * math.exp(-((speed / p[k + 2]) ** p[k + 3]))))
