@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from analysis.plate import StepPlate
 from daq.setup import Setup
 from model.effects import registry
-from model.roll import PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
@@ -264,24 +263,6 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
             if p != entry.effect.absent:
                 rows = np.all(points == point[:, None], axis=0)[data.step]
                 _add(out, data, rows, entry.hooks, p)
-    return out
-
-
-def rung(data: PlateData, steps: PlateSteps, mode: NDArray[np.complex128]) -> Array:
-    """What a plate mode that puts ``mode`` (see `model.roll.Predicted`) into the tones adds to each datum, (r,)."""
-    out = np.zeros(len(data))
-    if not np.any(mode):
-        return out
-    still, second, third = (mode[data.step, steps.omega_radps.shape[1] + i] for i in range(3))
-    out += np.where(data.kind == OFFSET, 0.5 * still.real, 0.0)
-    for kind, tone in ((SECOND, second), (THIRD, third)):
-        out += np.where(data.kind == kind, np.abs(tone / data.scale) ** 2, 0.0)
-    rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
-    step = data.step[rows]
-    k = np.argmin(np.abs(steps.omega_radps[step] - data.omega_radps[rows, None]), axis=1)
-    z = steps.acceleration_mps2[step, k]
-    ratio = z / (z - mode[step, k])
-    out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
     return out
 
 

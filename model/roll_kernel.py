@@ -57,6 +57,7 @@ LONGEST_PERIODS = 60.0
 TAIL_PART = 2e-4  # a bounce shorter than this part of a period begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
 MOST_SECANTS = 40
+UNRESOLVED_PART = 0.2  # of the time between impacts that are one: how well it is known which one counts
 RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 
@@ -465,30 +466,35 @@ def next_flight(
 
 
 @njit(cache=True, error_model="numpy")
-def weak_rebounds(land, hit, target, weak_mps, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
+def weak_rebounds(land, hit, target, weak_mps, closure_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
     """Which landing ends a flight as the instrument shows it, given a first landing.
 
     An impact slower than ``weak_mps`` from which the ball leaves at once may have left no mark: the flight seems to go
     on through it, and ends at the impact nearest to ``target``, or at the end of the chatter where that is nearer.
-    (q, qd) is the mode's state just after the landing. Returns (landing, impact speed, impacts passed).
+    Impacts closer together than `RESOLVED_S` are one, and which of them is no free choice: the first where each keeps
+    the circuit closed for a while (``closure_s``), else the last, less a part of what lies between, which is in doubt.
+    (q, qd) is the mode's state just after the landing. Returns (landing, impact speed, impacts passed, doubt in s).
     """
-    near, near_hit, near_passed = land, hit, 0
+    near, near_hit, near_passed, doubt = land, hit, 0, 0.0
     passed = 0
-    while hit < weak_mps and land < target and passed < MOST_BOUNCES:
+    while hit < weak_mps and passed < MOST_BOUNCES:
         off, v0, kind, end = leave(land, hit, 0.0, q, qd, om, ze, w, ar, ai, dt, p)
         passed += 1
-        if kind != 1:
-            if end - near > RESOLVED_S and abs(end - target) < abs(near - target):
-                near, near_hit, near_passed = end, 0.0, passed
-            break
-        lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
-        if lasts < 0.0:
-            break
-        q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
+        lasts, v_next = end - off, 0.0
+        if kind == 1:
+            lasts, v_next, _ = flight(off, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, 0.0)
+            if lasts < 0.0:
+                break
+            q, qd = strike(q, qd, lasts, v_next, om, ze, ratio, p)
         land, hit = off + lasts, v_next
-        if land - near > RESOLVED_S and abs(land - target) < abs(near - target):
-            near, near_hit, near_passed = land, hit, passed
-    return near, near_hit, near_passed
+        if land - near <= RESOLVED_S:
+            if closure_s == 0.0:
+                near, near_hit, near_passed, doubt = land, hit, passed, doubt + UNRESOLVED_PART * (land - near)
+        elif abs(land - target) < abs(near - target):
+            near, near_hit, near_passed, doubt = land, hit, passed, 0.0
+        if kind != 1 or land - RESOLVED_S > max(target, near):
+            break
+    return near, near_hit, near_passed, doubt
 
 
 @njit(cache=True, error_model="numpy")
@@ -564,18 +570,19 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
 
 
 @njit(cache=True, error_model="numpy")
-def turned(rate, t0, t1):
-    """Integral of ``exp(rate t)`` from t0 to t1."""
-    if abs(rate) * (t1 - t0) < 1e-9:
-        return (t1 - t0) * np.exp(rate * t0)
-    return (np.exp(rate * t1) - np.exp(rate * t0)) / rate
+def turned(rate, before, after, length):
+    """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
+    if abs(rate) * length < 1e-6:
+        return 0.5 * length * (before + after)
+    return (after - before) / rate
 
 
 @njit(cache=True, error_model="numpy")
-def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, listen, heard):
-    """Add to ``heard`` (l,) what the plate mode puts into tones of ``listen`` (l,) from t0, its state (q, qd), to t1.
+def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, first, last, span_s, listen, heard, heard_s):
+    """Add to ``heard`` (r, l) what the plate mode does from t0, its state (q, qd), to t1, in stretches first to last.
 
-    It is twice the integral of the mode's acceleration times ``exp(-i w t)``, in closed form; returns ``t1 - t0``.
+    It is the integral of the mode's acceleration times ``exp(-i w t)``, w of ``listen`` (l,), in closed form; the time
+    heard goes to ``heard_s`` (r,).
     """
     ratio = mode(p)[2]
     x0, v0 = 0.0, 0.0
@@ -585,23 +592,28 @@ def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, listen, heard):
         om, ze = om / root, ze / root
     decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
     size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
-    for k in range(listen.shape[0]):
-        if k < w.shape[0] and ar[k] == 0.0 and ai[k] == 0.0:
-            continue
-        back = complex(0.0, -listen[k])
-        start = np.exp(back * t0)
-        total = size * turned(decay + back, 0.0, t1 - t0) + np.conj(size) * turned(np.conj(decay) + back, 0.0, t1 - t0)
-        heard[k] += start * total
-        if not resting:
-            continue
-        for j in range(w.shape[0]):
-            if ar[j] == 0.0 and ai[j] == 0.0:
-                continue
-            push = complex(om * om * (1.0 + ratio) - (1.0 + ratio) * w[j] * w[j], 2.0 * ze * om * (1.0 + ratio) * w[j])
-            answer = ratio * w[j] * w[j] * complex(ar[j], ai[j]) / push
-            own = complex(0.0, w[j])
-            heard[k] += answer * turned(own + back, t0, t1) + np.conj(answer) * turned(back - own, t0, t1)
-    return t1 - t0
+    r = first + np.searchsorted(span_s[first:last, 1], t0)
+    while r < last and span_s[r, 0] < t1:
+        a, b = max(t0, span_s[r, 0]), min(t1, span_s[r, 1])
+        heard_s[r] += b - a
+        rung_a, rung_b = size * np.exp(decay * (a - t0)), size * np.exp(decay * (b - t0))
+        for k in range(listen.shape[0]):
+            back = complex(0.0, -listen[k])
+            at_a, at_b = np.exp(back * a), np.exp(back * b)
+            total = turned(decay + back, rung_a * at_a, rung_b * at_b, b - a)
+            total += turned(np.conj(decay) + back, np.conj(rung_a) * at_a, np.conj(rung_b) * at_b, b - a)
+            for j in range(w.shape[0] if resting else 0):
+                if ar[j] == 0.0 and ai[j] == 0.0:
+                    continue
+                stiff = (1.0 + ratio) * (om * om - w[j] * w[j])
+                push = complex(stiff, 2.0 * ze * om * (1.0 + ratio) * w[j])
+                answer = ratio * w[j] * w[j] * complex(ar[j], ai[j]) / push
+                own = complex(0.0, w[j])
+                own_a, own_b = answer * np.exp(own * a), answer * np.exp(own * b)
+                total += turned(own + back, own_a * at_a, own_b * at_b, b - a)
+                total += turned(back - own, np.conj(own_a) * at_a, np.conj(own_b) * at_b, b - a)
+            heard[r, k] += 0.5 * total
+        r += 1
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -626,6 +638,8 @@ def one_ahead(
     closure_s,
     weak_mps,
     kick,
+    first,
+    span_s,
     listen,
     heard,
     heard_s,
@@ -636,11 +650,13 @@ def one_ahead(
     ``opening, landing, at_once, linked, step`` (n,) describe the measured flights in order: seen to open, seen to land,
     whether it left at its predecessor's landing, whether its predecessor is the flight before it without a gap, and the
     row of ``period`` (m,), ``w, ar, ai`` (m, k) with the plate's motion; only those ``wanted`` are predicted;
-    ``p`` (n, P + 1). Fills ``out`` (n, 9):
+    ``p`` (n, P + 1). Fills ``out`` (n, 10):
     take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as predicted, then
     launch velocity and impact speed of the measured flight itself (where an elastic impact needs them).
     ``kick`` (2,) is added to the plate mode's displacement and velocity wherever the chain of flights begins anew.
-    Adds what the plate mode puts into tones of ``listen`` (m, l) to ``heard`` (m, l), and the time to ``heard_s`` (m,).
+    Column 9 is by how much later the landing may be seen: see `weak_rebounds`.
+    Adds what the plate mode does in the stretches ``span_s`` (r, 2), of step m those from ``first[m]`` on,
+    at the pitches of ``listen`` (m, l) to ``heard`` (r, l), and the time to ``heard_s`` (r,): see `hear`.
     """
     q, qd = 0.0, 0.0  # of the plate mode about its place without the ball, just after the landing before
     previous_hit = 0.0
@@ -664,7 +680,7 @@ def one_ahead(
                 q, qd, _ = settled(opening[i], wi, ri, ii, pi)
             q, qd = q + kick[0], qd + kick[1]
             t_previous = opening[i]
-        passed = 0
+        passed, out[i, 9] = 0, 0.0
         if (wanted[i] or bounce[i]) and linked[i] and (known or not bounce[i]):
             off, v0, land, hit, opened, hidden, kind, qt, qdt = next_flight(
                 t_previous,
@@ -689,11 +705,12 @@ def one_ahead(
             )
             if kind >= 0 and hit < weak_mps[i]:
                 qt, qdt = strike(qt, qdt, land - off, hit, om, ze, ratio, pi)
-                land, hit, passed = weak_rebounds(
+                land, hit, passed, out[i, 9] = weak_rebounds(
                     land,
                     hit,
                     landing[i],
                     weak_mps[i],
+                    closure_s,
                     qt,
                     qdt,
                     om,
@@ -737,8 +754,14 @@ def one_ahead(
         previous_hit = max(hit, 0.0)
         out[i, 7], out[i, 8] = v0, previous_hit
         if ratio != 0.0 and linked[i]:
-            heard_s[m] += hear(t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, listen[m], heard[m])
-            heard_s[m] += hear(start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, listen[m], heard[m])
+            hear(
+                t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m], heard,
+                heard_s,
+            )
+            hear(
+                start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m],
+                heard, heard_s,
+            )
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 
 
