@@ -126,7 +126,7 @@ class Ringing:
     def _inverse(self) -> Complex:
         return solved(self._gram, np.broadcast_to(np.eye(self._gram.shape[1], dtype=np.complex128), self._gram.shape))
 
-    def _sides(self, heard: Complex, heard_s: Array, rows: Ints | slice, of: Ints, n: int) -> tuple[Complex, Array]:
+    def _sides(self, heard: Complex, heard_s: Array, rows: Ints, of: Ints, n: int) -> tuple[Complex, Array]:
         """Right sides of ``n`` fits, (n, 1 + 2 k), of stretches ``rows`` in order of their fit ``of``; the part known.
 
         Where the mode was not followed for all of the time, the rest is taken to be alike.
@@ -146,8 +146,15 @@ class Ringing:
 
     def _of_steps(self, heard: Complex, heard_s: Array) -> Complex:
         """Amplitudes of all turns in the steps' fits, (m, 1 + 2 k)."""
-        sides, _ = self._sides(heard, heard_s, slice(None), self.kept.step, len(self._turns))
+        contact, rest = self._of_places(heard, heard_s)
+        sides = contact + rest
         return np.asarray((self._inverse @ sides[..., None])[..., 0])
+
+    def _of_places(self, heard: Complex, heard_s: Array) -> tuple[Complex, Complex]:
+        """Right sides of the steps' fits from what was in contact and from the rest, (m, 1 + 2 k) each."""
+        both = (np.flatnonzero(self.kept.contact == place) for place in (True, False))
+        contact, rest = (self._sides(heard, heard_s, r, self.kept.step[r], len(self._turns))[0] for r in both)
+        return contact, rest
 
     # -- contact and flight -----------------------------------------------------------------------------------------
     @cached_property
@@ -161,11 +168,9 @@ class Ringing:
 
     def _apart(self, heard: Complex, heard_s: Array) -> tuple[Complex, Complex]:
         """The first tone in contact and in flight, (m,) each."""
-        m, p = self._turns.shape
-        rows = np.flatnonzero(self.kept.contact)
-        every, _ = self._sides(heard, heard_s, slice(None), self.kept.step, m)
-        touching, _ = self._sides(heard, heard_s, rows, self.kept.step[rows], m)
-        found = solved(self._gates, np.concatenate([every, touching * self._own], axis=1)[..., None])[..., 0]
+        p = self._turns.shape[1]
+        contact, rest = self._of_places(heard, heard_s)
+        found = solved(self._gates, np.concatenate([contact + rest, contact * self._own], axis=1)[..., None])[..., 0]
         return 2.0 * (found[:, 1] + found[:, p + 1]), 2.0 * found[:, 1]
 
     # -- windows ----------------------------------------------------------------------------------------------------
