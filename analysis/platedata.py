@@ -296,14 +296,15 @@ def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[st
 
 
 def _add_harmonics(out: Array, data: PlateData, among: NDArray[np.bool_], hook: Any, p: dict[str, float]) -> None:
-    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square."""
+    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square over that tone."""
 
-    def added(rows: NDArray[np.bool_]) -> NDArray[np.complex128]:
+    def added(rows: NDArray[np.bool_], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
         accel_g = np.where(data.accel_g > 0.0, data.accel_g, data.scale / STANDARD_GRAVITY_MPS2)[rows]
-        return np.asarray(hook(p, data.multiple[rows], data.ratio[rows], data.share[rows], accel_g))
+        return np.asarray(hook(p, multiple[rows], data.ratio[rows], data.share[rows], accel_g))
 
     forced = among & np.isin(data.kind, (GAIN, PHASE))
     asked = np.where(data.multiple[forced] == 1, 1.0, data.share[forced])
-    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced) / asked)
+    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced, data.multiple) / asked)
     alone = among & np.isin(data.kind, (SECOND, THIRD))
-    out[alone] += np.abs(added(alone)) ** 2
+    first = 1.0 + added(alone, np.ones_like(data.multiple))  # the datum is a part of the tone as it is, bent as well
+    out[alone] += np.abs(added(alone, data.multiple) / first) ** 2
