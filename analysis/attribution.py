@@ -289,11 +289,10 @@ class Attributor:
         return self._settled(self.fitter.fit(Whitener.of(self.world, start), free, start) if at_start < after else soft)
 
     def _settled(self, fitted: Fitted) -> Fitted:
-        """Fit again with the weights of the point found, until the excess no longer shrinks."""
+        """Fit again with the weights of the point found, until they stay."""
         for _ in range(SETTLING):
             before, after = fitted.state.whitener, Whitener.of(self.world, fitted.values)
-            shrunk = max(a / b for a, b in zip(before.excess_s, after.excess_s, strict=True))
-            if 0.8 < shrunk < 1.25 and np.median(np.abs(after.log_sigma - before.log_sigma)) < 0.1:
+            if after.near(before):
                 break
             fitted = self.fitter.fit(after, fitted.free, fitted.values)
         return fitted

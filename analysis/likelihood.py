@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from analysis.evidence import Evidence
 from analysis.modulation import Swells
-from analysis.platedata import SQUARED, doubt_of_squares, expected, rung
+from analysis.platedata import doubt_of_squares, expected
+from analysis.ringing import INEXACT, Ringing
 from model.effects import effect, offsets, registry, row
 from model.roll import Predicted, one_ahead
 
@@ -26,7 +27,6 @@ Values = Mapping[Key, float]
 DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
 EDGE_STEP_S = 2e-6
-MODE_PART = 0.2  # of what a plate mode puts into a tone, by which the fit of that tone sees it otherwise
 KICK = 0.25  # of what gravity adds to a speed in a period: half a usual impact
 
 
@@ -79,6 +79,7 @@ class World:
         self.evidence, self.declared = evidence, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
         self.gravity = evidence.setup.g_mps2.value
+        self.ringing = None if evidence.swells is None else Ringing.of(evidence.swells, evidence.steps.plate)
         self._nothing = row({}, self.gravity)
         self.opens = evidence.judged & ~evidence.measured.at_once  # a take-off that was seen, after a rest
         self._cache: dict[tuple[object, ...], Predicted] = {}
@@ -171,6 +172,7 @@ class World:
             closure_s=ev.closure_s,
             weak_mps=ev.weak_mps,
             kick=kick,
+            ear=self.ringing,
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
@@ -213,9 +215,10 @@ class World:
             p = self.predict(values, rows=rows)
         opening = np.where(self.opens, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.judged, ev.measured.landing_s - p.landing_s, np.nan)
-        mode = rung(ev.plate, ev.steps.plate, p.rung)
-        vague = MODE_PART * mode * np.where(np.isin(ev.plate.kind, SQUARED), 2.0, 1.0)
-        said = expected(ev.plate, self.by_step(values)) + mode
+        said, vague = expected(ev.plate, self.by_step(values)), np.zeros(len(ev.plate))
+        if self.ringing is not None:
+            rung, vague = self.ringing.added(ev.plate, ev.steps.plate, p)
+            said = said + rung
         if (swell := self._swell(values)) is not None:
             swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
             said, vague = said + swelling, np.hypot(vague, leaking)
@@ -241,7 +244,7 @@ class World:
         columns_open, columns_land = [], []
         steps = ev.steps
         sigma = steps.sigma_mps2
-        told = MODE_PART * np.abs(base.rung[:, : sigma.shape[1]])
+        told = INEXACT * np.abs(base.rung[:, : sigma.shape[1]])
         if (swell := self._swell(values)) is not None:
             told = np.hypot(told, swell[0].leaking(steps.plate, *swell[1:]))
         wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from analysis.plate import StepPlate
 from daq.setup import Setup
 from model.effects import registry
-from model.roll import PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
@@ -267,24 +266,6 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
     return out
 
 
-def rung(data: PlateData, steps: PlateSteps, mode: NDArray[np.complex128]) -> Array:
-    """What a plate mode that puts ``mode`` (see `model.roll.Predicted`) into the tones adds to each datum, (r,)."""
-    out = np.zeros(len(data))
-    if not np.any(mode):
-        return out
-    still, second, third = (mode[data.step, steps.omega_radps.shape[1] + i] for i in range(3))
-    out += np.where(data.kind == OFFSET, 0.5 * still.real, 0.0)
-    for kind, tone in ((SECOND, second), (THIRD, third)):
-        out += np.where(data.kind == kind, np.abs(tone / data.scale) ** 2, 0.0)
-    rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
-    step = data.step[rows]
-    k = np.argmin(np.abs(steps.omega_radps[step] - data.omega_radps[rows, None]), axis=1)
-    z = steps.acceleration_mps2[step, k]
-    ratio = z / (z - mode[step, k])
-    out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
-    return out
-
-
 def _logarithm_of_transfer(
     out: Array, data: PlateData, rows: NDArray[np.bool_], factor: NDArray[np.complex128]
 ) -> None:
@@ -315,14 +296,15 @@ def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[st
 
 
 def _add_harmonics(out: Array, data: PlateData, among: NDArray[np.bool_], hook: Any, p: dict[str, float]) -> None:
-    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square."""
+    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square over that tone."""
 
-    def added(rows: NDArray[np.bool_]) -> NDArray[np.complex128]:
+    def added(rows: NDArray[np.bool_], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
         accel_g = np.where(data.accel_g > 0.0, data.accel_g, data.scale / STANDARD_GRAVITY_MPS2)[rows]
-        return np.asarray(hook(p, data.multiple[rows], data.ratio[rows], data.share[rows], accel_g))
+        return np.asarray(hook(p, multiple[rows], data.ratio[rows], data.share[rows], accel_g))
 
     forced = among & np.isin(data.kind, (GAIN, PHASE))
     asked = np.where(data.multiple[forced] == 1, 1.0, data.share[forced])
-    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced) / asked)
+    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced, data.multiple) / asked)
     alone = among & np.isin(data.kind, (SECOND, THIRD))
-    out[alone] += np.abs(added(alone)) ** 2
+    first = 1.0 + added(alone, np.ones_like(data.multiple))  # the datum is a part of the tone as it is, bent as well
+    out[alone] += np.abs(added(alone, data.multiple) / first) ** 2

@@ -157,7 +157,22 @@ def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     if not loud[peak]:
         return None
     last = int(np.flatnonzero(loud).max()) + FINE
-    return np.where(np.arange(fine.size) <= last, fine, 0.0)
+    return np.where(np.arange(fine.size) <= last, fine - _slow_part(fine, peak, width), 0.0)
+
+
+def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
+    """The straight line that goes on under the ringing from its peak on; nothing before.
+
+    Smoothed twice over ``width`` points, what rings is gone once the peak is three widths past.
+    """
+    box = np.ones(width) / width
+    smooth = np.convolve(np.convolve(fine, box, mode="same"), box, mode="same")
+    grid = np.arange(fine.size)
+    tail = slice(peak + 3 * width, fine.size - width)
+    if tail.stop - tail.start < width:
+        return np.zeros(fine.size)
+    slope, level = np.polyfit(grid[tail], smooth[tail], 1)
+    return np.where(grid >= peak, level + slope * grid, 0.0)
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:

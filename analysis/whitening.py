@@ -18,7 +18,7 @@ from analysis.robust import LEAST_EXCESS_S, NEVER, SHARED_S, excess_of, log_odds
 
 Array = NDArray[np.float64]
 
-CLIP = 6.0  # a residual beyond so many sigmas does not speak for what its step has in common
+CLIP = 6.0  # a residual beyond so many sigmas, tones included, does not speak for what its step has in common
 STRAIGHT = 0.1  # of what a step shares: by how much a graze bends what is taken for linear
 RAISES, RAISED_FROM, ENOUGH_EVENTS = 4, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
 
@@ -44,6 +44,7 @@ class Whitener:
     sd: Array
     shared: Array  # directions in which a step's residuals err together, orthonormal in each block
     shrink: Array
+    cap: Array  # of each unit residual: beyond, it does not speak for what its step has in common
     period_s: Array  # of the stacked events, before they are ordered by step
     log_sigma: Array  # of each whitened residual
     odds: Array  # of each event being another than predicted, and of no plate datum
@@ -77,10 +78,12 @@ class Whitener:
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
         for _ in range(RAISES):
             sd = np.hypot(edges, np.where(first, *excess))[order]
-            shared, shrink, logs = _shared(tones[order] / sd[:, None], bounds)
+            relative = tones[order] / sd[:, None]
+            shared, shrink, logs = _shared(relative, bounds)
+            cap = CLIP * np.sqrt(1.0 + np.sum(relative**2, axis=1))
             unit = bare[order] / sd
             z = unit[:, None].copy()
-            _unshare(z, np.clip(unit, -CLIP, CLIP)[:, None], bounds, shared, shrink)
+            _unshare(z, np.clip(unit, -cap, cap)[:, None], bounds, shared, shrink)
             raised = _raised(excess, z[:, 0], sd, first[order])
             if raised == excess or lean:
                 break
@@ -97,6 +100,7 @@ class Whitener:
             sd,
             shared,
             shrink,
+            cap,
             period,
             logs,
             odds,
@@ -105,6 +109,12 @@ class Whitener:
             excess,
             total,
         )
+
+    def near(self, other: Whitener) -> bool:
+        """Whether the weights are so alike, plate data included, that a fit would stay where it is."""
+        shrunk = max(a / b for a, b in zip(other.excess_s, self.excess_s, strict=True))
+        plate = np.max(np.abs(np.log(self.plate_sigma / other.plate_sigma)), initial=0.0)
+        return bool(0.8 < shrunk < 1.25 and np.median(np.abs(self.log_sigma - other.log_sigma)) < 0.1 and plate < 0.2)
 
     def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
         """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
@@ -132,15 +142,18 @@ class Whitener:
         n = len(self.step)
         unit = bare[:n] / self.sd
         return np.concatenate(
-            [self._unshared(unit[:, None], np.clip(unit, -CLIP, CLIP)[:, None])[:, 0], bare[n:] / self.plate_sigma]
+            [self._unshared(unit[:, None], self._heard(unit)[:, None])[:, 0], bare[n:] / self.plate_sigma]
         )
 
     def white_slopes(self, slopes: Array, bare: Array) -> Array:
         """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
         n = len(self.step)
         unit = slopes[:n] / self.sd[:, None]
-        speaks = np.abs(bare[:n] / self.sd) < CLIP
+        speaks = np.abs(bare[:n] / self.sd) < self.cap
         return np.concatenate([self._unshared(unit, unit * speaks[:, None]), slopes[n:] / self.plate_sigma[:, None]])
+
+    def _heard(self, unit: Array) -> Array:
+        return np.clip(unit, -self.cap, self.cap)
 
     def _unshared(self, y: Array, heard: Array) -> Array:
         out = np.ascontiguousarray(y)

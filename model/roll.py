@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,6 @@ from model.effects import absent_row, registry, row
 from model.effects.base import COMPILED_HOOKS
 
 Array = NDArray[np.float64]
-
-MULTIPLES = (0, 2, 3)  # of the forcing, in which a plate mode is listened to besides the plate's tones
 
 _SIGNATURES = {
     "force": ("s, h, v, u, p", "0.0"),
@@ -163,9 +161,10 @@ class Predicted:
     """What one event ahead says of each measured flight; arrays of shape (n,), NaN where nothing can be said.
 
     ``kind`` is 1 when thrown or bounced at once, 0 after a rest, -1 when there is no prediction; ``launch_mps`` and
-    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one. ``doubt_s`` is by
-    how much later the landing may be seen, where bounces that no instrument resolves follow it. ``rung`` (m, l) is what
-    a plate mode puts into each of the plate's tones and into `MULTIPLES` of the forcing, m/s^2.
+    ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one. ``doubt_s`` is
+    by how much later the landing may be seen, where bounces that no instrument resolves follow it. ``rung`` (m, k) is
+    what a plate mode puts into each of the plate's tones, m/s^2; ``heard`` (r, l) and ``heard_s`` (r,) are what it does
+    in the stretches of an `Ear`, and for how much of their time that is known.
     """
 
     takeoff_s: Array
@@ -179,6 +178,51 @@ class Predicted:
     impact_mps: Array
     doubt_s: Array
     rung: NDArray[np.complex128]
+    heard: NDArray[np.complex128]
+    heard_s: Array
+
+
+class Ear(Protocol):
+    """How the plate's tones were measured, and what that makes of the motion of a plate mode.
+
+    Attributes
+    ----------
+    first
+        Where each step's stretches begin in ``span_s``, and where the last ends, (m + 1,).
+    span_s
+        Stretches of time that were listened to, in order within a step, (r, 2).
+    omega_radps
+        Pitches that are listened to, (m, l).
+    """
+
+    @property
+    def first(self) -> NDArray[np.int64]: ...
+    @property
+    def span_s(self) -> Array: ...
+    @property
+    def omega_radps(self) -> Array: ...
+
+    def of_tones(self, heard: NDArray[np.complex128], heard_s: Array) -> NDArray[np.complex128]:
+        """What the plate's tones (m, k) take ``heard`` (r, l) for, integrals of ``acceleration exp(-i w t)``, m/s^2."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Throughout:
+    """Tones measured all the time, far apart from one another."""
+
+    omega_radps: Array
+
+    @property
+    def first(self) -> NDArray[np.int64]:
+        return np.arange(len(self.omega_radps) + 1)
+
+    @property
+    def span_s(self) -> Array:
+        return np.tile([-np.inf, np.inf], (len(self.omega_radps), 1))
+
+    def of_tones(self, heard: NDArray[np.complex128], heard_s: Array) -> NDArray[np.complex128]:
+        return np.asarray(2.0 * heard / np.where(heard_s > 0.0, heard_s, 1.0)[:, None])
 
 
 def one_ahead(
@@ -192,6 +236,7 @@ def one_ahead(
     closure_s: float = 0.0,
     weak_mps: Array | float = 0.0,
     kick: tuple[float, float] = (0.0, 0.0),
+    ear: Ear | None = None,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -216,6 +261,8 @@ def one_ahead(
     kick
         Added to a plate mode's displacement (m) and velocity (m/s) wherever the chain of flights begins anew: how the
         mode rang before is known no better.
+    ear
+        How the plate's tones were measured; without one, all the time.
     """
     n = len(measured.landing_s)
     rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
@@ -223,14 +270,12 @@ def one_ahead(
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1)
     gap, weak = (np.ascontiguousarray(np.broadcast_to(np.asarray(x, dtype=np.float64), n)) for x in (gap_m, weak_mps))
 
-    listen = np.column_stack([plate.omega_radps, 2.0 * np.pi / plate.period_s[:, None] * np.array(MULTIPLES)])
+    ear = _Throughout(plate.omega_radps[:, : plate.omega_radps.shape[1] - plate.derived]) if ear is None else ear
+    span_s, heard, heard_s = ear.span_s, np.zeros((0, 0), dtype=np.complex128), np.zeros(len(ear.span_s))
 
-    def told(
-        tones: NDArray[np.complex128], wanted: NDArray[np.bool_], listen: Array
-    ) -> tuple[Array, NDArray[np.complex128]]:
-        """The kernel's table, and what the plate mode puts into the tones of ``listen``."""
+    def told(tones: NDArray[np.complex128], wanted: NDArray[np.bool_], listen: Array) -> Array:
+        """The kernel's table; what is listened to is added to what has been heard."""
         out = np.full((n, 10), np.nan)
-        heard, seconds = np.zeros(listen.shape, dtype=np.complex128), np.zeros(len(tones))
         kernel().one_ahead(
             measured.opening_s,
             measured.landing_s,
@@ -252,27 +297,30 @@ def one_ahead(
             closure_s,
             weak,
             np.array(kick),
+            ear.first if listen.shape[1] else np.zeros(len(tones) + 1, dtype=np.int64),
+            span_s,
             listen,
             heard,
-            seconds,
+            heard_s,
             out,
         )
-        heard /= np.maximum(seconds, 1e-12)[:, None]
-        if listen.shape[1]:
-            for k in np.flatnonzero(seconds == 0.0):  # the ball never left: its mass moves with the plate
-                heard[k, : tones.shape[1]] = _carried(plate.omega_radps[k], tones[k], rows[0])
-        return out, heard
+        return out
 
-    tones, rung = plate.acceleration_mps2, np.zeros(listen.shape, dtype=np.complex128)
+    tones, own = plate.acceleration_mps2, plate.acceleration_mps2.shape[1] - plate.derived
+    rung = np.zeros((len(tones), own), dtype=np.complex128)
     if ringing:  # what the mode does to the plate is in the measured tones already: only the rest is driven
-        rung = told(tones, np.zeros(n, dtype=np.bool_), listen)[1]
-        own = np.arange(tones.shape[1]) < tones.shape[1] - plate.derived
-        tones = np.where((tones == 0.0) | ~own, tones, tones - rung[:, : tones.shape[1]])
-    out, _ = told(tones, measured.wanted, np.ascontiguousarray(listen[:, :0]))
+        heard = np.zeros((len(span_s), ear.omega_radps.shape[1]), dtype=np.complex128)
+        told(tones, np.zeros(n, dtype=np.bool_), np.ascontiguousarray(ear.omega_radps))
+        rung = ear.of_tones(heard, heard_s)
+        of_step = np.add.reduceat(np.append(heard_s, 0.0), ear.first[:-1]) * (np.diff(ear.first) > 0)
+        for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
+            rung[k] = _carried(plate.omega_radps[k, :own], tones[k, :own], rows[0])
+        driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - rung)
+        tones = np.concatenate([driven, tones[:, own:]], axis=1)
+    out = told(tones, measured.wanted, np.zeros((len(tones), 0)))
     missing = out[:, 6] < 0
     out[missing, :6] = np.nan
-    measured_tones = tones.shape[1] - plate.derived
-    columns: tuple[Any, ...] = (*out.T, np.delete(rung, np.s_[measured_tones : tones.shape[1]], axis=1))
+    columns: tuple[Any, ...] = (*out.T, rung, heard, heard_s)
     return Predicted(*columns)
 
 

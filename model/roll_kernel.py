@@ -570,18 +570,19 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
 
 
 @njit(cache=True, error_model="numpy")
-def turned(rate, t0, t1):
-    """Integral of ``exp(rate t)`` from t0 to t1."""
-    if abs(rate) * (t1 - t0) < 1e-9:
-        return (t1 - t0) * np.exp(rate * t0)
-    return (np.exp(rate * t1) - np.exp(rate * t0)) / rate
+def turned(rate, before, after, length):
+    """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
+    if abs(rate) * length < 1e-6:
+        return 0.5 * length * (before + after)
+    return (after - before) / rate
 
 
 @njit(cache=True, error_model="numpy")
-def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, listen, heard):
-    """Add to ``heard`` (l,) what the plate mode puts into tones of ``listen`` (l,) from t0, its state (q, qd), to t1.
+def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, first, last, span_s, listen, heard, heard_s):
+    """Add to ``heard`` (r, l) what the plate mode does from t0, its state (q, qd), to t1, in stretches first to last.
 
-    It is twice the integral of the mode's acceleration times ``exp(-i w t)``, in closed form; returns ``t1 - t0``.
+    It is the integral of the mode's acceleration times ``exp(-i w t)``, w of ``listen`` (l,), in closed form; the time
+    heard goes to ``heard_s`` (r,).
     """
     ratio = mode(p)[2]
     x0, v0 = 0.0, 0.0
@@ -591,23 +592,28 @@ def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, listen, heard):
         om, ze = om / root, ze / root
     decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
     size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
-    for k in range(listen.shape[0]):
-        if k < w.shape[0] and ar[k] == 0.0 and ai[k] == 0.0:
-            continue
-        back = complex(0.0, -listen[k])
-        start = np.exp(back * t0)
-        total = size * turned(decay + back, 0.0, t1 - t0) + np.conj(size) * turned(np.conj(decay) + back, 0.0, t1 - t0)
-        heard[k] += start * total
-        if not resting:
-            continue
-        for j in range(w.shape[0]):
-            if ar[j] == 0.0 and ai[j] == 0.0:
-                continue
-            push = complex(om * om * (1.0 + ratio) - (1.0 + ratio) * w[j] * w[j], 2.0 * ze * om * (1.0 + ratio) * w[j])
-            answer = ratio * w[j] * w[j] * complex(ar[j], ai[j]) / push
-            own = complex(0.0, w[j])
-            heard[k] += answer * turned(own + back, t0, t1) + np.conj(answer) * turned(back - own, t0, t1)
-    return t1 - t0
+    r = first + np.searchsorted(span_s[first:last, 1], t0)
+    while r < last and span_s[r, 0] < t1:
+        a, b = max(t0, span_s[r, 0]), min(t1, span_s[r, 1])
+        heard_s[r] += b - a
+        rung_a, rung_b = size * np.exp(decay * (a - t0)), size * np.exp(decay * (b - t0))
+        for k in range(listen.shape[0]):
+            back = complex(0.0, -listen[k])
+            at_a, at_b = np.exp(back * a), np.exp(back * b)
+            total = turned(decay + back, rung_a * at_a, rung_b * at_b, b - a)
+            total += turned(np.conj(decay) + back, np.conj(rung_a) * at_a, np.conj(rung_b) * at_b, b - a)
+            for j in range(w.shape[0] if resting else 0):
+                if ar[j] == 0.0 and ai[j] == 0.0:
+                    continue
+                stiff = (1.0 + ratio) * (om * om - w[j] * w[j])
+                push = complex(stiff, 2.0 * ze * om * (1.0 + ratio) * w[j])
+                answer = ratio * w[j] * w[j] * complex(ar[j], ai[j]) / push
+                own = complex(0.0, w[j])
+                own_a, own_b = answer * np.exp(own * a), answer * np.exp(own * b)
+                total += turned(own + back, own_a * at_a, own_b * at_b, b - a)
+                total += turned(back - own, np.conj(own_a) * at_a, np.conj(own_b) * at_b, b - a)
+            heard[r, k] += 0.5 * total
+        r += 1
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -632,6 +638,8 @@ def one_ahead(
     closure_s,
     weak_mps,
     kick,
+    first,
+    span_s,
     listen,
     heard,
     heard_s,
@@ -647,7 +655,8 @@ def one_ahead(
     launch velocity and impact speed of the measured flight itself (where an elastic impact needs them).
     ``kick`` (2,) is added to the plate mode's displacement and velocity wherever the chain of flights begins anew.
     Column 9 is by how much later the landing may be seen: see `weak_rebounds`.
-    Adds what the plate mode puts into tones of ``listen`` (m, l) to ``heard`` (m, l), and the time to ``heard_s`` (m,).
+    Adds what the plate mode does in the stretches ``span_s`` (r, 2), of step m those from ``first[m]`` on,
+    at the pitches of ``listen`` (m, l) to ``heard`` (r, l), and the time to ``heard_s`` (r,): see `hear`.
     """
     q, qd = 0.0, 0.0  # of the plate mode about its place without the ball, just after the landing before
     previous_hit = 0.0
@@ -745,8 +754,14 @@ def one_ahead(
         previous_hit = max(hit, 0.0)
         out[i, 7], out[i, 8] = v0, previous_hit
         if ratio != 0.0 and linked[i]:
-            heard_s[m] += hear(t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, listen[m], heard[m])
-            heard_s[m] += hear(start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, listen[m], heard[m])
+            hear(
+                t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m], heard,
+                heard_s,
+            )
+            hear(
+                start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m],
+                heard, heard_s,
+            )
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 
 

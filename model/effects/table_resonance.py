@@ -6,7 +6,6 @@ presses it down by its weight, until it leaves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from numba import njit
 
@@ -42,8 +41,3 @@ EFFECT = Effect(
 def mode(p: Row, k: int) -> tuple[float, float, float]:
     """``(omega_radps, damping_ratio, mass_ratio)``."""
     return 2.0 * math.pi * p[k + 1], p[k + 2], p[k]
-
-
-def gate(p: Mapping[str, float]) -> float:
-    """Relative change of the plate's amplitude while the ball is off the mode, well above its pitch."""
-    return p["mass_ratio"]

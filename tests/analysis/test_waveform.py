@@ -19,3 +19,18 @@ def test_a_brief_impact_keeps_its_onset_in_the_noise_of_few_landings() -> None:
     loud = np.flatnonzero(np.abs(waveform.fine) > 0.3 * np.abs(waveform.fine).max()) / FINE - LEAD
     assert loud.min() == pytest.approx(0.5, abs=1.0)
     assert np.all(waveform.fine[(LEAD + 12) * FINE :] == 0.0)
+
+
+def test_what_goes_on_slowly_under_an_impact_is_no_part_of_it() -> None:
+    """A plate that every landing sets swinging slowly: the waveform holds the ringing alone, none of the swing."""
+    rng = np.random.default_rng(6)
+    echo = 128
+    lag_s = (np.arange(echo) - LEAD + 0.5) / RATE_HZ
+    rings = np.where(lag_s > 0.0, 30.0 * np.exp(-lag_s / 1e-3) * np.sin(2.0 * np.pi * 1700.0 * lag_s), 0.0)
+    swings = np.where(lag_s > 0.0, -1.5 + 60.0 * lag_s, 0.0)
+    snippets = rings + swings + 0.1 * rng.standard_normal((60, echo))
+    waveform = learn_waveform(snippets, np.full(60, 0.5), 0.1, RATE_HZ, np.array([25.0]))
+    assert waveform is not None
+    middle = slice((LEAD + 40) * FINE, (LEAD + 80) * FINE)
+    mean = float(np.mean(waveform.fine[middle])) / float(np.max(np.abs(waveform.fine)))
+    assert abs(mean) < 0.1 * 1.4 / 30.0
