@@ -51,8 +51,7 @@ class Steps:
         Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
     spread_mps2
         What one standard deviation each way changes in all tones together, shape (m, 2 k, k): the sum of the rows'
-        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i, and are zero
-        for tones that no event feels.
+        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i.
     forcing
         True for the forcing's own tones, shape (m, k).
     """
@@ -176,7 +175,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         k = len(order)
         omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
         forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
-        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k], forcing[i, :k])
+        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k])
     middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
     steps = Steps(
         np.zeros(m, dtype=np.int64),
@@ -217,11 +216,11 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     )
 
 
-def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDArray[np.complex128]:
+def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
     """Factor of the covariance of a step's tones (k,), those of the forcing first: see `Steps.spread_mps2`; (2 k, k).
 
-    A mains line beside a forcing tone is known no better than that tone, and their errors cancel in what they do to
-    the plate; so they err together here.
+    A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they do
+    to the plate. So all err together here.
     """
     fit = s.acceleration
     every = 2.0 * np.pi * fit.frequencies_hz
@@ -230,8 +229,7 @@ def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDA
     scale = np.sqrt(np.diag(fit.covariance)[own])
     correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
     factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
-    felt = forcing | (rows >= len(s.multiples))
-    return np.asarray((factor[::2] + 1j * factor[1::2]).T * np.repeat(felt, 2)[:, None])
+    return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 
 
 def _closure_s(measured: Measured) -> float:
