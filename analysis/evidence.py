@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flights import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.impacts import ECHO_MARGIN, THRESHOLD
 from analysis.jitter import with_jitter
 from analysis.modulation import Swells
 from analysis.plate import StepPlate
@@ -22,6 +23,7 @@ from analysis.platedata import PlateData, plate_data
 from daq.recording import Recording, open_recording
 from daq.setup import Setup
 from model.roll import Measured, PlateSteps
+from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
 
@@ -34,7 +36,9 @@ TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is fol
 WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
-WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer
+WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer, or slower than is often heard
+HEARD = 1.5  # times the scan's threshold, above which an impact is heard whatever the noise
+RINGING_S = 2.5e-3  # after an impact, in which a weak one may drown
 
 
 @dataclass(frozen=True)
@@ -187,14 +191,16 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         spread,
         forcing,
     )
-    measured, judged, keep = _events(flights, rows)
+    measured, judged, keep = _events(flights, rows, _half_faded_s(recording))
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
     sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
-    weak = np.full(len(judged), np.inf if flights.edges.witness is None else WEAK_MPS)
+    weak = np.full(len(judged), np.inf)
+    if flights.edges.witness is not None:
+        weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Evidence(
@@ -232,6 +238,27 @@ def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
     return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 
 
+def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
+    """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
+
+    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
+    While an impact rings, only a part of its own size is heard.
+    """
+    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
+    velocity = steps.plate.acceleration_mps2[measured.step] / turns
+    at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
+    strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
+    impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
+    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
+    if heard.sum() < FEW_CONTACTS:
+        return np.full(len(rest), WEAK_MPS)
+    speed = float(np.median(impact[heard] / strength[heard]))
+    before = np.concatenate([[0.0], strength[:-1]])
+    rings = measured.at_once & (duration_s < RINGING_S)
+    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
+    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
+
+
 def _closure_s(measured: Measured) -> float:
     """Middle of the contacts from which the ball left at once; 0 where there are few."""
     brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.at_once[1:] & measured.linked[1:]]
@@ -257,11 +284,22 @@ def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
     return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
 
 
-def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
+def _half_faded_s(recording: Recording) -> Array:
+    """When the fade into each step is half over, s; before, the plate moves rather as in the step before."""
+    steps = recording.steps
+    return np.asarray((steps["first_sample"] + 0.5 * steps["fade_samples"]) / recording.rate_hz, dtype=np.float64)
+
+
+def _events(
+    flights: Flights, rows: NDArray[np.int64], half_faded_s: Array
+) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
     """True flights of steps whose plate is known, with their links; which may be judged; which rows were kept."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
-    row = np.where(inside, rows[np.clip(flights.step, 0, len(rows) - 1)], -1)
+    step = np.clip(flights.step, 0, len(rows) - 1)
+    early = (step > 0) & (flights.landing_s < np.append(half_faded_s, np.inf)[np.minimum(step, len(half_faded_s))])
+    step = np.where(early & (rows[step - 1] >= 0), step - 1, step)
+    row = np.where(inside, rows[step], -1)
     keep = ((flags & NOT_EVENTS) == 0) & (row >= 0)
     opening = flights.plate.true_time_s(flights.takeoff_s[keep])
     landing = flights.plate.true_time_s(flights.landing_s[keep])
