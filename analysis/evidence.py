@@ -55,8 +55,7 @@ class Steps:
         Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
     spread_mps2
         What one standard deviation each way changes in all tones together, shape (m, 2 k, k): the sum of the rows'
-        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i, and are zero
-        for tones that no event feels.
+        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i.
     forcing
         True for the forcing's own tones, shape (m, k).
     """
@@ -180,7 +179,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         k = len(order)
         omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
         forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
-        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k], forcing[i, :k])
+        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k])
     middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
     steps = Steps(
         np.zeros(m, dtype=np.int64),
@@ -192,7 +191,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         spread,
         forcing,
     )
-    measured, judged, keep = _events(flights, rows)
+    measured, judged, keep = _events(flights, rows, _half_faded_s(recording))
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
@@ -223,11 +222,11 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
     )
 
 
-def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDArray[np.complex128]:
+def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
     """Factor of the covariance of a step's tones (k,), those of the forcing first: see `Steps.spread_mps2`; (2 k, k).
 
-    A mains line beside a forcing tone is known no better than that tone, and their errors cancel in what they do to
-    the plate; so they err together here.
+    A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they do
+    to the plate. So all err together here.
     """
     fit = s.acceleration
     every = 2.0 * np.pi * fit.frequencies_hz
@@ -236,8 +235,28 @@ def _spread(s: StepPlate, omega_radps: Array, forcing: NDArray[np.bool_]) -> NDA
     scale = np.sqrt(np.diag(fit.covariance)[own])
     correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
     factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
-    felt = forcing | (rows >= len(s.multiples))
-    return np.asarray((factor[::2] + 1j * factor[1::2]).T * np.repeat(felt, 2)[:, None])
+    return np.asarray((factor[::2] + 1j * factor[1::2]).T)
+
+
+def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
+    """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
+
+    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
+    While an impact rings, only a part of its own size is heard.
+    """
+    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
+    velocity = steps.plate.acceleration_mps2[measured.step] / turns
+    at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
+    strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
+    impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
+    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
+    if heard.sum() < FEW_CONTACTS:
+        return np.full(len(rest), WEAK_MPS)
+    speed = float(np.median(impact[heard] / strength[heard]))
+    before = np.concatenate([[0.0], strength[:-1]])
+    rings = measured.at_once & (duration_s < RINGING_S)
+    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
+    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
 
 
 def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
@@ -286,11 +305,22 @@ def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
     return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
 
 
-def _events(flights: Flights, rows: NDArray[np.int64]) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
+def _half_faded_s(recording: Recording) -> Array:
+    """When the fade into each step is half over, s; before, the plate moves rather as in the step before."""
+    steps = recording.steps
+    return np.asarray((steps["first_sample"] + 0.5 * steps["fade_samples"]) / recording.rate_hz, dtype=np.float64)
+
+
+def _events(
+    flights: Flights, rows: NDArray[np.int64], half_faded_s: Array
+) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
     """True flights of steps whose plate is known, with their links; which may be judged; which rows were kept."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
-    row = np.where(inside, rows[np.clip(flights.step, 0, len(rows) - 1)], -1)
+    step = np.clip(flights.step, 0, len(rows) - 1)
+    early = (step > 0) & (flights.landing_s < np.append(half_faded_s, np.inf)[np.minimum(step, len(half_faded_s))])
+    step = np.where(early & (rows[step - 1] >= 0), step - 1, step)
+    row = np.where(inside, rows[step], -1)
     keep = ((flags & NOT_EVENTS) == 0) & (row >= 0)
     opening = flights.plate.true_time_s(flights.takeoff_s[keep])
     landing = flights.plate.true_time_s(flights.landing_s[keep])
