@@ -17,7 +17,7 @@ from model.roll import Predicted
 
 Array = NDArray[np.float64]
 
-GRAZING = 3.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
+GRAZING = 6.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
 REACH_SIGMAS = 3.0  # within which a measured number may be off
 ROBUST = 1.4826
 

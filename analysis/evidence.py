@@ -259,27 +259,6 @@ def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[
     return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
 
 
-def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
-    """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
-
-    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
-    While an impact rings, only a part of its own size is heard.
-    """
-    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
-    velocity = steps.plate.acceleration_mps2[measured.step] / turns
-    at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
-    strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
-    impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
-    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
-    if heard.sum() < FEW_CONTACTS:
-        return np.full(len(rest), WEAK_MPS)
-    speed = float(np.median(impact[heard] / strength[heard]))
-    before = np.concatenate([[0.0], strength[:-1]])
-    rings = measured.at_once & (duration_s < RINGING_S)
-    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
-    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
-
-
 def _closure_s(measured: Measured) -> float:
     """Middle of the contacts from which the ball left at once; 0 where there are few."""
     brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.at_once[1:] & measured.linked[1:]]
