@@ -20,6 +20,7 @@ LEAD = 4  # samples before a crossing that are looked at
 STARTS = 25  # grid points a parameter in the search for a start
 LONGEST = 3.0  # samples
 MOST_MISFIT = 12.0  # times the noise beyond which the samples show no single dent
+UNLIKE = 0.03  # of the swing: most by which samples are doubted where closings do not look alike
 ALIKE = 0.02  # of the swing: dents nearer than this may be taken for each other in the search for a ridge
 FAR_APART = 0.05  # samples: a spread beyond this is a ridge
 BRIEF = 2  # samples between closing and opening up to which a contact is fitted as one dent
@@ -136,6 +137,7 @@ def refine_brief(
     kind, sample = edges.kind, crossings.sample
     pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & (np.diff(sample) <= BRIEF))
     noise = levels.noise_v / abs(levels.swing_v)
+    unlike = max(noise, min(noise * shapes[1].chi, UNLIKE))  # a contact that bounces leaves no clean dent
     tau = (shapes[1].tau_s * rate_hz, shapes[0].tau_s * rate_hz)
     if max(tau) < 5.0 * SHARPEST:  # sharp edges leave no dent to fit
         return edges
@@ -147,7 +149,7 @@ def refine_brief(
         n = int(min(LEAD + AFTER, (after[0] - start - 1) if after.size else FAR))
         own = crossings.window[k, BEFORE - LEAD :][: max(n, LEAD + 2)].astype(np.float64)
         prior = _prior(impacts, start, float(sample[k]), rate_hz)
-        fit = brief_contact(own, noise, tau, (LEAD - 2.5, float(LEAD)), prior)
+        fit = brief_contact(own, noise if prior is None else unlike, tau, (LEAD - 2.5, float(LEAD)), prior)
         if fit is None:
             continue
         closing, opening = (start + fit[0]) / rate_hz, (start + fit[2]) / rate_hz
