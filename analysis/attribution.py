@@ -344,7 +344,8 @@ class Attributor:
     def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
 
-        Every parameter has a price, and no step counts for more than `analysis.gains.MOST_OF_A_STEP`.
+        Every parameter has a price, calibrations that have to be bent for it count against an explanation, and no step
+        for more than `analysis.gains.MOST_OF_A_STEP`.
         """
         nats, sigmas = (
             (self.limits.gain_nats, self.limits.gain_sigmas)
@@ -361,7 +362,7 @@ class Attributor:
         top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
         close = [x for x in passing if self._tied(top, x)]
         behind = {id(x): Compared.of(x.per_step, top.per_step, self.train).even for x in close}
-        return min(close, key=lambda x: behind[id(x)] + self.limits.tie_nats * len(x.free))
+        return min(close, key=lambda x: behind[id(x)] + x.fitted.strain + self.limits.tie_nats * len(x.free))
 
     def _worse(self, best: Explanation, x: Explanation) -> bool:
         for channel in x.losses:

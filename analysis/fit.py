@@ -253,9 +253,11 @@ class _State:
     def loss(self, raw: Array, x: Array) -> float:
         """Robust loss of the training steps, priors included."""
         z = self.whitener.white_all(raw)
-        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + 0.5 * float(
-            np.sum(((x - self.mean) * self.inverse) ** 2)
-        )
+        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.strain(x)
+
+    def strain(self, x: Array) -> float:
+        """What the priors say against ``x``, nats."""
+        return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
     def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
         """Finite differences of the bare residuals, one column a parameter."""
@@ -319,6 +321,11 @@ class Fitted:
     def values(self) -> dict[Key, float]:
         """Fitted and fixed values."""
         return self.state.point(self.x)
+
+    @property
+    def strain(self) -> float:
+        """How far calibrations and nuisances had to be bent from what was known of them, nats."""
+        return self.state.strain(self.x)
 
     def covariance(self) -> Array:
         """Of all coordinates."""
