@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from model.effects.base import Effect, Parameter
 
 LEAST_RADPS = 1e-3  # nothing of the plate moves slower
-SHARPNESS = (0.25, 0.5, 1.0)  # critically damped, Butterworth, damping 0.5
+SHARPNESS = (0.0, 0.5, 1.0)  # of first order; Butterworth; of damping 0.5
 
 EFFECT = Effect(
     name="phase_lag",
@@ -28,9 +28,7 @@ EFFECT = Effect(
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
     ),
-    variants=(
-        ("delay_s",), ("low_pass_s",), ("high_pass_hz",), ("low_pass_s", "sharpness"), ("high_pass_hz", "sharpness")
-    ),
+    variants=(("delay_s",), ("low_pass_s", "sharpness"), ("high_pass_hz", "sharpness")),
     seen_in=("plate",),
     confused_with={"contact_latency": "landing times", "drive_gain": "c = 1: two tones tell a filter from a gain"},
     reference="amplifier, shaker above its resonance",
