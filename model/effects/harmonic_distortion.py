@@ -44,7 +44,7 @@ EFFECT = Effect(
 
 @functools.lru_cache(maxsize=1024)
 def powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex]:
-    """Part of ``multiple`` in the square and the cube of ``sin x + Im(share exp(i ratio x))``; a sine has a real part."""
+    """Part of ``multiple`` in square and cube of ``sin x + Im(share exp(i ratio x))``; that of a sine is real."""
     x = 2.0 * np.pi * np.arange(POINTS) / POINTS
     wave = np.sin(x) + ((share * np.exp(1j * ratio * x)).imag if ratio > 1 else 0.0)
     square, cube = (2j * np.mean(wave**n * np.exp(-1j * multiple * x)) for n in (2, 3))
