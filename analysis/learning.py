@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from analysis.folding import multiples_of
 from analysis.impacts import ImpactScan
 from analysis.mains import MAINS_HZ, lines_apart
 from analysis.stream import PAD, Piece
@@ -97,8 +98,8 @@ def _without_motion(
         if stop - start < 3.0 * rate_hz / row["frequency_hz"]:
             continue
         own = slice(start - piece.first + PAD, stop - piece.first + PAD)
-        tones_hz = row["frequency_hz"] * np.unique([1, 2, 3, row["ratio"]])
-        tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, (stop - start) / rate_hz))  # hum is no ringing
+        tones_hz = row["frequency_hz"] * np.array(multiples_of(int(row["ratio"])))
+        tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, (stop - start) / rate_hz))  # none of it rings
         try:
             fit = fit_tones(volts[own], start, rate_hz, tones_hz, quiet[own])
         except ValueError:  # too little is quiet in this piece of the step
