@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from analysis.folding import multiples_of
 from analysis.impacts import ImpactScan
-from analysis.mains import MAINS_HZ, lines_apart
+from analysis.mains import MAINS_HZ, STANDS_OUT, lines_apart
 from analysis.stream import PAD, Piece
 from analysis.waveform import LEAD, Waveform, echo_samples, learn_waveform
-from daq.tones import fit_tones
+from daq.tones import ToneFit, fit_tones
 
 Floats = npt.NDArray[np.float64]
 
@@ -97,16 +98,30 @@ def _without_motion(
         if stop - start < 3.0 * rate_hz / row["frequency_hz"]:
             continue
         own = slice(start - piece.first + PAD, stop - piece.first + PAD)
-        tones_hz = row["frequency_hz"] * np.unique([1, 2, 3, row["ratio"]])
-        tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, (stop - start) / rate_hz))  # hum is no ringing
         try:
-            fit = fit_tones(volts[own], start, rate_hz, tones_hz, quiet[own])
+            fit = _motion(volts[own], start, rate_hz, row, quiet[own])
         except ValueError:  # too little is quiet in this piece of the step
             continue
         volts[own] -= fit.offset
         _subtract_tones(volts[own], start, fit.frequencies_hz / rate_hz, fit.amplitudes)
         fitted[own] = True
     return volts, fitted
+
+
+def _motion(
+    volts: Floats, start: int, rate_hz: float, row: np.void, quiet: npt.NDArray[np.bool_]
+) -> ToneFit:
+    """The plate's tones in a piece of a step: the usual ones, and harmonics and mains lines that stand out.
+
+    Hum and distortion that are left in would pass for ringing; harmonics that are not there fill the masked holes.
+    """
+    first = float(row["frequency_hz"])
+    usual = first * np.unique([1, 2, 3, row["ratio"]])
+    tones_hz = first * np.array(multiples_of(int(row["ratio"])))
+    tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, volts.size / rate_hz))
+    fit = fit_tones(volts, start, rate_hz, tones_hz, quiet)
+    there = np.isin(tones_hz, usual) | (np.abs(fit.amplitudes) > STANDS_OUT * fit.amplitude_sigma())
+    return fit if there.all() else fit_tones(volts, start, rate_hz, tones_hz[there], quiet)
 
 
 @njit(cache=True, error_model="numpy")

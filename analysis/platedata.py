@@ -48,7 +48,7 @@ class PlateData:
         Amplitude of the first tone, m/s^2.
     multiple, ratio, share
         Which multiple of the forcing the tone is, which one the second forcing tone is (1: there is none), and how
-        large the drive asks for that one, over the first.
+        large the drive asks for that one, over the first; complex, its phase counted from where the first is a sine.
     """
 
     kind: NDArray[np.int64]
@@ -60,7 +60,7 @@ class PlateData:
     scale: Array
     multiple: NDArray[np.int64]
     ratio: NDArray[np.int64]
-    share: Array
+    share: NDArray[np.complex128]
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -100,12 +100,13 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
     return rows_as_table, tuple(notes)
 
 
-def _second_share(s: StepPlate, power: int) -> float:
-    """How large the drive asks for the second forcing tone, over the first, as accelerations."""
+def _second_share(s: StepPlate, power: int) -> complex:
+    """What the drive asks for as second forcing tone, over the first, as accelerations; see `PlateData.share`."""
     if s.drive is None or s.ratio == 1 or abs(s.drive.amplitudes[0]) == 0.0:
-        return 1.0
-    second = s.drive.amplitudes[s.multiples.index(s.ratio)]
-    return float(abs(second / s.drive.amplitudes[0]) * s.ratio**power)
+        return 1.0 + 0j
+    first, second = s.drive.amplitudes[0], s.drive.amplitudes[s.multiples.index(s.ratio)]
+    sine = 1j * first / abs(first)  # of the first tone's phase where a sine is 1
+    return complex(1j * second / abs(first) / sine**s.ratio * s.ratio**power)
 
 
 def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> complex | None:

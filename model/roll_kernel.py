@@ -735,18 +735,17 @@ def one_ahead(
         if not (needed or (bounce[i] and wanted[i])):
             chained = 0
             continue
-        if at_once[i] and linked[i]:
-            start = t_landed
-        else:
+        direct, start, lasts, v0, hit = at_once[i] and linked[i], t_landed, -1.0, 0.0, 0.0
+        if not (direct and bounce[i]):  # without a bounce the ball leaves as if from rest, at once or soon after
             qo, qdo, _ = pressed(t_landed, opening[i] - t_landed, q, qd, wi, ri, ii, pi)
             start = thrown_before(opening[i], period[m], qo, qdo, 0.0, om, ze, wi, ri, ii, dt, pi)
             start = max(start, t_landed)
         qs, qds, _ = pressed(t_landed, start - t_landed, q, qd, wi, ri, ii, pi)
-        v0, hit = 0.0, 0.0
-        lasts = -1.0
-        if not at_once[i]:
+        if not (at_once[i] and bounce[i]):
             lasts, hit, _ = flight(start, 0.0, qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough, 0.0)
         if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
+            if direct:
+                start, qs, qds = t_landed, q, qd
             near = out[i, 1] if passed == 0 and out[i, 6] == 1.0 and at_once[i] else -1.0
             v0, hit = launch_of(start, landing[i], near, out[i, 2], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing[i]) < passable_s:

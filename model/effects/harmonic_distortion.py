@@ -43,10 +43,10 @@ EFFECT = Effect(
 
 
 @functools.lru_cache(maxsize=1024)
-def powers(ratio: int, share: float, multiple: int) -> tuple[complex, complex]:
-    """Part of ``multiple`` in the square and the cube of ``sin x + share sin(ratio x)``; a sine's part is real."""
+def powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex]:
+    """Part of ``multiple`` in square and cube of ``sin x + Im(share exp(i ratio x))``; that of a sine is real."""
     x = 2.0 * np.pi * np.arange(POINTS) / POINTS
-    wave = np.sin(x) + (share * np.sin(ratio * x) if ratio > 1 else 0.0)
+    wave = np.sin(x) + ((share * np.exp(1j * ratio * x)).imag if ratio > 1 else 0.0)
     square, cube = (2j * np.mean(wave**n * np.exp(-1j * multiple * x)) for n in (2, 3))
     return complex(square), complex(cube)
 
@@ -55,18 +55,19 @@ def harmonics(
     p: Mapping[str, float],
     multiple: NDArray[np.int64],
     ratio: NDArray[np.int64],
-    share: NDArray[np.float64],
+    share: NDArray[np.complex128],
     accel_g: NDArray[np.float64],
 ) -> NDArray[np.complex128]:
     """What is added to each ``multiple`` of the forcing, over the first tone of ``accel_g``; all shapes (k,).
 
-    The second forcing tone is the ``ratio``-th multiple and ``share`` times as large as the first.
+    The second forcing tone is the ``ratio``-th multiple and ``share`` times as large as the first, its phase counted
+    from where the first is a sine.
     """
-    turn = np.where(multiple == ratio, np.exp(1j * p["phase_rad"]), 1.0)
+    turn = np.where(multiple == ratio, np.exp(1j * (p["phase_rad"] + np.angle(share))), 1.0)
     out = turn * np.where(multiple == 2, p["second"], np.where(multiple == 3, p["third"], 0.0))
     if p["quadratic_per_g"] == 0.0 and p["cubic_per_g2"] == 0.0:
         return np.asarray(out)
     parts = np.array(
-        [powers(int(c), round(float(s), 3), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
+        [powers(int(c), complex(np.round(s, 3)), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
     ).reshape(-1, 2)
     return np.asarray(out + p["quadratic_per_g"] * accel_g * parts[:, 0] + p["cubic_per_g2"] * accel_g**2 * parts[:, 1])

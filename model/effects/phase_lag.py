@@ -1,5 +1,5 @@
-"""The plate follows the drive later than declared.
-The rule kept here: a pure delay, so the phase grows with the frequency.
+"""The plate follows the drive otherwise than declared: later, or through a filter.
+The rule kept here: what passes changes gain and phase together, as a causal filter does; a bare gain is `drive_gain`.
 """
 
 from __future__ import annotations
@@ -11,20 +11,35 @@ from numpy.typing import NDArray
 
 from model.effects.base import Effect, Parameter
 
+LEAST_RADPS = 1e-3  # nothing of the plate moves slower
+SHARPNESS = (0.0, 0.5, 1.0)  # of first order; Butterworth; of damping 0.5
+
 EFFECT = Effect(
     name="phase_lag",
     summary="the plate follows the drive later than declared",
     parameters=(
         Parameter("delay_s", "s", -0.02, 0.02, 1e-4, calibration=1e-5, meaning="of the plate behind the drive"),
+        Parameter(
+            "low_pass_s", "s", 0.0, 0.02, 1e-4, scan=(1e-4, 1e-3), meaning="time constant of an amplifier's roll-off"
+        ),
+        Parameter("high_pass_hz", "Hz", 0.0, 100.0, 0.1, scan=(0.1, 1.0), meaning="corner below which little passes"),
+        Parameter(
+            "sharpness", "1", 0.0, 4.0, 0.5, scan=SHARPNESS, shape=True,
+            meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
+        ),
     ),
+    variants=(("delay_s",), ("low_pass_s", "sharpness"), ("high_pass_hz", "sharpness")),
     seen_in=("plate",),
-    confused_with={"contact_latency": "landing times"},
+    confused_with={"contact_latency": "landing times", "drive_gain": "c = 1: two tones tell a filter from a gain"},
     reference="amplifier, shaker above its resonance",
-)
+)  # fmt: skip
 
 
 def transfer(
     p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
     """Factor on drive -> plate."""
-    return np.asarray(np.exp(-1j * omega_radps * p["delay_s"]))
+    low = 1j * omega_radps * p["low_pass_s"]
+    high = 2.0 * np.pi * p["high_pass_hz"] / (1j * np.maximum(omega_radps, LEAST_RADPS))
+    filters = (1.0 + low + p["sharpness"] * low**2) * (1.0 + high + p["sharpness"] * high**2)
+    return np.asarray(np.exp(-1j * omega_radps * p["delay_s"]) / filters)

@@ -50,14 +50,14 @@ def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Array:
     heard = np.zeros((len(kept.step), 4), dtype=np.complex128)
     known = keep & ((t < part * t[-1]) | (part == 1.0))
     np.add.at(heard, block[known], (ring[:, None] * np.exp(-1j * np.outer(t, omega)) * STEP_S)[known])
-    heard_s = np.bincount(block[known], minlength=len(kept.step)) * STEP_S
+    heard_s = np.asarray(np.bincount(block[known], minlength=len(kept.step)) * STEP_S, dtype=np.float64)
     n, kinds = len(rows), np.array([kind for kind, _ in rows])
     omegas = 2.0 * np.pi * FORCING_HZ * np.array([multiple for _, multiple in rows])
     zero, one = np.zeros(n, dtype=np.int64), np.ones(n)
-    data = PlateData(kinds, zero, one, one, omegas, one, np.full(n, 16.0), zero, zero, one)
+    data = PlateData(kinds, zero, one, one, omegas, one, np.full(n, 16.0), zero, zero, np.ones(n, dtype=np.complex128))
     plate = PlateSteps(omega[None, 1:2], seen[:, :1], np.array([1.0 / FORCING_HZ]))
-    nothing = np.zeros(1)
-    predicted = Predicted(*[nothing] * 10, ear.of_tones(heard, heard_s), heard, heard_s)
+    n0 = np.zeros(1)  # of the flights: nobody asks
+    predicted = Predicted(n0, n0, n0, n0, n0, n0, n0, n0, n0, n0, ear.of_tones(heard, heard_s), heard, heard_s)
     return ear.added(data, plate, predicted)[0]
 
 

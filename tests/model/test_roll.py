@@ -1,6 +1,7 @@
 """Flights with effects, one event ahead: each force by an eighth-order integration, the plate mode by a fine march."""
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -150,6 +151,46 @@ def test_a_plate_mode_rings_as_a_fine_march_says():
     with_mode, without = (np.sqrt(np.mean((p.landing_s - land)[4:] ** 2)) for p in (found, deaf))
     assert without > 5e-4  # what the mode does is no small thing here
     assert with_mode < 0.05 * without
+
+
+def test_an_inelastic_ball_leaves_from_rest_whatever_the_contact_looked_like():
+    """Contacts too short for the circuit to resolve strike the mode as they are, not as bounces with another speed."""
+    bare, ratio, om, ze = np.array([1.7 * G_MPS2 + 0j]), 0.03, 2.0 * math.pi * 6.3, 0.05
+    off, land, _ = marched(bare, ratio, om, ze, 1.2, 2e-6, OMEGA_RADPS * np.array([1.0]))
+    mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
+    seen = events(off, land)
+    brief = replace(seen, at_once=np.ones(len(off), dtype=bool))
+    found, hasty = (one_ahead(m, steps_of(complex(bare[0])), mode) for m in (seen, brief))
+    assert hasty.impact_mps[2:] == pytest.approx(found.impact_mps[2:], rel=1e-6)
+    assert hasty.rung[0, 0] == pytest.approx(found.rung[0, 0], rel=1e-6)
+
+
+def test_stretches_of_time_add_up_to_the_whole():
+    """What a mode does in two halves of every cycle is, together, what it does all the time."""
+    bare, ratio, om, ze = np.array([1.7 * G_MPS2 + 0j]), 0.03, 2.0 * math.pi * 6.3, 0.05
+    off, land, _ = marched(bare, ratio, om, ze, 0.6, 2e-6, OMEGA_RADPS * np.array([1.0]))
+    mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
+
+    @dataclass
+    class Parts:
+        span_s: np.ndarray
+        omega_radps = np.full((1, 1), OMEGA_RADPS)
+
+        @property
+        def first(self):
+            return np.array([0, len(self.span_s)])
+
+        def of_tones(self, heard, heard_s):
+            return np.atleast_2d(2.0 * heard.sum(axis=0) / heard_s.sum())
+
+    edges = np.linspace(-1.0, 2.0, 300)
+    whole, parts = (
+        one_ahead(events(off, land), steps_of(complex(bare[0])), mode, ear=Parts(np.column_stack([at[:-1], at[1:]])))
+        for at in (edges[[0, -1]], edges)
+    )
+    assert parts.heard_s.sum() == pytest.approx(whole.heard_s.sum(), rel=1e-9)
+    assert parts.heard.sum() == pytest.approx(whole.heard.sum(), rel=1e-9)
+    assert np.count_nonzero(parts.heard_s) > 20
 
 
 def test_a_ball_that_never_leaves_moves_with_its_plate():
