@@ -152,7 +152,8 @@ def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     And what goes on slowly after a landing is the plate's own motion under another load: that must not be subtracted.
     """
     width = max(round(SLOW_S * rate_hz * FINE), 1)
-    quick = fine - np.convolve(fine, np.ones(width) / width, mode="same")
+    ends = np.pad(fine, width, mode="edge")  # what is slow goes on at both ends, and must not look like a jump there
+    quick = fine - np.convolve(ends, np.ones(width) / width, mode="same")[width:-width]
     loud = np.convolve(quick**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
     peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:
