@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.waveform import ECHO, FINE, LEAD, learn_waveform
+from analysis.waveform import ECHO, FINE, LEAD, _known_part, learn_waveform
 
 RATE_HZ = 20_000.0
 
@@ -48,3 +48,13 @@ def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
     assert waveform is not None
     largest = float(np.max(np.abs(waveform.fine)))
     assert np.max(np.abs(waveform.fine[(LEAD + 10) * FINE :])) < 0.2 * largest
+
+
+def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
+    """Under a brief ring, what a plate's motion left slopes on to the end of what was learnt: none of it is kept."""
+    points = np.arange(128 * FINE)
+    slow = -4e-5 * np.maximum(points - LEAD * FINE, 0) / FINE
+    ring = np.where((points > LEAD * FINE) & (points < (LEAD + 8) * FINE), np.cos(points / 5.0), 0.0)
+    known = _known_part(ring + slow, 3e-4, 20000.0)
+    assert known is not None
+    assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)
