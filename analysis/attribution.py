@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.candidates import Candidate as Candidate
-from analysis.candidates import candidates_of, trends_of
+from analysis.candidates import candidates_of, trends_of, unlike
 from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.gains import Compared as Compared
 from analysis.likelihood import Key, World, plate_effects
@@ -262,7 +262,7 @@ class Attributor:
         added = (*best.candidates, Candidate(candidate.names, free))
         cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
         if ahead >= HOPELESS_NATS:
-            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else starts[:1])]
+            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else unlike(starts, free))]
             fits = [self._from(best, (*best.free, *free), p) for p in begun]
             return self._judged(added, min(fits, key=lambda x: self._quick(best.whitener, x.values)))
         if not cheap and promised < HOPELESS_NATS:

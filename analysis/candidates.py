@@ -13,6 +13,8 @@ from analysis.fit import parameter_of
 from analysis.likelihood import DRIFT, Key, World
 from model.effects import registry
 
+UNLIKE = 0.3  # relative: a shape farther off begins a fit of its own
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -70,3 +72,13 @@ def trends_of(free: Sequence[Key]) -> list[Candidate]:
     if len(both) == 2:
         out.append(Candidate(("coulomb_friction", "parameter_drift"), tuple((n, q + DRIFT) for n, q in both), ({},)))
     return out
+
+
+def unlike(
+    starts: Sequence[tuple[float, dict[Key, float]]], free: Sequence[Key]
+) -> list[tuple[float, dict[Key, float]]]:
+    """The best start, and the best of those that what shapes the effect puts elsewhere: another pitch, another trap."""
+    shapes = [k for k in free if parameter_of(k).shape]
+    first = starts[0][1]
+    others = [s for s in starts if any(abs(s[1][k] - first[k]) > UNLIKE * abs(first[k]) for k in shapes)]
+    return [starts[0], *others[:1]]

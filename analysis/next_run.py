@@ -233,7 +233,7 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
     value, error, omega_radps, asked, first = table[:, 2:].T
-    ratio, share = steps.ratio[step], np.ones(len(step))
+    ratio, share = steps.ratio[step], np.ones(len(step), dtype=np.complex128)
     return PlateData(kind, step, value, error, omega_radps, asked, first, multiple, ratio, share)
 
 

@@ -17,6 +17,7 @@ LENGTH = LEAD + TAIL
 ECHO = 128  # samples of the waveform learnt, at least: an impact's ringing must not be taken for the next impact
 ECHO_S = 6.4e-3  # and seconds
 FINE = 8  # template points per sample
+BARELY = 0.03  # of the weight that most points have, by which a point is known
 UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
 LOUD = 2.2  # root mean square over two samples, in noise of a point, that is waveform and not noise
 SLOW_S = 1e-3  # a mean over so long leaves no ringing
@@ -137,7 +138,7 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
         inside = np.minimum(index, points + 1)
         np.add.at(top, inside, part * weight * flat)
         np.add.at(bottom, inside, part * weight**2)
-    known = bottom > 1e-9 * bottom.max()
+    known = bottom > BARELY * np.quantile(bottom[:points], 0.9)  # a weak landing alone would blow up what is under it
     grid = np.arange(points)
     mean, known = top / np.where(known, bottom, 1.0), known[:points]
     sigma_v = noise_v / float(np.sqrt(np.median(bottom[:points][known])))
@@ -151,7 +152,8 @@ def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     And what goes on slowly after a landing is the plate's own motion under another load: that must not be subtracted.
     """
     width = max(round(SLOW_S * rate_hz * FINE), 1)
-    quick = fine - np.convolve(fine, np.ones(width) / width, mode="same")
+    ends = np.pad(fine, width, mode="edge")  # what is slow goes on at both ends, and must not look like a jump there
+    quick = fine - np.convolve(ends, np.ones(width) / width, mode="same")[width:-width]
     loud = np.convolve(quick**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
     peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:

@@ -22,7 +22,8 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ``reading(p)``                         factor by which the accelerometer reads too much
 ``shift_s(p)``                         delay of the continuity channel, both edges
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
-accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,) as large
+accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,) as large,
+                                       complex: its phase is counted from where the first is a sine
 ``hum_mps2(p)``                        amplitude of the plate's motion at the mains frequency
 ``modulation(p)``                      ``(depth, omega_radps)`` of a slow modulation of the plate's amplitude
 ``gate(p)``                            relative change of the plate's amplitude while the ball is off it

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.waveform import ECHO, FINE, LEAD, learn_waveform
+from analysis.waveform import ECHO, FINE, LEAD, _known_part, learn_waveform
 
 RATE_HZ = 20_000.0
 
@@ -34,3 +34,27 @@ def test_what_goes_on_slowly_under_an_impact_is_no_part_of_it() -> None:
     middle = slice((LEAD + 40) * FINE, (LEAD + 80) * FINE)
     mean = float(np.mean(waveform.fine[middle])) / float(np.max(np.abs(waveform.fine)))
     assert abs(mean) < 0.1 * 1.4 / 30.0
+
+
+def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
+    """Landings at one place between samples, and a weak one at another: the waveform is that of the strong ones."""
+    rng = np.random.default_rng(7)
+    size = np.append(np.ones(60), 0.02)
+    snippets = 0.02 * rng.standard_normal((61, ECHO))
+    snippets[:, LEAD : LEAD + 5] += size[:, None] * np.array([-12.0, 7.0, -4.0, 2.0, -1.0])
+    snippets[:, LEAD + 5 :] += -1.0  # the plate's own, whatever the landing
+    fractions = np.append(np.full(60, 0.5), 0.05)
+    waveform = learn_waveform(snippets, fractions, 0.02, RATE_HZ, np.array([25.0]))
+    assert waveform is not None
+    largest = float(np.max(np.abs(waveform.fine)))
+    assert np.max(np.abs(waveform.fine[(LEAD + 10) * FINE :])) < 0.2 * largest
+
+
+def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
+    """Under a brief ring, what a plate's motion left slopes on to the end of what was learnt: none of it is kept."""
+    points = np.arange(128 * FINE)
+    slow = -4e-5 * np.maximum(points - LEAD * FINE, 0) / FINE
+    ring = np.where((points > LEAD * FINE) & (points < (LEAD + 8) * FINE), np.cos(points / 5.0), 0.0)
+    known = _known_part(ring + slow, 3e-4, 20000.0)
+    assert known is not None
+    assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)

@@ -32,15 +32,17 @@ def test_residuals_at_the_truth_are_unit_normal_once_whitened(make: Callable[...
     assert stats.kstest(np.concatenate(plate), "norm").pvalue > 1e-3
 
 
-def test_what_a_step_shares_is_taken_out(make: Callable[..., World]) -> None:
-    """Tones err for a whole step: bare residuals of steps differ in their means, whitened ones do not."""
+@pytest.mark.parametrize("times", [3.0, 8.0])
+def test_what_a_step_shares_is_taken_out(make: Callable[..., World], times: float) -> None:
+    """Tones err for a whole step, some by far more than edges: bare residuals of steps differ, whitened ones do not."""
     world = make(FRICTION, 3)
-    sigma = 3.0 * world.evidence.steps.sigma_mps2
+    sigma = times * world.evidence.steps.sigma_mps2
     rng = np.random.default_rng(0)
     steps = world.evidence.steps
     noise = (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) * sigma * steps.forcing
     shaken = replace(steps.plate, acceleration_mps2=steps.plate.acceleration_mps2 + noise)
-    world = World(replace(world.evidence, steps=replace(steps, plate=shaken, spread_mps2=3.0 * steps.spread_mps2)), {})
+    steps = replace(steps, plate=shaken, spread_mps2=times * steps.spread_mps2)
+    world = World(replace(world.evidence, steps=steps), {})
     whitener = Whitener.of(world, FRICTION)
     r = world.residuals(FRICTION)
     z, _ = whitener.white(r)
@@ -51,6 +53,13 @@ def test_what_a_step_shares_is_taken_out(make: Callable[..., World]) -> None:
 
     assert between(bare) < 1e-12
     assert between(z) > 1e-3
+
+
+def test_weights_are_near_only_with_those_of_the_plate(make: Callable[..., World]) -> None:
+    """A fit is settled when edges and plate data both keep their weights."""
+    whitener = Whitener.of(make(FRICTION, 1), FRICTION)
+    assert whitener.near(whitener)
+    assert not replace(whitener, plate_sigma=2.0 * whitener.plate_sigma).near(whitener)
 
 
 def test_the_truth_loses_least(make: Callable[..., World]) -> None:
