@@ -14,16 +14,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.attribution import Attribution, Attributor, Explanation
 from analysis.beyond import Discovery, discover
 from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
 from analysis.evidence import Evidence, evidence_of
 from analysis.fit import Fitter, priors_of
+from analysis.gains import Compared
 from analysis.likelihood import DRIFT, World
 from analysis.remainder import Remainder, remainder
 from analysis.robust import SHARED_S
 from analysis.thresholds import FROZEN, Thresholds
+from analysis.whitening import step_losses
 from daq.errors import InputError
 from daq.setup import Setup
 from model.effects import effect, registry, resolve
@@ -126,7 +129,7 @@ def close_loop(
     train = np.arange(len(evidence.steps)) % limits.reserve != limits.reserve // 2
     fitter = Fitter(world, priors_of(evidence.setup), train)
     attributor = Attributor(world, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
-    attribution = attributor.explain()
+    attribution = _borne_out(world, attributor.explain(), train, limits)
     best = attribution.best
     say("what remains", 0.87)
     left = remainder(world, best)
@@ -151,6 +154,21 @@ def close_loop(
         world,
         _notes(evidence, attribution),
     )
+
+
+def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limits: Thresholds) -> Attribution:
+    """What was found, or the declared model where the reserved steps speak against a gain that was small."""
+    if found.best is found.before:
+        return found
+    reserved = [step_losses(world, x.whitener, world.residuals(x.fitted.values)) for x in (found.before, found.best)]
+    pair = zip((found.before, found.best), reserved, strict=True)
+    before, best = (np.where(train, x.per_step, sum(losses.values())) for x, losses in pair)
+    if Compared.of(before, best, ~train).even > 0.0:
+        return found
+    if Compared.of(before, best, np.ones_like(train)).beyond(limits.again_nats, limits.again_sigmas):
+        return found
+    said = f"the reserved steps do not bear out {' + '.join(found.best.names)}: withdrawn"
+    return dataclasses.replace(found, best=found.before, ties=(), rounds=(*found.rounds, said))
 
 
 def _lacking(left: Remainder, limits: Thresholds) -> bool:

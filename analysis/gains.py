@@ -42,9 +42,9 @@ class Compared:
     def beyond(self, nats: float, sigmas: float) -> bool:
         """Whether it is at least so many nats and standard errors, as it is or with each step limited.
 
-        A sum of which its own error leaves nothing is doubtful however its steps are limited.
+        A sum that is small against its own error is doubtful however its steps are limited.
         """
-        return self.gain > max(nats, self.error) and (
+        return self.gain > max(nats, 0.5 * self.error) and (
             self.gain > sigmas * self.error or self.even > max(nats, sigmas * self.even_error)
         )
 

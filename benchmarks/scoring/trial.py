@@ -70,7 +70,7 @@ def run(job: Job) -> dict[str, Any]:
     return {
         "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": job.c,
         "seconds": seconds, "flights": len(world.evidence), "steps": len(world.evidence.steps),
-        "size": size_of(world), "truth": truth, "discovered": discovered, "after_z": floor_z,
+        "size": size_of(world, loop.attribution.before.fitted.values), "truth": truth, "discovered": discovered, "after_z": floor_z,
         **{k: found[k] for k in kept},
     }  # fmt: skip
 
@@ -80,13 +80,20 @@ def _unit_landings(world: Any, values: Any) -> NDArray[np.float64]:
     return np.asarray(np.clip(np.where(np.isfinite(r.landing_s), r.landing_s / u.landing_total_s, 6.0), -6.0, 6.0))
 
 
-def size_of(world: Any) -> dict[str, float]:
-    """Root mean square residual of the declared model over the uncertainty, the noise taken out, by channel."""
-    u, r, ev = world.uncertainty({}), world.residuals({}), world.evidence
-    out = {}
+def size_of(world: Any, before: Any) -> dict[str, float]:
+    """Root mean square residual of the declared model over the uncertainty, the noise taken out, by channel.
+
+    Nuisances of the contact circuit are none of the model's faults: they are taken as fitted in ``before``.
+    """
+    from analysis.errors_of import fragile
+    from model.effects import effect
+
+    values = {k: x for k, x in before.items() if effect(k[0]).effect.nuisance}
+    u, r, ev = world.uncertainty(values), world.residuals(values), world.evidence
+    firm, out = ~fragile(world, values), {}
     for name, residual, sigma, rows in (
-        ("landing", r.landing_s, u.landing_total_s, ev.judged),
-        ("opening", r.opening_s, u.opening_total_s, world.opens),
+        ("landing", r.landing_s, u.landing_total_s, ev.judged & firm),
+        ("opening", r.opening_s, u.opening_total_s, world.opens & firm),
     ):  # fmt: skip
         if rows.any():
             z = np.where(np.isfinite(residual), residual / sigma, 1e3)[rows]
