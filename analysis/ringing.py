@@ -24,7 +24,7 @@ Complex = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
 KNOWN = 0.99  # of a window's time, for which the mode must have been followed
-INEXACT = 0.01  # of what the mode puts into a datum: blocks are means, and the learnt impact takes its part
+INEXACT = 0.03  # of what the mode puts into a datum: blocks are means, and the learnt impact takes its part
 
 
 @dataclass(frozen=True)
