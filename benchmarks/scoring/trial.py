@@ -70,7 +70,8 @@ def run(job: Job) -> dict[str, Any]:
     return {
         "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": job.c,
         "seconds": seconds, "flights": len(world.evidence), "steps": len(world.evidence.steps),
-        "size": size_of(world, loop.attribution.before.fitted.values), "truth": truth, "discovered": discovered, "after_z": floor_z,
+        "size": size_of(world, loop.attribution.before.fitted.values),
+        "truth": truth, "discovered": discovered, "after_z": floor_z,
         **{k: found[k] for k in kept},
     }  # fmt: skip
 
