@@ -25,7 +25,10 @@ def test_a_named_cause_that_leaves_noise_is_an_explanation() -> None:
 
 @pytest.mark.parametrize(
     "after",
-    [replace(HIT, landing_rms_us=FROZEN.clean_bill * 10.0 + 0.1), replace(HIT, takeoff_robust_us=46.0, takeoff_rms_us=47.0)],
+    [
+        replace(HIT, landing_rms_us=FROZEN.clean_bill * 10.0 + 0.1),
+        replace(HIT, takeoff_robust_us=46.0, takeoff_rms_us=47.0),
+    ],
     ids=["landings", "take-offs"],
 )
 def test_no_clean_bill_while_held_out_events_are_missed(after: Errors) -> None:
