@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.candidates import Candidate as Candidate
-from analysis.candidates import candidates_of, trends_of, unlike
+from analysis.candidates import Candidate, candidates_of, trends_of, unlike
+from analysis.explanation import Attribution, Explanation
 from analysis.fit import Fitted, Fitter, parameter_of
-from analysis.gains import Compared as Compared
+from analysis.gains import Compared, thriftiest
 from analysis.likelihood import Key, World, plate_effects
 from analysis.remainder import plate_ratio_of, ratio_of
 from analysis.search import Landscape, Point, joint_points, thinned
@@ -35,66 +34,6 @@ LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours
 FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
 MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and from there by a full fit
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # of the best one's gain: an option farther behind it is left
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A set of candidates, fitted and judged.
-
-    Attributes
-    ----------
-    candidates
-        In the order in which they were added.
-    fitted
-        The joint fit.
-    whitener
-        Uncertainties at the fitted point.
-    losses
-        Held-out loss by channel, (m,).
-    """
-
-    candidates: tuple[Candidate, ...]
-    fitted: Fitted
-    whitener: Whitener
-    losses: Mapping[str, Array]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all effects, each once, in order."""
-        return tuple(dict.fromkeys(n for c in self.candidates for n in c.names))
-
-    @property
-    def free(self) -> tuple[Key, ...]:
-        """Everything the candidates free."""
-        return tuple(k for c in self.candidates for k in c.free)
-
-    @property
-    def per_step(self) -> Array:
-        """Held-out loss of all channels, (m,)."""
-        return np.asarray(sum(self.losses.values()))
-
-
-@dataclass(frozen=True)
-class Attribution:
-    """The outcome.
-
-    Attributes
-    ----------
-    before, best
-        The declared model alone, and the best explanation found (the same object where nothing is missing).
-    ties
-        Explanations that the data cannot tell from the best one, the best first.
-    tried
-        Every candidate of the first round with its gain: the chain of reasoning.
-    rounds
-        What each round found: names, gain, standard error, accepted or why not.
-    """
-
-    before: Explanation
-    best: Explanation
-    ties: tuple[Explanation, ...]
-    tried: tuple[tuple[tuple[str, ...], Compared], ...]
-    rounds: tuple[str, ...] = field(default=())
 
 
 class Attributor:
@@ -344,8 +283,7 @@ class Attributor:
     def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
 
-        Every parameter has a price, calibrations that have to be bent for it count against an explanation, and no step
-        for more than `analysis.gains.MOST_OF_A_STEP`.
+        Every parameter has a price, and calibrations that have to be bent for it count against an explanation.
         """
         nats, sigmas = (
             (self.limits.gain_nats, self.limits.gain_sigmas)
@@ -361,8 +299,8 @@ class Attributor:
             return None
         top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
         close = [x for x in passing if self._tied(top, x)]
-        behind = {id(x): Compared.of(x.per_step, top.per_step, self.train).even for x in close}
-        return min(close, key=lambda x: behind[id(x)] + x.fitted.strain + self.limits.tie_nats * len(x.free))
+        costs = [x.fitted.strain + self.limits.tie_nats * len(x.free) for x in close]
+        return close[thriftiest(top.per_step, [x.per_step for x in close], costs, self.train)]
 
     def _worse(self, best: Explanation, x: Explanation) -> bool:
         for channel in x.losses:

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution import THREADS, Candidate, Compared, Explanation
+from analysis.attribution import THREADS
 from analysis.beyond_words import in_words
+from analysis.candidates import Candidate
 from analysis.covariates import covariates
+from analysis.explanation import Explanation
 from analysis.fit import Fitter
+from analysis.gains import Compared
 from analysis.likelihood import World, plate_effects
 from analysis.term_search import Polished, TermSearch, known_loss
 from analysis.terms import Spliced, spoken

@@ -16,10 +16,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution import Attribution, Attributor, Explanation
+from analysis.attribution import Attributor
 from analysis.beyond import Discovery, discover
 from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
 from analysis.evidence import Evidence, evidence_of
+from analysis.explanation import Attribution, Explanation
 from analysis.fit import Fitter, priors_of
 from analysis.gains import Compared
 from analysis.likelihood import DRIFT, World

@@ -5,6 +5,7 @@ The rule kept here: the step is the replicate, and no few of them decide.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,22 @@ class Compared:
         return self.gain > max(nats, 0.5 * self.error) and (
             self.gain > sigmas * self.error or self.even > max(nats, sigmas * self.even_error)
         )
+
+
+def thriftiest(top: Array, losses: Sequence[Array], costs: Sequence[float], train: NDArray[np.bool_]) -> int:
+    """Which of several explanations that tie does the most for the least.
+
+    Parameters
+    ----------
+    top
+        Losses by step of the one of lowest sum.
+    losses, costs
+        Of each explanation: losses by step, and what else counts against it, nats. No step counts for more than
+        `MOST_OF_A_STEP`.
+    train
+        Steps that count.
+    """
+    return int(np.argmin([Compared.of(x, top, train).even + cost for x, cost in zip(losses, costs, strict=True)]))
 
 
 def _sum(d: Array) -> tuple[float, float]:

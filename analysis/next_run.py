@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution import Explanation
 from analysis.close_loop import Loop
 from analysis.evidence import Evidence, Steps
+from analysis.explanation import Explanation
 from analysis.fit import Fitter, Prior, priors_of
 from analysis.likelihood import DRIFT, Key, World
 from analysis.platedata import GAIN, PHASE, PlateData, expected

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,10 @@ from scipy import stats
 
 from analysis.covariates import covariates
 from analysis.errors_of import fragile
+from analysis.explanation import Explanation
 from analysis.likelihood import EDGE_STEP_S, Uncertainty, Values, World
 from analysis.robust import LEAST_EXCESS_S, SHARED_S
 from analysis.thresholds import FROZEN
-
-if TYPE_CHECKING:
-    from analysis.attribution import Explanation
 
 Array = NDArray[np.float64]
 

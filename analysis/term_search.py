@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution import THREADS, Candidate, Explanation
+from analysis.attribution import THREADS
 from analysis.bases import basis_of, knots_of
+from analysis.candidates import Candidate
+from analysis.explanation import Explanation
 from analysis.fit import Fitter
 from analysis.likelihood import Key, Values, World
 from analysis.robust import robust_loss

@@ -43,6 +43,7 @@ def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
     from analysis.close_loop import as_json, close_loop
     from analysis.errors_of import errors_on, judged_rows, noise_floor_us
+    from model.effects import effect
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -65,12 +66,14 @@ def run(job: Job) -> dict[str, Any]:
             "rms_us": after.landing_rms_us, "robust_us": after.landing_robust_us,
             "floor_us": noise_floor_us(d.world, values, seen),
         }  # fmt: skip
+    declared = loop.attribution.before.fitted.values
     kept = ("verdict", "effects", "tie_set", "before", "after", "noise_floor_us", "remainder", "rounds")
     floor_z = float(np.sqrt(np.mean(_unit_landings(world, loop.best.fitted.values)[rows] ** 2))) if len(rows) else None
     return {
         "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": job.c,
         "seconds": seconds, "flights": len(world.evidence), "steps": len(world.evidence.steps),
-        "size": size_of(world, loop.attribution.before.fitted.values),
+        "size": size_of(world, {k: x for k, x in declared.items() if effect(k[0]).effect.nuisance}),
+        "size_left": size_of(world, declared),
         "truth": truth, "discovered": discovered, "after_z": floor_z,
         **{k: found[k] for k in kept},
     }  # fmt: skip
@@ -81,15 +84,10 @@ def _unit_landings(world: Any, values: Any) -> NDArray[np.float64]:
     return np.asarray(np.clip(np.where(np.isfinite(r.landing_s), r.landing_s / u.landing_total_s, 6.0), -6.0, 6.0))
 
 
-def size_of(world: Any, before: Any) -> dict[str, float]:
-    """Root mean square residual of the declared model over the uncertainty, the noise taken out, by channel.
-
-    Nuisances of the contact circuit are none of the model's faults: they are taken as fitted in ``before``.
-    """
+def size_of(world: Any, values: Any) -> dict[str, float]:
+    """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out."""
     from analysis.errors_of import fragile
-    from model.effects import effect
 
-    values = {k: x for k, x in before.items() if effect(k[0]).effect.nuisance}
     u, r, ev = world.uncertainty(values), world.residuals(values), world.evidence
     firm, out = ~fragile(world, values), {}
     for name, residual, sigma, rows in (

@@ -71,14 +71,6 @@ AT_ONE: Mapping[str, float] = {
     "harmonic_distortion.third": 0.5,
 }
 
-COVERED: Mapping[str, float] = {
-    # 2.5 of the standard deviations that the other plant's profile states of its own scales: less is no finding
-    "accelerometer_gain.relative": 0.0125,
-    "local_gravity.relative": 0.0125,  # as far as the accelerometer's scale can stand in for it
-    "drive_gain.relative": 0.01,
-    "phase_lag.delay_s": 2.5 * 0.5 / 360.0 / 31.73,
-}
-
 
 def expected_names(plant: str, effect: str) -> tuple[str, ...]:
     """Names by which ``effect`` counts as found; none where it lies outside the library."""

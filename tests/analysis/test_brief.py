@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.brief import brief_contact, dent
+from analysis.brief import UNLIKE, brief_contact, dent
 
 TAU = (0.4, 0.4)
 NOISE = 4e-4
@@ -39,3 +39,13 @@ def test_a_contact_that_bounces_is_not_taken_for_one_dent() -> None:
     """Two dents in the window are refused."""
     volts = dent(12, 3.2, 0.8, TAU) * dent(12, 6.1, 1.0, TAU)
     assert brief_contact(volts, NOISE, TAU, (2.0, 4.5)) is None
+
+
+def test_a_dent_that_looks_like_no_other_yields_to_the_accelerometer() -> None:
+    """A contact that touched twice, fitted with the slow closing of the average: 0.6 samples early, or in doubt."""
+    close, slow = 2.70, (1.2, 0.4)
+    volts = np.array([1.0, 1.0, 1.0, 0.475, 0.257, 0.936, 0.994, 1.0, 1.0, 1.0, 1.0, 1.0])
+    trusted = brief_contact(volts, NOISE, slow, (1.5, 4.0), (close, 0.04))
+    doubted = brief_contact(volts, UNLIKE, slow, (1.5, 4.0), (close, 0.04))
+    assert trusted is not None and abs(trusted[0] - close) > 50.0 * trusted[1]
+    assert doubted is not None and abs(doubted[0] - close) < 3.0 * doubted[1]

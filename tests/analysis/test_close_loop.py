@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
+from analysis import close_loop
 from analysis.close_loop import verdict_of
 from analysis.errors_of import Errors
+from analysis.explanation import Attribution
 from analysis.remainder import Remainder
 from analysis.thresholds import FROZEN
 
@@ -61,3 +66,33 @@ def test_a_run_without_rests_is_judged_by_its_landings() -> None:
     """No take-off was seen: there is neither an error nor a floor of them, and that is no reason to refuse."""
     after = replace(HIT, takeoff_robust_us=math.nan, takeoff_rms_us=math.nan)
     assert verdict_of(True, NOISE, after, (10.0, math.nan), FROZEN) == "explained"
+
+
+def _found(gain_seen: float, gain_reserved: float, monkeypatch: pytest.MonkeyPatch) -> tuple[bool, str]:
+    """Whether a cause that gains so much in each of 16 steps, and in 5 reserved ones, stands; what is said last."""
+    train = np.arange(21) % 4 != 2
+    spread = np.where(np.arange(21) % 3 == 0, 3.0, -1.5)
+
+    def explanation(name: str, loss: np.ndarray) -> Any:
+        fitted = SimpleNamespace(values={})
+        return SimpleNamespace(names=(name,), per_step=np.where(train, loss, 0.0), fitted=fitted, whitener=loss)
+
+    gain = np.where(train, gain_seen, gain_reserved)
+    before, best = explanation("", np.zeros(21)), explanation("drag", spread - gain)
+    monkeypatch.setattr(close_loop, "step_losses", lambda world, whitener, residuals: {"events": whitener})
+    found = Attribution(before, best, (best,), (), ("round 1",))
+    world: Any = SimpleNamespace(residuals=lambda values: None)
+    after = close_loop._borne_out(world, found, train, FROZEN)
+    return after.best is best, after.rounds[-1]
+
+
+def test_a_small_gain_needs_the_reserved_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A nat and a half a step stands if the reserved steps gain as well, and is withdrawn if they lose."""
+    assert _found(1.5, 1.5, monkeypatch)[0]
+    stands, said = _found(1.5, -1.0, monkeypatch)
+    assert not stands and "drag: withdrawn" in said
+
+
+def test_a_large_gain_stands_whatever_few_reserved_steps_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten nats a step are no chance."""
+    assert _found(10.0, -1.0, monkeypatch)[0]

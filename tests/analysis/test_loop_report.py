@@ -12,8 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 import analysis.close_loop
-from analysis.attribution import Attribution, Attributor, Candidate, Compared
+from analysis.attribution import Attributor
+from analysis.candidates import Candidate
 from analysis.close_loop import Loop, as_json
+from analysis.explanation import Attribution
+from analysis.gains import Compared
 from analysis.loop_report import VERDICTS, write_report
 from analysis.whitening import Whitener
 from bench.cli import app

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from analysis import attribution
-from analysis.attribution import Attribution, Attributor
+from analysis.attribution import Attributor
 from analysis.candidates import Candidate, candidates_of
+from analysis.explanation import Attribution
 from analysis.fit import Fitter
-from analysis.gains import MOST_OF_A_STEP, Compared
+from analysis.gains import MOST_OF_A_STEP, Compared, thriftiest
 from analysis.likelihood import Key, World
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
@@ -103,3 +104,24 @@ def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
     d = 10.0 * rng.standard_normal(16)
     d += (15.0 - d.sum()) / 16
     assert not Compared.of(d, np.zeros(16), np.ones(16, dtype=bool)).beyond(12.0, 2.0)
+
+
+def test_a_lead_in_some_steps_outweighs_a_parameter() -> None:
+    """A parameter more is worth 25 nats in two steps, and not 3: the price of one is 4."""
+    train, none = np.ones(6, dtype=bool), np.zeros(6)
+    far, hardly = np.array([12.0, 13.0, 0.0, 0.0, 0.0, 0.0]), np.array([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert thriftiest(none, [far, none], [4.0, 8.0], train) == 1
+    assert thriftiest(none, [hardly, none], [4.0, 8.0], train) == 0
+
+
+def test_one_step_alone_outweighs_no_more_than_itself() -> None:
+    """A step that loses 300 nats to a hidden bounce, and twenty that gain one each: these decide."""
+    train, top = np.ones(21, dtype=bool), np.zeros(21)
+    bounced = np.concatenate([[300.0], np.full(20, -1.0)])
+    assert thriftiest(top, [top, bounced], [4.0, 4.0], train) == 1
+
+
+def test_no_second_cause_is_looked_for_in_noise(explain: Explain) -> None:
+    """Friction alone explains the run: the search ends there, and says why."""
+    found = explain({UP: 0.05, DOWN: 0.05}, 1)
+    assert found.rounds[-1] == "round 2: what is left is no more than noise"

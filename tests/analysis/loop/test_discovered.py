@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.attribution import Explanation
 from analysis.bases import basis_of, knots_of
 from analysis.beyond import discover
 from analysis.covariates import covariates
 from analysis.errors_of import errors_on, judged_rows, noise_floor_us
+from analysis.explanation import Explanation
 from analysis.fit import Fitter
 from analysis.likelihood import Key, World
 from analysis.splines import Stack, best_start, try_in_flight

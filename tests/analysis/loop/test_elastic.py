@@ -62,6 +62,23 @@ def test_a_chatter_is_met_at_the_bounce_that_was_seen(dated: int | str) -> None:
     assert p.landing_s[1] == pytest.approx(end, abs=nearest)
 
 
+@pytest.mark.parametrize("closure_s", [0.0, 1e-4])
+def test_bounces_too_close_to_be_told_apart_are_no_free_choice(closure_s: float) -> None:
+    """A chatter of 40 us ends a flight where contacts that short are not seen, and begins it where they are, always."""
+    speed, e = 5.0, 0.006
+    first = 2.0 * speed * e / G
+    chatter = first * e / (1.0 - e)
+    assert 3e-5 < chatter < RESOLVED_S
+    wanted = first + (chatter if closure_s == 0.0 else 0.0)
+    for seen in (first, first + 0.5 * chatter, first + chatter):  # whatever was measured
+        flights = table(
+            np.array([0.0, seen]), np.array([-2.0 * speed / G, 0.0]), np.array([False, True]), np.array([False, True])
+        )
+        p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": e}}, G), weak_mps=np.inf, closure_s=closure_s)
+        assert p.landing_s[1] == pytest.approx(wanted, abs=1e-6)
+        assert p.doubt_s[1] == pytest.approx(0.2 * (wanted - first), abs=1e-6)
+
+
 def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
     """Where the accelerometer hears the first impact, a later landing is a miss, not another bounce."""
     speed = 0.3

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from analysis.likelihood import World
+from analysis.robust import SHARED_S
 from analysis.whitening import Whitener, step_losses
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
@@ -60,6 +61,17 @@ def test_weights_are_near_only_with_those_of_the_plate(make: Callable[..., World
     whitener = Whitener.of(make(FRICTION, 1), FRICTION)
     assert whitener.near(whitener)
     assert not replace(whitener, plate_sigma=2.0 * whitener.plate_sigma).near(whitener)
+
+
+def test_a_microsecond_that_a_step_shares_is_no_evidence(make: Callable[..., World]) -> None:
+    """However sharp the edges: all landings of a step off by what the circuit may do count as one unit, not as many."""
+    made = make(FRICTION, 1).evidence
+    sharp = np.full(len(made), 5e-8)
+    world = World(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
+    whitener, r = Whitener.of(world, FRICTION, lean=True), world.residuals(FRICTION)
+    off = replace(r, opening_s=np.zeros(len(made)), landing_s=np.full(len(made), SHARED_S), plate=0.0 * r.plate)
+    z, _ = whitener.white(off)
+    assert np.all(np.bincount(whitener.step, z**2) < 2.5)
 
 
 def test_the_truth_loses_least(make: Callable[..., World]) -> None:

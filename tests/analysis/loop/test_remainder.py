@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution import Explanation
 from analysis.covariates import COVARIATES, covariates
+from analysis.explanation import Explanation
 from analysis.likelihood import Values, World
 from analysis.remainder import innovations, remainder
 

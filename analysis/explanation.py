@@ -1,0 +1,80 @@
+"""What a search for causes comes to: explanations, and which of them stand.
+
+The rule kept here: nothing is decided; these are values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.candidates import Candidate
+from analysis.fit import Fitted
+from analysis.gains import Compared
+from analysis.likelihood import Key
+from analysis.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of candidates, fitted and judged.
+
+    Attributes
+    ----------
+    candidates
+        In the order in which they were added.
+    fitted
+        The joint fit.
+    whitener
+        Uncertainties at the fitted point.
+    losses
+        Held-out loss by channel, (m,).
+    """
+
+    candidates: tuple[Candidate, ...]
+    fitted: Fitted
+    whitener: Whitener
+    losses: Mapping[str, Array]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all effects, each once, in order."""
+        return tuple(dict.fromkeys(n for c in self.candidates for n in c.names))
+
+    @property
+    def free(self) -> tuple[Key, ...]:
+        """Everything the candidates free."""
+        return tuple(k for c in self.candidates for k in c.free)
+
+    @property
+    def per_step(self) -> Array:
+        """Held-out loss of all channels, (m,)."""
+        return np.asarray(sum(self.losses.values()))
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """The outcome.
+
+    Attributes
+    ----------
+    before, best
+        The declared model alone, and the best explanation found (the same object where nothing is missing).
+    ties
+        Explanations that the data cannot tell from the best one, the best first.
+    tried
+        Every candidate of the first round with its gain: the chain of reasoning.
+    rounds
+        What each round found: names, gain, standard error, accepted or why not.
+    """
+
+    before: Explanation
+    best: Explanation
+    ties: tuple[Explanation, ...]
+    tried: tuple[tuple[tuple[str, ...], Compared], ...]
+    rounds: tuple[str, ...] = field(default=())
