@@ -81,6 +81,8 @@ class World:
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
         self.gravity = evidence.setup.g_mps2.value
         self.ringing = None if evidence.swells is None else Ringing.of(evidence.swells, evidence.steps.plate)
+        at_work = (evidence.plate, evidence.steps.plate, self.gravity)
+        self.loading = None if self.ringing is None else self.ringing.loading(*at_work)
         self._nothing = row({}, self.gravity)
         self.opens = evidence.judged & ~evidence.measured.at_once  # a take-off that was seen, after a rest
         self._cache: dict[tuple[object, ...], Predicted] = {}
@@ -155,8 +157,11 @@ class World:
         step = ev.measured.step
         shift = self.per_step(values, "shift_s", 0.0)[step]
         reading = self.per_step(values, "reading", 1.0)
+        loaded = self.per_step(values, "gate", 0.0)
         gap = self.per_step(values, "gap_m", 0.0)[step]
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
+        if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
+            z = z - loaded[:, None] * self.loading.tones_mps2
         plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
         if (swell := self._swell(values)) is not None:
             plate = swell[0].modulated(plate, *swell[1:])
@@ -220,6 +225,8 @@ class World:
         if self.ringing is not None:
             rung, vague = self.ringing.added(ev.plate, ev.steps.plate, p)
             said = said + rung
+        if self.loading is not None:
+            said = said + self.loading.added(self.per_step(values, "gate", 0.0)[ev.plate.step])
         if (swell := self._swell(values)) is not None:
             swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
             said, vague = said + swelling, np.hypot(vague, leaking)
@@ -280,5 +287,5 @@ def _slope(difference: Array) -> Array:
 @functools.cache
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
-    flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m", "modulation"}
+    flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m", "modulation", "gate"}
     return frozenset(r.effect.name for r in registry() if r.hooks and not flying & r.hooks.keys())

@@ -24,7 +24,31 @@ Complex = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
 KNOWN = 0.99  # of a window's time, for which the mode must have been followed
+SMALL = 1e-3  # relative change for which a load's part is taken as linear
 INEXACT = 0.03  # of what the mode puts into a datum: blocks are means, and the learnt impact takes its part
+
+
+@dataclass(frozen=True)
+class Loading:
+    """What a plate that moves more without the ball on it puts into tones and data, by one of its relative change.
+
+    Attributes
+    ----------
+    tones_mps2
+        Into the plate's tones, beyond those of contact, (m, j).
+    data
+        Into the plate data but that of the gate itself, (r,).
+    power
+        With which power of the change a datum grows, (r,).
+    """
+
+    tones_mps2: Complex
+    data: Array
+    power: Array
+
+    def added(self, change: Array) -> Array:
+        """What ``change`` (r,) of each datum's step adds to it, (r,)."""
+        return np.asarray(self.data * np.abs(change) ** self.power * np.sign(change))
 
 
 @dataclass(frozen=True)
@@ -76,10 +100,15 @@ class Ringing:
     # -- what plate data make of it ---------------------------------------------------------------------------------
     def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Array, Array]:
         """What the mode of a prediction adds to each datum, and how well that is known, (r,) each."""
-        out, vague = np.zeros((2, len(data)))
         if not np.any(p.rung):
-            return out, vague
-        found, step = self._of_steps(p.heard, p.heard_s), data.step
+            return np.zeros(len(data)), np.zeros(len(data))
+        return self._added(data, plate, p.rung, p.heard, p.heard_s)
+
+    def _added(
+        self, data: PlateData, plate: PlateSteps, rung: Complex, heard: Complex, heard_s: Array
+    ) -> tuple[Array, Array]:
+        out = np.zeros(len(data))
+        found, step = self._of_steps(heard, heard_s), data.step
         out += np.where(data.kind == OFFSET, found[step, 0].real, 0.0)
         k = np.argmin(np.abs(self.omega_radps[step] - data.omega_radps[:, None]), axis=1)
         size = 2.0 * np.abs(found[step, k])
@@ -89,17 +118,45 @@ class Ringing:
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
-        ratio = z / (z - p.rung[step[rows], j])
+        ratio = z / (z - rung[step[rows], j])
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
         vague[rows] = INEXACT * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
-        contact, flight = self._apart(p.heard, p.heard_s)
-        z = plate.acceleration_mps2[step[rows], 0] - p.rung[step[rows], 0]
+        contact, flight = self._apart(heard, heard_s)
+        z = plate.acceleration_mps2[step[rows], 0] - rung[step[rows], 0]
         out[rows] = np.log(np.abs(z + flight[step[rows]]) / np.abs(z + contact[step[rows]]))
         vague[rows] = INEXACT * np.abs((flight - contact)[step[rows]] / z)
         rows = np.flatnonzero(data.kind == MODULATION)
-        out[rows], vague[rows] = self._in_windows(found, p.heard, p.heard_s)
+        out[rows], vague[rows] = self._in_windows(found, heard, heard_s)
         return out, vague
+
+    # -- a plate that the ball loads --------------------------------------------------------------------------------
+    def loading(self, data: PlateData, plate: PlateSteps, gravity_mps2: float) -> Loading:
+        """What a plate does that accelerates by ``c (a_p + g)`` more in flight, a_p being that of contact.
+
+        Such is a plate driven by a force, its mass by c smaller without the ball. A flight's times do not change by it:
+        all of the relative motion is 1 + c times as large.
+        """
+        heard, heard_s = SMALL * self._lifted(gravity_mps2), self.kept.seconds
+        tones = self.of_tones(heard, heard_s) * (plate.acceleration_mps2 != 0.0)
+        said, _ = self._added(data, plate, tones, heard, heard_s)
+        power = np.where(np.isin(data.kind, (SECOND, THIRD, HUM)), 2.0, 1.0)
+        return Loading(tones / SMALL, np.where(data.kind == GATE, 0.0, said / SMALL**power), power)
+
+    def _lifted(self, gravity_mps2: float) -> Complex:
+        """What is heard of ``a_p + g`` in flight and of nothing in contact, (r, 1 + k): the ball's load taken away."""
+        step, w = self.kept.step, self.omega_radps[self.kept.step]
+        length, middle = self.kept.seconds[:, None], self.kept.span_s.mean(axis=1)[:, None]
+
+        def turned(rate: Array) -> Complex:
+            return np.asarray(length * np.sinc(rate * length / (2.0 * np.pi)) * np.exp(1j * rate * middle))
+
+        out = gravity_mps2 * turned(-w)
+        for j in range(int(self.tones.max(initial=0))):
+            z = np.where(self.tones > j, self.seen_mps2[:, j], 0.0)[step, None]
+            own = w[:, j + 1, None]
+            out += 0.5 * (z * turned(own - w) + np.conj(z) * turned(-own - w))
+        return np.where(self.kept.contact[:, None], 0.0, out)
 
     @cached_property
     def _turns(self) -> Array:

@@ -1,10 +1,13 @@
-"""The plate moves differently with and without the ball on it.
-The rule kept here: the relative change of amplitude in flight against contact.
+"""The plate is driven by a force, and the ball's mass rides along while it is in contact.
+The rule kept here: in flight the plate accelerates by ``relative (a_p + g)`` more than the ``a_p`` of contact.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 
 from model.effects.base import Effect, Parameter
 
@@ -15,13 +18,22 @@ EFFECT = Effect(
         Parameter(
             "relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, meaning="amplitude in flight over contact, minus 1"
         ),
+        Parameter(
+            "bare", "1", 0.0, 1.0, 0.3, scan=(1.0,), meaning="1 where the drive was scaled without the ball"
+        ),
     ),
-    seen_in=("plate",),
-    confused_with={"harmonic_distortion": "steps without flights"},
-    reference="mass ratio of ball and armature",
+    variants=(("relative",), ("relative", "bare")),
+    seen_in=("plate", "takeoff", "landing"),
+    confused_with={"harmonic_distortion": "steps without flights", "table_resonance": "a slow line after impacts"},
+    reference="Newton's second law; mass ratio of ball and armature",
 )
 
 
 def gate(p: Mapping[str, float]) -> float:
     """Relative change of the plate's amplitude while the ball is off it."""
     return p["relative"]
+
+
+def transfer(p: Mapping[str, float], omega_radps: Any, accel_g: Any) -> Any:
+    """Factor on the plate in contact, where the drive's scale is another plate's."""
+    return np.full(np.shape(omega_radps), 1.0 / (1.0 + p["bare"] * p["relative"]), dtype=np.complex128)

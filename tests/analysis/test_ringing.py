@@ -103,3 +103,37 @@ def test_windows_in_which_the_mode_was_lost_say_nothing() -> None:
     said = said_of([(MODULATION, 0.0)] * WINDOWS, part=0.5)
     assert np.all(said[5:] == 0.0)
     assert np.all(said[:4] != 0.0)
+
+
+def test_a_load_is_heard_as_a_masked_fit_of_what_the_plate_does_without_it() -> None:
+    """A plate that accelerates by 1 % of a_p + g more in flight: offset, gain, phase and tone against least squares."""
+    change, g = 0.01, 9.80665
+    a_p = np.real(FORCED * np.exp(2j * np.pi * FORCING_HZ * t))
+    every = waves(TONES_HZ)
+    z = fitted(every[keep], (a_p + change * np.where(contact, 0.0, a_p + g))[keep])
+    tone = complex(z[1], z[2])
+    kept = Kept.of_blocks(0, keep, np.full(POINTS, -1), contact, STEP_S)
+    omega = 2.0 * np.pi * np.concatenate([[0.0], TONES_HZ])
+    ear = Ringing(kept, omega[None], np.array([[FORCED, 1e-9, 1e-9]]), np.array([1]), np.array([[0]]))
+    zero, one = np.zeros(3, dtype=np.int64), np.ones(3)
+    omegas = 2.0 * np.pi * FORCING_HZ * np.array([0.0, 1.0, 1.0])
+    kinds = np.array([OFFSET, GAIN, PHASE])
+    data = PlateData(kinds, zero, one, one, omegas, one, one, zero, zero, np.ones(3, dtype=np.complex128))
+    plate = PlateSteps(omega[None, 1:2], np.array([[FORCED]]), np.array([1.0 / FORCING_HZ]))
+    load = ear.loading(data, plate, g)
+    assert change * load.tones_mps2[0, 0] == pytest.approx(tone - FORCED, abs=2e-4)
+    ratio = tone / FORCED
+    wanted = [z[0], np.log(abs(ratio)), np.angle(ratio)]
+    assert load.added(np.full(3, change)) == pytest.approx(wanted, rel=0.03, abs=1e-5)
+
+
+def test_a_tone_that_is_not_there_is_not_loaded() -> None:
+    """Columns without a tone stay empty, whatever tone lies nearest."""
+    kept = Kept.of_blocks(0, keep, np.full(POINTS, -1), contact, STEP_S)
+    omega = 2.0 * np.pi * np.concatenate([[0.0], TONES_HZ])
+    ear = Ringing(kept, omega[None], np.array([[FORCED, 0.0, 0.0]]), np.array([1]), np.array([[0, 0]]))
+    plate = PlateSteps(np.array([[omega[1], 1.0]]), np.array([[FORCED, 0.0]]), np.array([1.0 / FORCING_HZ]))
+    none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+    data = PlateData(none, none, nothing, nothing, nothing, nothing, nothing, none, none, nothing.astype(complex))
+    load = ear.loading(data, plate, 9.80665)
+    assert load.tones_mps2[0, 0] != 0.0 and load.tones_mps2[0, 1] == 0.0
