@@ -78,7 +78,7 @@ class Attributor:
             gain = Compared.of(best.per_step, accepted.per_step, self.train)
             added = " + ".join(accepted.candidates[-1].names)
             rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
-            kept = self._step_back(accepted, rounds)
+            kept = self._simplified(self._step_back(accepted, rounds), pool, rounds)
             rivals = found if kept is accepted else []
             best = self._refined(kept)
         ties = self._ties(before, best, rivals)
@@ -278,7 +278,13 @@ class Attributor:
         return whitener.profile_loss(self.world.residuals(values), self.world.evidence.plate, self.train)
 
     def _promising(self, pool: Sequence[Candidate], best: Explanation) -> list[Candidate]:
-        return [c for c in pool if not set(c.names) & set(best.names)]
+        """What has not been named yet, and fuller forms of what has."""
+        taken, names = set(best.free), set(best.names)
+        own = {name: {k for k in taken if k[0] == name} for name in names}
+        return [
+            c for c in pool
+            if not set(c.names) & names or (len(c.names) == 1 and own[c.names[0]] and own[c.names[0]] < set(c.free))
+        ]  # fmt: skip
 
     def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
@@ -324,6 +330,23 @@ class Attributor:
             if not loss.beyond(self.limits.tie_nats, self.limits.tie_sigmas):
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
+        return best
+
+    def _simplified(self, best: Explanation, pool: Sequence[Candidate], rounds: list[str]) -> Explanation:
+        """A special case in place of an earlier cause, where with the later ones it does as well."""
+        for i, candidate in enumerate(best.candidates[:-1]):
+            for simpler in pool:
+                if len(simpler.free) >= len(candidate.free) or not set(simpler.names) <= _relatives(candidate.names):
+                    continue
+                chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
+                known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
+                points = [{**point, **known} for point in simpler.starts or ({},)]
+                start = min(points, key=lambda point: self._quick(best.whitener, point))
+                free = tuple(k for c in chosen for k in c.free)
+                x = self._judged(chosen, self._settled(self.fitter.fit(best.whitener, free, start)))
+                if self._tied(best, x):
+                    rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
+                    return x
         return best
 
     def _ties(self, before: Explanation, best: Explanation, rivals: Sequence[Explanation]) -> tuple[Explanation, ...]:

@@ -340,7 +340,7 @@ class Fitted:
         if q.power == 1.0:
             return spread
         y = abs(self.x[j] * scale)
-        return float(q.power * y ** (q.power - 1.0) * spread)
+        return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
 
     def held_out(self, whitener: Whitener) -> dict[str, Array]:
         """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.

@@ -24,8 +24,15 @@ Complex = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
 KNOWN = 0.99  # of a window's time, for which the mode must have been followed
+LEAST = 1e-6  # of a tone, that is left of it whatever rings
 SMALL = 1e-3  # relative change for which a load's part is taken as linear
 INEXACT = 0.03  # of what the mode puts into a datum: blocks are means, and the learnt impact takes its part
+
+
+def _driven(z: Complex, rung: Complex) -> Complex:
+    """Tones less what rings of them; where nothing would be left, a trifle: such a mode is wrong, and finitely so."""
+    left = z - rung
+    return np.where(np.abs(left) > LEAST * np.abs(z), left, LEAST * z)
 
 
 @dataclass(frozen=True)
@@ -118,13 +125,14 @@ class Ringing:
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
-        ratio = z / (z - rung[step[rows], j])
+        ratio = z / _driven(z, rung[step[rows], j])
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
         vague[rows] = INEXACT * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
         contact, flight = self._apart(heard, heard_s)
-        z = plate.acceleration_mps2[step[rows], 0] - rung[step[rows], 0]
-        out[rows] = np.log(np.abs(z + flight[step[rows]]) / np.abs(z + contact[step[rows]]))
+        z = _driven(plate.acceleration_mps2[step[rows], 0], rung[step[rows], 0])
+        there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
+        out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
         vague[rows] = INEXACT * np.abs((flight - contact)[step[rows]] / z)
         rows = np.flatnonzero(data.kind == MODULATION)
         out[rows], vague[rows] = self._in_windows(found, heard, heard_s)

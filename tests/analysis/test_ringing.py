@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from analysis.kept import Kept
 from analysis.platedata import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
-from analysis.ringing import Ringing
+from analysis.ringing import Ringing, _driven
 from model.roll import PlateSteps, Predicted
 
 Array = NDArray[np.float64]
@@ -137,3 +137,10 @@ def test_a_tone_that_is_not_there_is_not_loaded() -> None:
     data = PlateData(none, none, nothing, nothing, nothing, nothing, nothing, none, none, nothing.astype(complex))
     load = ear.loading(data, plate, 9.80665)
     assert load.tones_mps2[0, 0] != 0.0 and load.tones_mps2[0, 1] == 0.0
+
+
+def test_a_mode_that_leaves_nothing_of_a_tone_is_wrong_by_a_finite_amount() -> None:
+    """A search passes points at which the mode would be the whole measured tone: a large number there, not none."""
+    z = np.array([3.0 + 1.0j, 2.0 + 0.0j])
+    left = _driven(z, np.array([3.0 + 1.0j, 1.0 + 0.0j]))
+    assert np.all(np.isfinite(np.log(np.abs(z / left)))) and left[1] == 1.0

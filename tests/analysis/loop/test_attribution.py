@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,6 +80,36 @@ def test_an_idle_companion_is_left_out_again(
     said: list[str] = []
     assert attributor._step_back(both, said).names == ("coulomb_friction",)
     assert said == ["step back: quadratic_drag is no longer needed"]
+
+
+def test_a_special_case_takes_the_place_of_what_it_is_one_of(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """Stribeck friction chosen first, for what adhesion did: beside adhesion plain friction does as well."""
+    world = make({UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}, 6, gammas=tuple(np.linspace(0.35, 1.35, 14)))
+    attributor = Attributor(world, fitter_of(world))
+    pool = candidates_of(world)
+    stribeck, adhesion = (next(c for c in pool if c.names == (name,)) for name in ("stribeck_friction", "adhesion"))
+    both = attributor.add(attributor.add(_nothing(attributor), stribeck) or _nothing(attributor), adhesion)
+    assert both is not None
+    said: list[str] = []
+    assert attributor._simplified(both, pool, said).names == ("coulomb_friction", "adhesion")
+    assert said == ["step back: a simpler coulomb_friction does as well"]
+
+
+def test_a_fuller_form_of_what_is_named_stays_on_offer(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """Restitution without its slope is named: the slope may follow, what else is named may not again."""
+    world = make({}, 2, gammas=GAMMAS)
+    attributor = Attributor(world, fitter_of(world))
+    pool = candidates_of(world)
+    bare = min((c for c in pool if c.names == ("restitution",)), key=lambda c: len(c.free))
+    drag = next(c for c in pool if c.names == ("quadratic_drag",))
+    named: Any = SimpleNamespace(names=("quadratic_drag", "restitution"), free=(*drag.free, *bare.free))
+    offered = attributor._promising(pool, named)
+    assert any(c.names == ("restitution",) and set(bare.free) < set(c.free) for c in offered)
+    assert bare not in offered and drag not in offered
 
 
 def _nothing(attributor: Attributor) -> attribution.Explanation:
