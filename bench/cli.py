@@ -1,18 +1,23 @@
 """The command line `bench`: one line a command; each command lives in a file of its own under `bench/commands`.
 
 The rule kept here: nothing heavy is imported before a command runs, so `bench --help` stays instant. A command is
-registered as ``name: (module, one-line help)``; its module is imported only when it is called.
+registered as ``name: (module, one-line help)``; its module is imported only when it is called. A module holds the
+function ``command``, or ``app`` where the command has commands of its own.
 """
 
 from __future__ import annotations
 
+import difflib
 import importlib
+import os
+import sys
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "profile": ("bench.commands.profile", "List, show and make profiles of rigs."),
     "plan": ("bench.commands.plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
     "devices": ("bench.commands.devices", "List sound cards and serial ports, and which profile fits."),
     "check": ("bench.commands.check", "Before a run: is the rig wired as its profile says?"),
@@ -25,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "predict": ("bench.commands.predict", "What the model says: orbits, diagrams, bifurcations."),
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
+    "info": ("bench.commands.info", "What a recording is: note, keys, profile, steps, state."),
     "verify": ("bench.commands.verify", "Say whether a recording is complete, stopped, incomplete or damaged."),
     "recover": ("bench.commands.recover", "Rebuild a verified recording from one that was cut off."),
     "virtual": ("bench.commands.virtual", "The simulated plant as a process of its own, behind a real driver."),
@@ -45,24 +51,70 @@ class LazyGroup(TyperGroup):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import the module of ``cmd_name`` and build its command from the module's function ``command``."""
+        """Import the module of ``cmd_name`` and build its command from the module's ``command`` or ``app``."""
         if cmd_name not in COMMANDS:
             return None
         module_name, summary = COMMANDS[cmd_name]
         module: Any = importlib.import_module(module_name)
+        if hasattr(module, "app"):
+            return typer.main.get_command(module.app)
         single = typer.Typer(add_completion=False, rich_markup_mode=None)
         single.command(name=cmd_name, help=module.command.__doc__ or summary)(module.command)
         return typer.main.get_command(single)
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Answer a name that is nearly right with the right one."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            near = difflib.get_close_matches(args[0], COMMANDS, n=2)
+            hint = f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(COMMANDS)}"
+            ctx.fail(f"no such command {args[0]!r}; {hint}")
+        return super().resolve_command(ctx, args)
 
-app = typer.Typer(cls=LazyGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        """The names that begin so, from the table alone."""
+        item = _completion_item()
+        return [item(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+
+
+def _completion_item() -> Any:
+    """The class of a completion: in typer itself, or in the click that older versions stand on."""
+    try:
+        return importlib.import_module("typer._click.shell_completion").CompletionItem
+    except ImportError:
+        return importlib.import_module("click.shell_completion").CompletionItem
+
+
+app = typer.Typer(cls=LazyGroup, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+def _print_version(wanted: bool) -> None:
+    """Version and Python, and leave."""
+    if wanted:
+        from bench import __version__
+
+        typer.echo(f"bench {__version__} (shakerbench; Python {sys.version.split()[0]})")
+        raise typer.Exit
 
 
 @app.callback()
-def _desk() -> None:
+def _desk(
+    version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
+) -> None:
     """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""
 
 
 def main() -> None:
     """Entry point of the console script."""
-    app()
+    from bench.streams import make_safe
+
+    make_safe()
+    if os.environ.get("COLUMNS") == "0":
+        del os.environ["COLUMNS"]  # a terminal that does not know its width
+    try:
+        app(prog_name="bench")
+    finally:
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

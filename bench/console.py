@@ -6,12 +6,18 @@ The rule kept here: exit 0 the job was done, 1 the run failed, 2 the call was wr
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
+NARROWEST = 20  # characters of a line below which nothing is wrapped
 
 
 def fail(message: str, code: int = EXIT_FAILED) -> NoReturn:
@@ -25,15 +31,69 @@ def warn(message: str) -> None:
     sys.stderr.write(f"warning: {message}\n")
 
 
-def write_json(payload: Any, target: str | None) -> None:
-    """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None."""
+def write_json(payload: Any, target: str | Path | None) -> None:
+    """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None.
+
+    A file that cannot be written ends the program with status 1.
+    """
     if target is None:
         return
     text = json.dumps(payload, indent=1, allow_nan=False, default=_plain) + "\n"
     if target == "-":
         sys.stdout.write(text)
-    else:
+        return
+    try:
         Path(target).write_text(text, encoding="utf-8")
+    except OSError as error:
+        fail(f"{target}: the JSON could not be written ({error.strerror}); free some space, or name another place")
+
+
+def print_lines(*lines: str) -> None:
+    """Print lines as they are, for a person; a narrow terminal wraps them."""
+    for line in lines:
+        sys.stdout.write(f"{line}\n")
+
+
+def print_table(table: Table) -> None:
+    """Print a table; where a narrow terminal would cut it, each row as ``heading value`` pairs instead.
+
+    In a pipe a table has the width that it needs.
+    """
+    from rich.console import Console
+    from rich.measure import Measurement
+
+    console = Console()
+    needed = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
+    if not _has_width(console):
+        Console(width=max(needed, console.width)).print(table)
+    elif needed <= console.width or (console.width >= 60 and not any(c.no_wrap for c in table.columns)):
+        console.print(table)
+    else:
+        print_lines(*_rows_in_lines(table, console))
+
+
+def _has_width(console: Console) -> bool:
+    """Whether there is a terminal, or a person, that gave a width."""
+    return console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+
+
+def _rows_in_lines(table: Table, console: Console) -> list[str]:
+    """A table's rows one below the other, wrapped to the terminal."""
+    import textwrap
+
+    from rich.text import Text
+
+    def plain(cell: Any) -> str:
+        return Text.from_markup(cell).plain if isinstance(cell, str) else str(cell)
+
+    headings = [" ".join(plain(column.header).split()) for column in table.columns]
+    lines = [] if table.title is None else [plain(table.title)]
+    for row in zip(*([plain(cell) for cell in column.cells] for column in table.columns), strict=True):
+        shown = [f"{heading} {cell}".strip() for heading, cell in zip(headings, row, strict=True) if cell.strip()]
+        text = ", ".join(shown)
+        width = console.width if console.width >= NARROWEST else len(text) + 1
+        lines += textwrap.wrap(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    return lines
 
 
 def _plain(value: Any) -> Any:

@@ -41,6 +41,8 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     job = _job(request, effects)
     if request.out is None and request.figure is None and request.json_to is None:
         raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
+    if request.overwrite and request.out is not None:
+        request.out.unlink(missing_ok=True)
     if request.adaptive:
         if request.sweep or request.grid or request.workers > 1 or request.cluster:
             raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")

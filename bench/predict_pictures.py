@@ -53,18 +53,17 @@ def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) 
     _save(figure, path)
 
 
-def paper_figure(number: int, path: Path | None, steps: int) -> None:
+def paper_figure(number: int, path: Path, steps: int) -> None:
     """Draw one of the paper's bifurcation diagrams, from the ideal ball at the paper's 20 Hz.
 
     Raises
     ------
     InputError
-        For another number, or without a path.
+        For another number.
     """
     if number not in PAPER_FIGURES:
         known = ", ".join(map(str, PAPER_FIGURES))
         raise InputError(f"--paper-figure wants one of {known}, not {number}")
-    path = path or Path(f"figure{number}.png")
     panels = PAPER_FIGURES[number]
     figure, axes = _figure(len(panels), path)
     for ax, (ratio, low, high) in zip(axes, panels, strict=True):

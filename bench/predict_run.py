@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.console import EXIT_USAGE, fail, write_json
+from bench.outputs import HDF5, JSON, PICTURE, File, check_outputs
 from daq.errors import InputError
 from model.bifurcation import Bifurcation
 from model.choose import ball_of
@@ -46,15 +47,25 @@ class Request:
     g_mps2: float = STANDARD_GRAVITY_MPS2
     out: Path | None = None
     figure: Path | None = None
+    overwrite: bool = False
 
 
 def run(request: Request) -> None:
     """Answer ``request``; leaves with status 2 and one line where it cannot be answered."""
     try:
+        picture = request.figure
         if request.paper_figure is not None:
+            picture = picture or Path(f"figure{request.paper_figure}.png")
+        check_outputs(
+            File("--out", request.out, HDF5, continues=None if request.overwrite else _is_diagram),
+            File("--figure", picture, PICTURE),
+            File("--json", request.json_to, JSON),
+            inputs=[request.profile], overwrite=request.overwrite,
+        )  # fmt: skip
+        if request.paper_figure is not None and picture is not None:
             from bench.predict_pictures import paper_figure
 
-            paper_figure(request.paper_figure, request.figure, request.steps)
+            paper_figure(request.paper_figure, picture, request.steps)
             return
         if request.profile is not None:
             from bench.predict_profile import print_ramp, ramp_json, with_profile
@@ -77,6 +88,17 @@ def run(request: Request) -> None:
             diagram(ball, request, forcing_of(request), parse_effects(request.effects))
     except ValueError as error:
         fail(str(error), EXIT_USAGE)
+
+
+def _is_diagram(path: Path) -> bool:
+    """Whether `bench predict --out` wrote the file, so that it can be gone on with."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return "job" in file.attrs and "chunk_done" in file
+    except OSError:
+        return False
 
 
 def parse_effects(given: tuple[str, ...]) -> dict[str, dict[str, float]]:

@@ -26,7 +26,14 @@ Progress = Callable[[int], None]
 _ROWS = 16384
 
 
-def export(recording: Recording | Resampled, out: Path, kind: Kind, progress: Progress | None = None) -> None:
+def export(
+    recording: Recording | Resampled,
+    out: Path,
+    kind: Kind,
+    progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write ``out``.
 
     Parameters
@@ -40,16 +47,18 @@ def export(recording: Recording | Resampled, out: Path, kind: Kind, progress: Pr
         and ``setup_json``. ``h5``: the recording itself, compressed with gzip, which every HDF5 reader knows.
     progress
         Called with the samples done.
+    overwrite
+        Replace ``out`` where it exists, once the new file is whole.
 
     Raises
     ------
     InputError
-        When ``out`` exists.
+        When ``out`` exists and is not to be replaced.
     OSError
         When the disk refuses; nothing is left behind.
     """
-    if out.exists():
-        raise InputError(f"{out}: exists already and is never overwritten; choose another name.")
+    if out.exists() and not overwrite:
+        raise InputError(f"{out}: exists already; choose another name.")
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist; create it first.")
     tell = progress if progress is not None else lambda _: None
@@ -61,7 +70,7 @@ def export(recording: Recording | Resampled, out: Path, kind: Kind, progress: Pr
     part = out.with_name(out.name + ".part")
     try:
         (_export_csv if kind == "csv" else _export_npz)(recording, part, tell, packed=out.suffix == ".gz")
-        part.rename(out)
+        part.replace(out)
     except BaseException:
         part.unlink(missing_ok=True)
         raise

@@ -24,6 +24,11 @@ class Recovery:
     damaged_blocks: list[int]
 
 
+def default_out(path: Path) -> Path:
+    """Where `recover` writes when nobody says: ``NAME.recovered.h5`` beside ``path``."""
+    return path.with_name(f"{path.stem}.recovered{path.suffix}")
+
+
 def recover(path: Path, out: Path | None = None) -> Recovery:
     """Write the acknowledged blocks of ``path`` as a closed recording.
 
@@ -41,7 +46,7 @@ def recover(path: Path, out: Path | None = None) -> Recovery:
     OSError
         When the disk refuses.
     """
-    out = out if out is not None else path.with_name(f"{path.stem}.recovered{path.suffix}")
+    out = out if out is not None else default_out(path)
     if path.is_file() and is_being_written(path) and not is_whole(path):
         raise InputError(f"{path}: is shorter than its index says; a copy that broke off cannot be recovered.")
     with open_recording(path) as recording:

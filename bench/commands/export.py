@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from bench.console import EXIT_USAGE, fail, write_json
+from bench.outputs import HDF5, JSON, NPZ, PACKED_CSV, File, Overwrite, check_outputs
 
 
 class Kind(enum.StrEnum):
@@ -18,12 +19,16 @@ class Kind(enum.StrEnum):
     h5 = "h5"
 
 
+FORMS = {"csv": PACKED_CSV, "npz": NPZ, "h5": HDF5}
+
+
 def command(
     recording: Path = typer.Argument(..., metavar="REC.h5", help="Recording to read."),
-    out: Path = typer.Option(..., "--out", "-o", metavar="FILE", help="File to create; never overwritten."),
+    out: Path = typer.Option(..., "--out", "-o", metavar="FILE", help="File to create."),
     to: Kind = typer.Option(None, "--to", help="Kind of file; by default what the ending of FILE says."),
     rate: float = typer.Option(None, "--rate", metavar="HZ", help="CSV and NPZ: another rate, as 20000."),
     json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write a summary as JSON; - is the screen."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Write a recording as CSV (also .csv.gz), NPZ, or HDF5 packed with gzip for readers without the LZ4 plugin.
 
@@ -41,10 +46,12 @@ def command(
     kind = "h5" if kind == "hdf5" else kind
     if kind not in list(Kind):
         fail(f"{out}: the ending does not say what to write; wanted --to csv, npz or h5.", EXIT_USAGE)
+    outputs = File("--out", out, FORMS[kind]), File("--json", json_out, JSON)
     try:
+        check_outputs(*outputs, inputs=[recording], overwrite=overwrite)
         with open_recording(recording) as opened:
             source = opened if rate is None else Resampled(opened, rate)
-            export(source, out, kind)  # type: ignore[arg-type]
+            export(source, out, kind, overwrite=overwrite)  # type: ignore[arg-type]
             summary = {"file": out, "kind": kind, "n_samples": source.n_samples, "bytes": out.stat().st_size}
     except InputError as error:
         fail(str(error), EXIT_USAGE)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from rig.profile import Profile
     from rig.ramp import Peaks, Programme, Step
@@ -15,16 +17,19 @@ if TYPE_CHECKING:
 def command(
     profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Print every step of a profile's ramp, and refuse (exit 2) what a limit forbids.
 
     Example: bench plan simulated
     """
     from bench.console import EXIT_USAGE, fail, write_json
+    from bench.outputs import JSON, File, check_outputs
     from bench.profiles import load
     from daq.errors import InputError
 
     try:
+        check_outputs(File("--json", json, JSON), inputs=[profile], overwrite=overwrite)
         checked, _ = load(profile)
     except InputError as error:
         fail(str(error), EXIT_USAGE)
@@ -75,8 +80,9 @@ def as_json(
 def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]]) -> None:
     """The table for a person."""
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
     from rich.table import Table
+
+    from bench.console import print_lines, print_table
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s²)", "speed\n(m/s)", "displ\n(mm)",
@@ -88,8 +94,7 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
             f"{asked.acceleration_mps2:.4g}", f"{asked.velocity_mps:.4g}", f"{asked.displacement_m * 1e3:.4g}",
             f"{step.first_sample / programme.rate_hz:.3f}", f"{step.n_samples / programme.rate_hz:.3f}",
         )  # fmt: skip
-    console = Console()
-    console.print(f"{profile.name}: {profile.forcing.frequency_hz:g} Hz, c = {profile.forcing.ratio}; peaks from rest")
-    console.print(table)
+    print_lines(f"{profile.name}: {profile.forcing.frequency_hz:g} Hz, c = {profile.forcing.ratio}; peaks from rest")
+    print_table(table)
     seconds = programme.n_samples / programme.rate_hz
-    console.print(f"{len(rows)} steps, {seconds:.1f} s, {programme.n_samples} samples at {programme.rate_hz:g} Hz")
+    print_lines(f"{len(rows)} steps, {seconds:.1f} s, {programme.n_samples} samples at {programme.rate_hz:g} Hz")

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from bench.outputs import Overwrite
+
 
 def command(
     c: int = typer.Option(1, "--c", min=1, help="Second tone's multiple of the first; 1 is one sine."),
@@ -30,6 +32,7 @@ def command(
     json_to: str | None = typer.Option(None, "--json", help="File for the answer as JSON; - is standard output."),
     out: Path | None = typer.Option(None, help="HDF5 file for a diagram; continued if it is there, unfinished."),
     figure: Path | None = typer.Option(None, help="Picture of a diagram (PNG, PDF or SVG)."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Predict orbits, bifurcation diagrams and bifurcations.
 
@@ -53,6 +56,6 @@ def command(
             effects=tuple(effect), frequency_hz=frequency_hz, sweep=sweep, phase_deg=phase_deg, steps=steps,
             adaptive=adaptive, grid=tuple(grid), narrowest=narrowest, workers=workers, cluster=cluster,
             paper_figure=paper_figure, json_to=json_to, out=out, figure=figure,
-            profile=profile,
+            profile=profile, overwrite=overwrite,
         )
     )

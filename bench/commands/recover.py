@@ -8,12 +8,14 @@ from pathlib import Path
 import typer
 
 from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
 
 
 def command(
     recording: Path = typer.Argument(..., metavar="FILE", help="Recording that was cut off; it is only read."),
     out: Path = typer.Option(None, "--out", "-o", metavar="REC.h5", help="File to create [NAME.recovered.h5]."),
     json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON; - is the screen."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk.
 
@@ -22,9 +24,13 @@ def command(
     Example: bench recover run.h5 --out run.recovered.h5
     """
     from daq.errors import InputError
-    from daq.recover import recover
+    from daq.recover import default_out, recover
 
+    out = out or default_out(recording)
     try:
+        check_outputs(
+            File("--out", out, HDF5, kept=True), File("--json", json_out, JSON), inputs=[recording], overwrite=overwrite
+        )
         found = recover(recording, out)
     except InputError as error:
         fail(str(error), EXIT_USAGE)

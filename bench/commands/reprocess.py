@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from analysis.classify import StepClass
     from analysis.flights import Flights
@@ -18,6 +20,7 @@ def command(
     flights: Path | None = typer.Option(None, "--flights", metavar="FILE.csv", help="Write the table of flights."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
     figures: Path | None = typer.Option(None, "--figures", metavar="FOLDER", help="Draw the pictures there."),
+    overwrite: Overwrite = False,
 ) -> None:
     """From a recording to flights and plate motion, in one pass over the file.
 
@@ -25,11 +28,16 @@ def command(
     """
     from analysis.classify import classify
     from analysis.flight_table import write_csv
-    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.outputs import CSV, JSON, File, Folder, check_outputs
     from daq.errors import InputError
     from daq.recording import open_recording
 
     try:
+        check_outputs(
+            File("--flights", flights, CSV), File("--json", json, JSON), Folder("--figures", figures),
+            inputs=[recording], overwrite=overwrite,
+        )  # fmt: skip
         with open_recording(recording) as opened:
             table = with_progress(opened, quiet=json == "-")
             classes = classify(table)
@@ -43,7 +51,7 @@ def command(
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
-        fail(f"{error}; name a file that can be written", EXIT_USAGE)
+        fail(f"{recording}: {error}; free some space, or name files that can be read and written", EXIT_FAILED)
 
 
 def with_progress(opened: Recording, *, quiet: bool) -> Flights:
@@ -135,10 +143,10 @@ def _finite(value: float) -> float | None:
 def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> None:
     """Tables for a person."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     from analysis.flights import FlightFlag
+    from bench.console import print_lines, print_table
 
     title = f"{opened.path.name}{' (simulated rig)' if opened.attrs.get('simulated') else ''}"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
@@ -160,19 +168,17 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
             f"{plate.gamma_drive:.4f}", str(own.flights), str(own.double_hits), mean,
             own.label,
         )
-    console = Console()
-    console.print(shown)
-    for note in notes:
-        console.print(note, soft_wrap=True, highlight=False)
+    print_table(shown)
+    print_lines(*notes)
     counts = ", ".join(f"{f.name} {int(table.has(f).sum())}" for f in FlightFlag if table.has(f).any())
-    console.print(f"{len(table)} intervals in the air; flags: {counts or 'none'}", soft_wrap=True, highlight=False)
+    print_lines(f"{len(table)} intervals in the air; flags: {counts or 'none'}")
     witness = table.edges.witness
     if table.edges.levels is None:
-        console.print("no continuity channel: only the plate was analysed")
+        print_lines("no continuity channel: only the plate was analysed")
     elif witness is None:
-        console.print("the accelerometer shows no impacts: landings that relaunch at once may hide", soft_wrap=True)
+        print_lines("the accelerometer shows no impacts: landings that relaunch at once may hide")
     elif witness.uncertainty_s < 1.0:
-        console.print(
+        print_lines(
             f"second witness: accelerometer minus contact edge {1e6 * witness.offset_s:.1f} +- "
-            f"{1e6 * witness.uncertainty_s:.2f} us from {witness.pairs} landings", soft_wrap=True, highlight=False,
+            f"{1e6 * witness.uncertainty_s:.2f} us from {witness.pairs} landings"
         )

@@ -8,11 +8,13 @@ from pathlib import Path
 import typer
 
 from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+from bench.outputs import JSON, File, Overwrite, check_outputs
 
 
 def command(
     recording: Path = typer.Argument(..., metavar="FILE", help="Recording to check."),
     json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the report as JSON; - is the screen."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Say whether a recording is complete, stopped, incomplete or damaged, and where. Every byte is read.
 
@@ -24,6 +26,7 @@ def command(
     from daq.verify import verify
 
     try:
+        check_outputs(File("--json", json_out, JSON), inputs=[recording], overwrite=overwrite)
         report = verify(recording)
     except InputError as error:
         fail(str(error), EXIT_USAGE)

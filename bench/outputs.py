@@ -1,0 +1,253 @@
+"""The check of every output path of a command, before any work.
+
+The rule kept here: no command writes over one of its inputs. Nor, without ``--overwrite``, over a file that is there;
+a recording is never written over.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daq.errors import InputError
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there; never an input.")]
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is written into a file, and the endings of names that fit it; ``only``: no other ending will do."""
+
+    name: str
+    suffixes: tuple[str, ...]
+    only: bool = False
+
+
+JSON = Form("JSON", (".json", ".txt"))
+CSV = Form("a table (CSV)", (".csv", ".txt"))
+PACKED_CSV = Form("a table (CSV)", (".csv", ".csv.gz", ".txt"))
+NPZ = Form("arrays (NPZ)", (".npz",), only=True)
+HDF5 = Form("HDF5", (".h5", ".hdf5"))
+PROFILE = Form("a profile (TOML)", (".toml",))
+PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
+ARRAY = Form("an array (NPY)", (".npy",))
+KNOWN = {suffix for form in (JSON, PACKED_CSV, NPZ, HDF5, PROFILE, PICTURE, ARRAY) for suffix in form.suffixes} | {
+    ".gz", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4", ".mov",
+    ".jpg", ".jpeg", ".tif", ".tiff",
+}  # fmt: skip
+"""Endings that mean a form to everybody; an ending that is not here may stand for anything."""
+
+PICTURES = ("*.png", "*.svg")
+REPORT = ("*.html", "*.json", *PICTURES)
+
+
+@dataclass(frozen=True)
+class File:
+    """A file that a command writes.
+
+    Attributes
+    ----------
+    option
+        As on the command line, ``--json``.
+    path
+        None where it is not asked for; ``-`` is standard output where the form is JSON.
+    form
+        What is written.
+    kept
+        Never replaced, whatever ``--overwrite`` says.
+    continues
+        Whether a file that is there may be gone on with.
+    """
+
+    option: str
+    path: Path | str | None
+    form: Form
+    kept: bool = False
+    continues: Callable[[Path], bool] | None = None
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder that a command fills, made where it is not there; ``makes``: patterns of the names it writes in it.
+
+    With ``new`` the folder itself must not be there.
+    """
+
+    option: str
+    path: Path | None
+    makes: tuple[str, ...] = PICTURES
+    new: bool = False
+
+
+@dataclass(frozen=True)
+class Edited:
+    """A profile that a command reads and changes in place."""
+
+    option: str
+    path: Path | None
+
+
+Output = File | Folder | Edited
+
+
+def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
+    """Refuse output paths that cannot be written, or would replace what must stay.
+
+    Parameters
+    ----------
+    outputs
+        Every output of the command.
+    inputs
+        Files, folders and names of profiles that the command reads.
+    overwrite
+        Whether files that are there may be replaced.
+
+    Raises
+    ------
+    InputError
+        With the option, the path, and what to do.
+    """
+    read = [path for given in inputs if given is not None for path in _files(given)]
+    taken: list[tuple[str, Path]] = []
+    for output in outputs:
+        if output.path is None or (str(output.path) == "-" and isinstance(output, File) and output.form is JSON):
+            continue
+        path, named = Path(output.path), f"{output.option} {output.path}"
+        try:
+            if isinstance(output, File):
+                _check_file(output, path, named, read, overwrite)
+            elif isinstance(output, Folder):
+                _check_folder(output, path, named, read, overwrite)
+            else:
+                _check_edited(path, named)
+        except (OSError, RuntimeError) as error:  # RuntimeError: links that lead to one another, before Python 3.13
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"{named}: cannot be written ({why}); name another place") from error
+        for option, other in taken:
+            if _same(path, other):
+                raise InputError(f"{named}: is also what {option} writes; give each a name of its own")
+        taken.append((output.option, path))
+
+
+def check_or_leave(*outputs: Output, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
+    """`check_outputs`; a path that is refused leaves the program with status 2."""
+    from bench.console import EXIT_USAGE, fail
+
+    try:
+        check_outputs(*outputs, inputs=inputs, overwrite=overwrite)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+
+
+def _check_file(output: File, path: Path, named: str, read: list[Path], overwrite: bool) -> None:
+    """One file: no input, no folder, a name that fits, in a folder that is there, nothing lost."""
+    _refuse_input(path, named, read)
+    if path.is_dir() or str(output.path).endswith(("/", os.sep)):
+        raise InputError(f"{named}: is a folder; wanted the name of a file, as {path / _example(output)}")
+    _check_suffix(output.form, path, named)
+    if path.exists() and not path.is_file():
+        return  # a device or a pipe: nothing is lost
+    if not path.exists():
+        _check_parent(path, named)
+        return
+    if output.continues is not None and output.continues(path):
+        return
+    if output.kept:
+        raise InputError(f"{named}: exists already and is never overwritten; choose another name")
+    if not overwrite:
+        raise InputError(f"{named}: exists already; choose another name, or give --overwrite to replace it")
+    with path.open("ab"):
+        pass  # opens for writing, changes nothing
+
+
+def _check_folder(output: Folder, path: Path, named: str, read: list[Path], overwrite: bool) -> None:
+    """One folder: is one or can be made, holds nothing that would be lost."""
+    nearest = next((p for p in (path, *path.absolute().parents) if p.exists()), path)
+    if not nearest.is_dir():
+        raise InputError(f"{named}: {nearest} is a file; wanted a folder; choose another name")
+    if output.new and path.exists():
+        raise InputError(f"{named}: exists already; choose the name of a new folder")
+    _probe(nearest)
+    there = sorted({p for pattern in output.makes for p in path.glob(pattern)}) if path.is_dir() else []
+    for one in there:
+        _refuse_input(one, named, read)
+    if there and not overwrite:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        raise InputError(
+            f"{named}: holds {there[0].name}{more} already; choose another folder, or give --overwrite to replace what "
+            "is written again"
+        )
+
+
+def _check_edited(path: Path, named: str) -> None:
+    """One profile that is changed in place."""
+    if not path.is_file():
+        raise InputError(f"{named}: wanted a profile's file to write into; make one: bench profile new {path.name}")
+    _check_suffix(PROFILE, path, named)
+    with path.open("ab"):
+        pass  # opens for writing, changes nothing
+
+
+def _check_suffix(form: Form, path: Path, named: str) -> None:
+    """Refuse a name that stands for another form."""
+    suffix = path.suffix.lower()
+    packed = Path(path.stem).suffix.lower() + suffix if suffix == ".gz" else suffix
+    if packed in form.suffixes or (not form.only and suffix not in KNOWN):
+        return
+    raise InputError(f"{named}: wanted a name ending in {' or '.join(form.suffixes)}, {form.name} is written there")
+
+
+def _check_parent(path: Path, named: str) -> None:
+    """Refuse a file whose folder is not there or cannot be written."""
+    folder = path.resolve().parent  # where a link that leads nowhere would put it
+    if not folder.exists():
+        raise InputError(f"{named}: the folder {folder} does not exist; create it first, or name another")
+    if not folder.is_dir():
+        raise InputError(f"{named}: {folder} is a file; wanted a folder")
+    _probe(folder)
+
+
+def _probe(folder: Path) -> None:
+    """Write into ``folder`` a file without a name; raises OSError."""
+    import tempfile
+
+    with tempfile.TemporaryFile(dir=folder):
+        pass
+
+
+def _refuse_input(path: Path, named: str, read: list[Path]) -> None:
+    """Refuse to write what the command reads."""
+    if any(_same(path, one) for one in read):
+        where = "" if named.endswith(str(path)) else f"{path} in it "
+        raise InputError(f"{named}: {where}is an input of this command and is never overwritten; choose another name")
+
+
+def _same(a: Path, b: Path) -> bool:
+    """Whether two paths lead to one file, also by links, also where it does not exist."""
+    if a.exists() and b.exists():
+        return a.samefile(b)
+    return os.path.normcase(a.resolve()) == os.path.normcase(b.resolve())
+
+
+def _files(given: Path | str) -> list[Path]:
+    """The files behind one input: itself, those of a folder, the shipped profile of that name."""
+    path = Path(given)
+    try:
+        if path.is_dir():
+            return [path, *(p for p in path.iterdir() if p.is_file())]
+        if isinstance(given, str) and not path.exists():
+            from bench.profiles import shipped_folder
+
+            return [path, shipped_folder() / f"{path.name.removesuffix('.toml')}.toml"]
+    except OSError:
+        pass  # an input that cannot be read is refused where it is read
+    return [path]
+
+
+def _example(output: File) -> str:
+    return f"result{output.form.suffixes[0]}"
