@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
-NARROWEST = 20  # characters of a line below which nothing is wrapped
+NARROWEST = 20  # characters; nothing is wrapped to less
 
 
 def fail(message: str, code: int = EXIT_FAILED) -> NoReturn:
@@ -46,6 +46,11 @@ def write_json(payload: Any, target: str | Path | None) -> None:
         Path(target).write_text(text, encoding="utf-8")
     except OSError as error:
         fail(f"{target}: the JSON could not be written ({error.strerror}); free some space, or name another place")
+
+
+def readable(text: str | None) -> str | None:
+    """Text from a command line as it can be stored; bytes that the console's code page does not know become marks."""
+    return None if text is None else text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def print_lines(*lines: str) -> None:
@@ -79,8 +84,6 @@ def _has_width(console: Console) -> bool:
 
 def _rows_in_lines(table: Table, console: Console) -> list[str]:
     """A table's rows one below the other, wrapped to the terminal."""
-    import textwrap
-
     from rich.text import Text
 
     def plain(cell: Any) -> str:
@@ -90,9 +93,14 @@ def _rows_in_lines(table: Table, console: Console) -> list[str]:
     lines = [] if table.title is None else [plain(table.title)]
     for row in zip(*([plain(cell) for cell in column.cells] for column in table.columns), strict=True):
         shown = [f"{heading} {cell}".strip() for heading, cell in zip(headings, row, strict=True) if cell.strip()]
-        text = ", ".join(shown)
-        width = console.width if console.width >= NARROWEST else len(text) + 1
-        lines += textwrap.wrap(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        line = ""
+        for pair in shown:
+            if line and len(line) + 2 + len(pair) >= max(console.width, NARROWEST):
+                lines.append(f"{line},")
+                line = f"  {pair}"
+            else:
+                line = f"{line}, {pair}" if line else pair
+        lines.append(line)
     return lines
 
 

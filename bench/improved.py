@@ -25,10 +25,8 @@ def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = N
     Raises
     ------
     InputError
-        When ``path`` exists, or the recording holds no profile.
+        When the recording holds no profile.
     """
-    if path.exists():
-        raise InputError(f"{path}: exists already; name a new file for the improved profile")
     if text is None:
         with open_recording(recording) as opened:
             text = str(opened.attrs.get("profile_text", ""))

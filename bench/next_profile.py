@@ -86,7 +86,5 @@ def possible_runs(loop: Loop, recording: Path) -> list[Ranked]:
 
 
 def write_next(ranked: Sequence[Ranked], recording: Path, path: Path) -> None:
-    """Write the profile of the best next run to the new file ``path`` (raises `InputError`)."""
-    if path.exists():
-        raise InputError(f"{path}: exists already; name a new file for the next run's profile")
+    """Write the profile of the best next run to the file ``path`` (raises `InputError`)."""
     path.write_text(profile_of(profile_text(recording), ranked[0].design), encoding="utf-8")

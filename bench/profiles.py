@@ -1,4 +1,4 @@
-"""Find a rig profile by its path, or by the name under which it is shipped.
+"""Find a rig profile or a scenario by its path, or by the name under which it is shipped.
 
 The rule kept here: a path wins over a name, and what is not found is answered with what there is.
 """
@@ -15,15 +15,20 @@ from rig.profile import Profile, load_profile, load_setup
 _HERE = Path(__file__).resolve().parent
 
 
-def shipped_folder() -> Path:
-    """Where the shipped profiles lie: inside an installed `bench`, beside it in a checkout."""
-    installed = _HERE / "rig_profiles"
-    return installed if installed.is_dir() else _HERE.parent / "rig_profiles"
+def shipped_folder(kind: str = "rig_profiles") -> Path:
+    """Where the shipped profiles (or ``scenarios``) lie: inside an installed `bench`, beside it in a checkout."""
+    installed = _HERE / kind
+    return installed if installed.is_dir() else _HERE.parent / kind
 
 
 def shipped_names() -> list[str]:
     """Names of the shipped profiles."""
     return sorted(path.stem for path in shipped_folder().glob("*.toml"))
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios."""
+    return sorted(path.stem for path in shipped_folder("scenarios").glob("*.toml"))
 
 
 def find_profile(name_or_path: str | Path) -> Path:
@@ -34,16 +39,30 @@ def find_profile(name_or_path: str | Path) -> Path:
     daq.errors.InputError
         When there is neither such a file nor such a shipped profile.
     """
-    path = Path(name_or_path)
+    return _find(Path(name_or_path), "rig_profiles", "profile", shipped_names())
+
+
+def find_scenario(name_or_path: str | Path) -> Path:
+    """The scenario's file.
+
+    Raises
+    ------
+    daq.errors.InputError
+        When there is neither such a file nor such a shipped scenario.
+    """
+    return _find(Path(name_or_path), "scenarios", "scenario", scenario_names())
+
+
+def _find(path: Path, kind: str, what: str, names: list[str]) -> Path:
+    """``path`` itself, or what is shipped under its name."""
     if path.is_file():
         return path
-    names = shipped_names()
-    shipped = shipped_folder() / f"{path.name.removesuffix('.toml')}.toml"
-    if path.parent.name in ("", "rig_profiles") and shipped.is_file():
+    shipped = shipped_folder(kind) / f"{path.name.removesuffix('.toml')}.toml"
+    if path.parent.name in ("", kind) and shipped.is_file():
         return shipped
     near = difflib.get_close_matches(path.stem, names, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"shipped profiles: {', '.join(names)}"
-    raise InputError(f"{name_or_path}: no such profile file, and no shipped profile of that name; {hint}")
+    hint = f"did you mean {near[0]}?" if near else f"shipped {what}s: {', '.join(names)}"
+    raise InputError(f"{path}: no such {what} file, and no shipped {what} of that name; {hint}")
 
 
 def load(name_or_path: str | Path) -> tuple[Profile, str]:

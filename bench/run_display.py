@@ -1,4 +1,5 @@
-"""What an operator sees while a ramp runs: three lines on standard error, drawn anew a few times a second.
+"""What an operator sees while a ramp runs: three lines on standard error, drawn anew a few times a second;
+on a narrow terminal one line a figure.
 
 The rule kept here: the screen is fed once a block and only draws; nothing waits for it, and no stop goes through it.
 """
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rig.run import Status
 
+WIDTH = 80  # characters that the lines need
 ALIVE_CYCLES = 3.0  # since the ball last touched the plate or was heard to
 LIMITS = {
     "drive_v": "drive", "plate_mps2": "acceleration", "velocity_mps": "velocity", "displacement_m": "displacement",
@@ -32,15 +34,24 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
         return
     bar = Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     task = bar.add_task("", total=None)
-    lines = Text(no_wrap=True, overflow="ellipsis")
-    with Live(Group(bar, lines), console=Console(stderr=True), refresh_per_second=4):
+    lines = Text(overflow="fold")
+    console = Console(stderr=True)
+    narrow = console.width < WIDTH
+    with Live(lines if narrow else Group(bar, lines), console=console, refresh_per_second=4):
 
         def show(status: Status) -> None:
             done = min(status.sample, status.n_samples)
             bar.update(task, total=status.n_samples, completed=done, description=step_line(status))
-            lines.plain = f"{health_line(status)}\n{limits_line(status)}"
+            lines.plain = narrow_lines(status) if narrow else f"{health_line(status)}\n{limits_line(status)}"
 
         yield show
+
+
+def narrow_lines(status: Status) -> str:
+    """The same for a narrow terminal, one figure a line, what must not be missed first."""
+    step = f"{step_line(status)}, {min(status.sample / max(status.n_samples, 1), 1.0):.0%}"
+    gammas, contact, lost = health_line(status).split("; ")
+    return "\n".join([step, lost, contact, *gammas.split(", "), *limits_line(status).split(", ")])
 
 
 def step_line(status: Status) -> str:

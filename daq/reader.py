@@ -15,6 +15,7 @@ import h5py
 import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from daq.block import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE
 from daq.columns import FORMAT, FORMAT_VERSION, read_table, text_crc
@@ -225,7 +226,15 @@ def open_recording(path: Path | str) -> Recording:
         file.close()
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: damaged: {error}; run: bench verify {path}") from error
+        raise InputError(f"{path}: damaged: {_in_words(error)}; run: bench verify {path}") from error
+
+
+def _in_words(error: Exception) -> str:
+    """One line of an error; of a setup that does not fit, the first fault."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"setup_json, {'.'.join(map(str, first['loc'])) or 'whole'}: {first['msg']}"
+    return str(error)
 
 
 def attributes_intact(stored: Mapping[str, Any]) -> bool:

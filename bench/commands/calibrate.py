@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from bench.calibrate import Measured
     from rig.backends.base import Backend
@@ -21,6 +23,7 @@ def command(
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
     seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The values for a machine; - prints them."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure the rig's scales and write them into its profile, each with its uncertainty, date and source.
 
@@ -37,6 +40,7 @@ def command(
 
     from bench.commands.ramp import make_backend
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.outputs import JSON, Edited, File, check_outputs
     from bench.profile_edit import write_into
     from bench.profiles import load
     from daq.errors import InputError
@@ -45,8 +49,7 @@ def command(
     try:
         if kind not in KINDS:
             raise InputError(f"{kind}: wanted one of {', '.join(KINDS)}")
-        if not into.is_file():
-            raise InputError(f"{into}: wanted a profile's file to write into; copy a shipped one and make it yours")
+        check_outputs(Edited("--into", into), File("--json", json, JSON), inputs=[scenario], overwrite=overwrite)
         profile, _ = load(into)
         if profile.backend.kind == "replay":
             raise InputError(f"{into}: backend.kind is replay: there is no rig to calibrate")

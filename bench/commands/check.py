@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from rig.check import Finding
 
@@ -17,6 +19,7 @@ def command(
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
     seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The findings for a machine; - prints them."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Play a chirp, a quiet tone and a short flight, and say of each channel whether it is what the profile says.
 
@@ -26,12 +29,14 @@ def command(
     """
     from bench.commands.ramp import make_backend, warm_up
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.outputs import JSON, File, check_outputs
     from bench.profiles import load
     from daq.errors import InputError
     from rig.backends.base import BackendError
     from rig.check import Check
 
     try:
+        check_outputs(File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite)
         checked, _ = load(profile)
         if checked.backend.kind == "replay":
             raise InputError(f"{profile}: backend.kind is replay: there is no rig to check")

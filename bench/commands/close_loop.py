@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from analysis.close_loop import Loop
 
@@ -25,6 +27,7 @@ def command(
     until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What that rig hides."),
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Find where measurement and model part, name the missing effect, and report the error before and after.
 
@@ -36,6 +39,7 @@ def command(
     from analysis.next_run import as_json as runs_as_json
     from bench.console import EXIT_USAGE, fail, write_json
     from bench.next_profile import possible_runs, write_next
+    from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
     from bench.profiles import load_measuring
     from bench.until_clear import until_clear as repeat
     from daq.errors import InputError
@@ -43,6 +47,10 @@ def command(
     quiet = json == "-"
     say: Callable[[str], None] = _nothing if quiet else typer.echo
     try:
+        check_outputs(
+            File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
+            File("--next-run", next_run, PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
+        )  # fmt: skip
         for path in recordings:
             if not path.is_file():
                 raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")

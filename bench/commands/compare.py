@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from analysis.compare import Comparison, StepComparison
 
@@ -17,6 +19,7 @@ def command(
     figures: Path | None = typer.Option(None, "--figures", metavar="FOLDER", help="Draw the pictures there."),
     profile: str | None = typer.Option(None, "--profile", help="A profile that replaces the recording's own."),
     ideal: bool = typer.Option(False, "--ideal", help="Leave the declared effects out of the model."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Measured against predicted: flight times, double hits, and the first bifurcation.
 
@@ -25,11 +28,15 @@ def command(
     from analysis.compare import compare
     from bench.commands.reprocess import draw, with_progress
     from bench.console import EXIT_USAGE, fail, write_json
+    from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles import load_measuring
     from daq.errors import InputError
     from daq.recording import open_recording
 
     try:
+        check_outputs(
+            File("--json", json, JSON), Folder("--figures", figures), inputs=[recording, profile], overwrite=overwrite
+        )
         with open_recording(recording) as opened:
             if profile is not None:
                 opened.measure_with(load_measuring(profile)[0])

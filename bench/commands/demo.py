@@ -29,15 +29,18 @@ def command(
     import time
 
     from bench.console import EXIT_USAGE, fail
+    from bench.outputs import Folder, check_outputs
+    from bench.profiles import find_scenario
     from daq.errors import InputError
     from rig.sim.scenario import load_scenario
 
     started = time.perf_counter()
     folder = out or Path("runs") / datetime.datetime.now().strftime("%Y-%m-%d_%H%M%S")
     try:
+        check_outputs(Folder("--out", folder, new=True), inputs=[profile, scenario])
         folder.mkdir(parents=True, exist_ok=False)
         sealed = folder / "sealed.toml"
-        hidden = _sealed(seed) if scenario is None else load_scenario(scenario)
+        hidden = _sealed(seed) if scenario is None else load_scenario(find_scenario(scenario))
         sealed.write_text(hidden.to_toml(), encoding="utf-8")
         recording = _drive(profile, folder, sealed, seed)
         _reprocess(recording, folder)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from rig.backends.portaudio import Card
     from rig.profile import Profile
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 def command(
     profiles: list[str] = typer.Argument(None, metavar="[PROFILE]...", help="Profiles to hold against what is there."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The list for a machine; - prints it."),
+    overwrite: Overwrite = False,
 ) -> None:
     """List sound cards and serial ports, and which profiles (the shipped ones, and those named) fit them.
 
@@ -25,12 +28,14 @@ def command(
     from serial.tools.list_ports import comports
 
     from bench.console import EXIT_USAGE, fail, write_json
+    from bench.outputs import JSON, File, check_outputs
     from bench.profiles import load, shipped_names
     from daq.errors import InputError
     from rig.backends.base import BackendError
     from rig.backends.portaudio import cards
 
     try:
+        check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
         known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *(profiles or [])])]
     except InputError as error:
         fail(str(error), EXIT_USAGE)

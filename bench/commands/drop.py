@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import glob
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bench.console import EXIT_USAGE, fail, write_json
+from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_or_leave
 
 if TYPE_CHECKING:
     from analysis.drop.outcome import Outcome
@@ -48,6 +50,7 @@ def command(
     pictures: Pictures = True,
     into: Into = None,
     seed: Seed = 1,
+    overwrite: Overwrite = False,
 ) -> None:
     """Drop tests by camera, sound or contact: restitution, friction, drag, and what the data cannot tell.
 
@@ -58,6 +61,11 @@ def command(
     from analysis.drop.rows import Drop
     from analysis.drop.sources import load_all
 
+    made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track"))
+    check_or_leave(
+        File("--json", json_target, JSON), Folder("--out", out if pictures else None, made), Edited("--into", into),
+        inputs=files, overwrite=overwrite,
+    )  # fmt: skip
     if use_height not in ("check", "data"):
         fail(f"--use-height {use_height}: expected check or data", EXIT_USAGE)
     for name, value in (("fps", fps), ("scale", scale), ("ball-size", ball_size), ("gravity", gravity)):

@@ -7,7 +7,8 @@ from typing import Any
 
 import typer
 
-from bench.console import EXIT_USAGE, fail, write_json
+from bench.console import EXIT_USAGE, fail, readable, write_json
+from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
 
 
 def command(
@@ -28,6 +29,7 @@ def command(
     channel_column: str = typer.Option(None, "--channel-column", help="Its selecting column (default: channel)."),
     note: str = typer.Option(None, "--note", help="Kept in the recording."),
     json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON; - is the screen."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Turn somebody's file into a recording. Values are stored as they are; steps are found from the drive.
 
@@ -44,12 +46,17 @@ def command(
     from rig.profile import load_setup
 
     try:
+        check_outputs(
+            File("--out", out, HDF5, kept=True), File("--json", json_out, JSON), inputs=[raw, profile],
+            overwrite=overwrite,
+        )  # fmt: skip
         setup, text = load_setup(profile)
         select = _selection(channel)
         source = open_source(raw, select, channel_column)
         with _progress(json_out == "-") as progress:
             summary = import_recording(
-                source, out, setup, text, mapping=parse_map(mapping), rate_hz=rate, note=note, progress=progress
+                source, out, setup, text, mapping=parse_map(mapping), rate_hz=rate, note=readable(note),
+                progress=progress,
             )
     except InputError as error:
         fail(str(error), EXIT_USAGE)

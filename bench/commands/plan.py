@@ -85,7 +85,7 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
     from bench.console import print_lines, print_table
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s²)", "speed\n(m/s)", "displ\n(mm)",
+    for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s^2)", "speed\n(m/s)", "displ\n(mm)",
                     "start\n(s)", "length\n(s)"):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
     for step, asked in rows:

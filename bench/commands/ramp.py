@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from rig.backends.base import Backend
     from rig.profile import Profile
@@ -26,6 +28,7 @@ def command(
     resume: Path | None = typer.Option(None, "--resume", metavar="REC.h5", help="Go on where this recording stopped."),
     step: int | None = typer.Option(None, "--step", metavar="N", help="With --resume: repeat step N alone."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Run a profile's ramp and record it; Ctrl-C ramps the drive down and keeps the recording.
 
@@ -37,15 +40,20 @@ def command(
     import datetime
 
     from bench.commands.plan import planned, refusal
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, warn, write_json
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
+    from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles import load
     from bench.resume import continued
     from daq.calibrations import doubts
     from daq.errors import InputError
 
     try:
+        check_outputs(
+            File("--out", out, HDF5, kept=True), File("--json", json, JSON),
+            inputs=[profile, scenario, replay, resume], overwrite=overwrite,
+        )  # fmt: skip
         checked, text = load(profile)
-        extra = free_keys(set_)
+        extra = free_keys([str(readable(one)) for one in set_])
         if step is not None and resume is None:
             raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
         if resume is not None:
@@ -57,7 +65,8 @@ def command(
         for doubt in doubts(checked, datetime.date.today()):
             warn(f"{profile}: {doubt}")
         backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
-        summary = record(checked, text, backend, out, note=note, extra=extra, quiet=json == "-", paced=real_time)
+        summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-",
+                         paced=real_time)  # fmt: skip
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
@@ -116,10 +125,11 @@ def make_backend(
             return of_profile(profile)
         except BackendError as error:
             raise InputError(str(error)) from error
+    from bench.profiles import find_scenario
     from rig.backends.simulated import SimulatedBackend
     from rig.sim.scenario import Scenario, load_scenario
 
-    hidden = Scenario("ideal") if scenario is None else load_scenario(scenario)
+    hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
     return SimulatedBackend(profile.sampling.rate_hz, hidden, seed, real_time=real_time)
 
 

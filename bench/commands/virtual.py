@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bench.outputs import Overwrite
+
 if TYPE_CHECKING:
     from rig.profile import Profile
     from rig.sim.scenario import Scenario
@@ -23,6 +25,7 @@ def command(
     for_s: float | None = typer.Option(None, "--for", metavar="SECONDS", help="Leave by itself after so long."),
     log: Path | None = typer.Option(None, "--log", metavar="FILE", help="Keep all that the plant gave, for tests."),
     ppm: float = typer.Option(80.0, "--ppm", help="By how much the clock of a virtual serial device is off."),
+    overwrite: Overwrite = False,
 ) -> None:
     """Start the plant as a sound card that `bench ramp` can run against, in real time; Ctrl-C ends it.
 
@@ -37,17 +40,19 @@ def command(
     import time
 
     from bench.console import EXIT_USAGE, fail
-    from bench.profiles import load
+    from bench.outputs import NPZ, File, check_outputs
+    from bench.profiles import find_scenario, load
     from bench.signals import stop_on_signals
     from daq.errors import InputError
     from rig.sim.scenario import Scenario, load_scenario
     from rig.virtual.jack import PlantLog, jack_server
 
     try:
+        check_outputs(File("--log", log, NPZ), inputs=[profile, scenario], overwrite=overwrite)
         checked, _ = load(profile)
         if checked.backend.kind not in ("soundcard", "soundcard+serial"):
             raise InputError(f"{profile}: backend.kind is {checked.backend.kind}; wanted a sound card's profile")
-        hidden = Scenario("ideal") if scenario is None else load_scenario(scenario)
+        hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
         with (
             stop_on_signals() as request,
             jack_server(server, checked.sampling.rate_hz, period) as started,

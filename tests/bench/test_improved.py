@@ -53,12 +53,3 @@ def test_an_older_declaration_is_replaced(tmp_path: Path) -> None:
     old = SIMULATED + "\n[declared.coulomb_friction]\nmu_up = 0.3\nmu_down = 0.3\n"
     write_improved(found({UP: 0.12}), Path("run.h5"), path, old)
     assert load(path)[0].declared_values() == {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.3}}
-
-
-def test_no_file_is_overwritten(tmp_path: Path) -> None:
-    """A profile that exists is refused by name."""
-    path = tmp_path / "better.toml"
-    path.write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match="exists already"):
-        write_improved(found({UP: 0.12}), Path("run.h5"), path, SIMULATED)
-    assert path.read_text(encoding="utf-8") == "mine"

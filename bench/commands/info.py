@@ -1,0 +1,133 @@
+"""`bench info`: what a recording is, without analysing it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bench.outputs import Overwrite
+
+if TYPE_CHECKING:
+    from daq.recording import Recording
+    from daq.verify import VerifyReport
+
+ROOT = ("note", "started", "ended", "ended_at", "why", "simulated", "backend", "software_version", "software_commit",
+        "recovered", "recovered_from", "imported_from")  # fmt: skip
+
+
+def command(
+    recording: Path = typer.Argument(metavar="REC.h5", help="Recording to look at."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    overwrite: Overwrite = False,
+) -> None:
+    """Show what a recording is: note, keys, profile, channels, steps, and the verdict of `bench verify`.
+
+    Leaves with 0 for complete or stopped, 1 for incomplete or damaged, 2 when the file is no recording. The profile's
+    text: bench profile show REC.h5.
+
+    Example: bench info run.h5
+    """
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.outputs import JSON, File, check_outputs
+    from daq.errors import InputError
+    from daq.recording import open_recording
+    from daq.verify import verify
+
+    try:
+        check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
+        report = verify(recording)
+        try:
+            with open_recording(recording) as opened:
+                told = as_json(opened, report)
+        except InputError as error:
+            if report.state != "damaged":
+                raise
+            told = {"file": recording, "state": report.state, "where": [*report.where, str(error)]}
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    write_json(told, json)
+    if json != "-":
+        _print(told)
+    if report.state in ("incomplete", "damaged"):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
+    """Everything for a machine; what is not known is null."""
+    from daq.block import STEP_DTYPE
+
+    setup = opened.setup
+    return {
+        "file": opened.path,
+        "state": report.state,
+        "where": report.where,
+        **{key: opened.attrs.get(key) for key in ROOT if key in opened.attrs},
+        "keys": opened.attrs["extra"],
+        "rate_hz": opened.rate_hz,
+        "n_samples": opened.n_samples,
+        "seconds": opened.n_samples / opened.rate_hz,
+        "lost_samples": report.lost_samples,
+        "channels": list(opened.channels),
+        "profile": {
+            "name": setup.name, "description": setup.description, "frequency_hz": setup.forcing.frequency_hz,
+            "ratio": setup.forcing.ratio, "declared": setup.declared_values(),
+        },
+        "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
+    }
+
+
+def _known(value: float) -> float | None:
+    """NaN as null."""
+    return None if value != value else value
+
+
+def _print(told: dict[str, Any]) -> None:
+    """The same for a person."""
+    from rich import box
+    from rich.table import Table
+
+    from bench.console import print_lines, print_table
+
+    print_lines(f"{told['file']}", f"  verdict   {told['state']}", *(f"            {line}" for line in told["where"]))
+    if "steps" not in told:
+        return
+    rig = f"{'simulated rig' if told.get('simulated') else 'a rig'}, {told.get('backend') or 'back end unknown'}"
+    profile = told["profile"]
+    declared = ", ".join(f"{k}.{q} = {v:g}" for k, table in profile["declared"].items() for q, v in table.items())
+    lines = {
+        "note": told.get("note") or "none",
+        "keys": ", ".join(f"{k} = {_short(v)}" for k, v in told["keys"].items()) or "none",
+        "started": told.get("started") or "unknown",
+        "made on": rig,
+        "samples": f"{told['n_samples']} ({told['seconds']:.3f} s at {told['rate_hz']:.9g} Hz), "
+                   f"{told['lost_samples']} lost",
+        "channels": ", ".join(told["channels"]),
+        "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['ratio']}"
+                   + (f"; {profile['description']}" if profile["description"] else ""),
+        "declared": declared or "no effects",
+        "steps": str(len(told["steps"])),
+    }  # fmt: skip
+    print_lines(*(f"  {key:<9} {value}" for key, value in lines.items()))
+    if not told["steps"]:
+        return
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for heading in ("step", "gamma", "achieved", "+-", "start\n(s)", "length\n(s)", "Hz", "c"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    rate_hz = told["rate_hz"]
+    for i, step in enumerate(told["steps"]):
+        table.add_row(
+            str(i), _short(step["gamma"]), _short(step["achieved_gamma"]),
+            _short(step["achieved_gamma_uncertainty"], 2),
+            f"{step['first_sample'] / rate_hz:.3f}", f"{step['n_samples'] / rate_hz:.3f}", _short(step["frequency_hz"]),
+            str(step["ratio"]),
+        )  # fmt: skip
+    print_table(table)
+
+
+def _short(value: Any, digits: int = 5) -> str:
+    """A value as a person reads it; a dash where it is not known."""
+    if value is None:
+        return "-"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,127 @@
+"""`bench profile`: the profiles that are there, the text of one, and a new one to make yours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from bench.outputs import Overwrite
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, no_args_is_help=True, help="List, show, make profiles.")
+
+
+@app.command("list")
+def list_profiles(
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    overwrite: Overwrite = False,
+) -> None:
+    """List the shipped profiles, and the scenarios that a simulated rig can hide.
+
+    Example: bench profile list
+    """
+    from rich.table import Table
+
+    from bench.console import print_lines, print_table, write_json
+    from bench.outputs import JSON, File, check_or_leave
+    from bench.profiles import load, scenario_names, shipped_folder, shipped_names
+
+    check_or_leave(File("--json", json, JSON), overwrite=overwrite)
+    rows: list[dict[str, Any]] = []
+    for name in shipped_names():
+        profile, _ = load(name)
+        rows.append({
+            "name": name, "backend": profile.backend.kind, "frequency_hz": profile.forcing.frequency_hz,
+            "ratio": profile.forcing.ratio, "description": profile.description,
+        })  # fmt: skip
+    write_json({"folder": shipped_folder(), "profiles": rows, "scenarios": scenario_names()}, json)
+    if json == "-":
+        return
+    table = Table("name", "back end", "Hz", "c", "description", box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(row["name"], row["backend"], f"{row['frequency_hz']:g}", str(row["ratio"]), row["description"])
+    print_table(table)
+    print_lines(f"scenarios: {', '.join(scenario_names())}")
+    print_lines("make one yours: bench profile new my_rig.toml --like NAME")
+
+
+@app.command("show")
+def show(
+    name: str = typer.Argument(metavar="NAME", help="A shipped profile, a profile's path, or a recording's."),
+) -> None:
+    """Print a profile's text: a shipped one's, a file's, or the one with which a recording was made.
+
+    Example: bench profile show run.h5
+    """
+    import sys
+
+    from bench.console import EXIT_USAGE, fail
+    from daq.errors import InputError
+
+    try:
+        text = _text_of(name)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    sys.stdout.write(text if text.endswith("\n") else text + "\n")
+
+
+@app.command("new")
+def new(
+    out: Path = typer.Argument(metavar="PROFILE.toml", help="The file to make."),
+    like: str = typer.Option("simulated", "--like", metavar="NAME", help="A shipped profile, a path, or a recording."),
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a profile of your own from a shipped one, another file, or a recording's; then edit and calibrate it.
+
+    Example: bench profile new my_rig.toml --like soundcard
+    """
+    from bench.console import EXIT_USAGE, fail, print_lines
+    from bench.outputs import PROFILE, File, check_outputs
+    from daq.errors import InputError
+    from rig.profile import parse_profile
+
+    try:
+        check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
+        text = _named(_text_of(like), out.stem, like)
+        parse_profile(text, like)
+        out.write_text(text, encoding="utf-8")
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{out}: could not be written ({error.strerror})")
+    print_lines(f"{out}: like {like}; edit it, then: bench plan {out}")
+
+
+def _text_of(name: str) -> str:
+    """The text of a profile, by shipped name, path, or recording (raises `InputError`)."""
+    from bench.next_profile import profile_text
+    from bench.profiles import find_profile
+    from daq.errors import InputError
+
+    path = Path(name)
+    if path.is_file() and path.suffix.lower() in (".h5", ".hdf5"):
+        text = profile_text(path)
+        if not text.strip():
+            raise InputError(f"{path}: holds no profile")
+        return text
+    path = find_profile(name)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: wanted a readable TOML file in UTF-8; {error}") from error
+
+
+def _named(text: str, name: str, source: str) -> str:
+    """``text`` under another name; comments and all else as they are (raises `InputError`)."""
+    import tomlkit
+    from tomlkit.exceptions import ParseError
+
+    from daq.errors import InputError
+
+    try:
+        document = tomlkit.parse(text)
+    except ParseError as error:
+        raise InputError(f"{source}: not valid TOML: {error}") from error
+    document["name"] = name
+    return tomlkit.dumps(document)
