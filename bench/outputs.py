@@ -36,8 +36,8 @@ HDF5 = Form("HDF5", (".h5", ".hdf5"))
 PROFILE = Form("a profile (TOML)", (".toml",))
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 KNOWN = {suffix for form in (JSON, PACKED_CSV, NPZ, HDF5, PROFILE, PICTURE) for suffix in form.suffixes} | {
-    ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4", ".mov",
-    ".jpg", ".jpeg", ".tif", ".tiff",
+    ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",
+    ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
 }  # fmt: skip
 """Endings that mean a form to everybody; an ending that is not here may stand for anything."""
 
@@ -123,7 +123,7 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
             elif isinstance(output, Folder):
                 _check_folder(output, path, named, read, overwrite)
             else:
-                _check_edited(path, named)
+                _check_edited(path, named, read)
         except (OSError, RuntimeError) as error:  # RuntimeError: links that lead to one another, before Python 3.13
             why = getattr(error, "strerror", None) or error
             raise InputError(f"{named}: cannot be written ({why}); name another place") from error
@@ -183,8 +183,9 @@ def _check_folder(output: Folder, path: Path, named: str, read: list[Path], over
         )
 
 
-def _check_edited(path: Path, named: str) -> None:
-    """One profile that is changed in place."""
+def _check_edited(path: Path, named: str, read: list[Path]) -> None:
+    """One profile that is changed in place; no other input."""
+    _refuse_input(path, named, read)
     if not path.is_file():
         raise InputError(f"{named}: wanted a profile's file to write into; make one: bench profile new {path.name}")
     _check_suffix(PROFILE, path, named)

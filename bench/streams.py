@@ -44,6 +44,9 @@ def _plain(sign: str) -> str:
     return bare or sign.encode("ascii", "backslashreplace").decode()
 
 
+codecs.register_error(FALLBACK, nearest)
+
+
 class SafeStream(io.TextIOWrapper):
     """A standard stream that shows what it can; ``vital`` is standard output, whose loss ends the program."""
 
@@ -89,7 +92,6 @@ class SafeStream(io.TextIOWrapper):
 
 def make_safe() -> None:
     """Put safe streams in place of standard output and error; warnings of libraries become one line each."""
-    codecs.register_error(FALLBACK, nearest)
     for name, vital in (("stderr", False), ("stdout", True)):
         stream = getattr(sys, name)
         if stream is None:  # closed by whoever started this

@@ -65,7 +65,7 @@ def export(
     if kind == "h5":
         if isinstance(recording, Resampled):
             raise InputError(f"{out}: HDF5 holds the recording as it is; another rate is written as CSV or NPZ.")
-        _export_h5(recording, out, tell)
+        _export_h5(recording, out, tell, overwrite=overwrite)
         return
     part = out.with_name(out.name + ".part")
     try:
@@ -127,11 +127,13 @@ def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress, *,
                 np.lib.format.write_array(file, np.asarray(value), allow_pickle=False)
 
 
-def _export_h5(recording: Recording, out: Path, tell: Progress) -> None:
+def _export_h5(recording: Recording, out: Path, tell: Progress, *, overwrite: bool) -> None:
     names = recording.channels
     dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
     scales = {name: recording.scale(name) for name in names}
-    writer = ColumnWriter(out, recording.setup, dtypes, scales, recording.stored, compression="gzip")
+    writer = ColumnWriter(
+        out, recording.setup, dtypes, scales, recording.stored, overwrite=overwrite, compression="gzip"
+    )
     try:
         for a, b in _pieces(recording.n_samples, CHUNK_SAMPLES):
             writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})

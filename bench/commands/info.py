@@ -71,8 +71,11 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
         "lost_samples": report.lost_samples,
         "channels": list(opened.channels),
         "profile": {
-            "name": setup.name, "description": setup.description, "frequency_hz": setup.forcing.frequency_hz,
-            "ratio": setup.forcing.ratio, "declared": setup.declared_values(),
+            "name": setup.name,
+            "description": setup.description,
+            "frequency_hz": setup.forcing.frequency_hz,
+            "ratio": setup.forcing.ratio,
+            "declared": setup.declared_values(),
         },
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
     }

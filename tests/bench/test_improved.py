@@ -10,7 +10,6 @@ import pytest
 from analysis.likelihood import DRIFT
 from bench.improved import write_improved
 from bench.profiles import load
-from daq.errors import InputError
 
 SIMULATED = (Path(__file__).parents[2] / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
 UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
