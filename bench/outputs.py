@@ -72,15 +72,11 @@ class File:
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder that a command fills, made where it is not there; ``makes``: patterns of the names it writes in it.
-
-    With ``new`` the folder itself must not be there.
-    """
+    """A folder that a command fills, made where it is not there; ``makes``: patterns of the names it writes in it."""
 
     option: str
     path: Path | None
     makes: tuple[str, ...] = PICTURES
-    new: bool = False
 
 
 @dataclass(frozen=True)
@@ -148,6 +144,7 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
     _refuse_input(path, named, read)
     if path.is_dir() or str(output.path).endswith(("/", os.sep)):
         raise InputError(f"{named}: is a folder; wanted the name of a file, as {path / _example(output)}")
+    _refuse_input(path.with_name(f"{path.name}.part"), named, read)  # where some forms grow until they are whole
     _check_suffix(output.form, path, named)
     if path.exists() and not path.is_file():
         return  # a device or a pipe: nothing is lost
@@ -169,8 +166,6 @@ def _check_folder(output: Folder, path: Path, named: str, read: list[Path], over
     nearest = next((p for p in (path, *path.absolute().parents) if p.exists()), path)
     if not nearest.is_dir():
         raise InputError(f"{named}: {nearest} is a file; wanted a folder; choose another name")
-    if output.new and path.exists():
-        raise InputError(f"{named}: exists already; choose the name of a new folder")
     _probe(nearest)
     there = sorted({p for pattern in output.makes for p in path.glob(pattern)}) if path.is_dir() else []
     for one in there:

@@ -82,8 +82,9 @@ def _ask(over: bool) -> None:
 
 def _show(profile: Profile, measured: list[Measured], into: Path) -> None:
     """Before and after, for a person."""
-    from rich.console import Console
     from rich.table import Table
+
+    from bench.console import print_table
 
     table = Table("key", "before", "measured", "uncertainty", box=None, pad_edge=False)
     for one in measured:
@@ -92,5 +93,5 @@ def _show(profile: Profile, measured: list[Measured], into: Path) -> None:
             before = before.get(name) if isinstance(before, dict) else getattr(before, name, None)
         shown = "-" if before is None else f"{getattr(before, 'value', before):.6g}"
         table.add_row(one.key, shown, f"{one.value:.6g}", f"{one.uncertainty:.2g}")
-    Console().print(table)
+    print_table(table)
     typer.echo(f"written into {into}")

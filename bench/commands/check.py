@@ -58,12 +58,13 @@ def command(
 
 def _show(findings: list[Finding]) -> None:
     """The table; the remedy only where it is needed."""
-    from rich.console import Console
     from rich.table import Table
+
+    from bench.console import print_table
 
     table = Table("", "what", "seen", "what to do", box=None, pad_edge=False)
     words = {True: "[green]pass[/]", False: "[red]FAIL[/]", None: "[yellow]?[/]"}
     for finding in findings:
         remedy = "" if finding.passed else finding.remedy
         table.add_row(words[finding.passed], finding.what, finding.seen, remedy)
-    Console().print(table)
+    print_table(table)

@@ -37,7 +37,7 @@ def command(
     started = time.perf_counter()
     folder = out or Path("runs") / datetime.datetime.now().strftime("%Y-%m-%d_%H%M%S")
     try:
-        check_outputs(Folder("--out", folder, new=True), inputs=[profile, scenario])
+        check_outputs(Folder("--out", folder, makes=()), inputs=[profile, scenario])
         folder.mkdir(parents=True, exist_ok=False)
         sealed = folder / "sealed.toml"
         hidden = _sealed(seed) if scenario is None else load_scenario(find_scenario(scenario))

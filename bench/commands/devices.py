@@ -65,19 +65,19 @@ def fits(profile: Profile, card: Card) -> bool:
 
 def _show(cards: list[dict[str, Any]], ports: list[dict[str, Any]], why: str) -> None:
     """Two tables."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from bench.console import print_lines, print_table
+
     if cards:
         table = Table("sound card", "driver", "in", "out", "rate (Hz)", "profiles that fit", box=None, pad_edge=False)
         for card in cards:
             keys = ("name", "driver", "inputs", "outputs", "rate_hz")
             table.add_row(*(str(card[key]) for key in keys), ", ".join(card["profiles"]))
-        console.print(table)
+        print_table(table)
     else:
-        console.print(f"no sound card{': ' + why if why else ''}")
+        print_lines(f"no sound card{': ' + why if why else ''}")
     for p in ports:
-        console.print(f"serial port {p['port']}  {p['description']}")
+        print_lines(f"serial port {p['port']}  {p['description']}")
     if not ports:
-        console.print("no serial port")
+        print_lines("no serial port")

@@ -178,7 +178,7 @@ def test_folders_files_and_twins(tmp_path: Path) -> None:
     assert refused(Folder("--figures", tmp_path / "a"), overwrite=True) == ""
     same = refused(Folder("--figures", tmp_path / "a"), inputs=[tmp_path / "a" / "plate.png"], overwrite=True)
     assert "plate.png in it is an input of this command" in same
-    assert "exists already" in refused(Folder("--out", tmp_path / "a", new=True), overwrite=True)
+    assert refused(Folder("--out", tmp_path / "a", makes=())) == ""
 
 
 def test_what_is_kept_and_what_may_be_replaced(tmp_path: Path) -> None:
@@ -196,6 +196,7 @@ def test_what_is_kept_and_what_may_be_replaced(tmp_path: Path) -> None:
 def test_a_missing_input_is_no_name_for_an_output(tmp_path: Path) -> None:
     """An output that will be an input, once somebody makes that, is refused too."""
     assert "is an input" in refused(File("--json", tmp_path / "r.h5", JSON), inputs=[tmp_path / "r.h5"])
+    assert "is an input" in refused(File("--out", tmp_path / "r.h5", HDF5), inputs=[tmp_path / "r.h5.part"])
 
 
 def test_a_shipped_profile_is_an_input_by_its_name() -> None:
