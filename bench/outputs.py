@@ -182,7 +182,9 @@ def _check_edited(path: Path, named: str, read: list[Path]) -> None:
     """One profile that is changed in place; no other input."""
     _refuse_input(path, named, read)
     if not path.is_file():
-        raise InputError(f"{named}: wanted a profile's file to write into; make one: bench profile new {path.name}")
+        raise InputError(
+            f"{named}: wanted a profile's file to write into; make one from a shipped one: bench profile new my_rig.toml"
+        )
     _check_suffix(PROFILE, path, named)
     with path.open("ab"):
         pass  # opens for writing, changes nothing

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from bench.console import EXIT_USAGE, fail, readable, write_json
+from bench.console import EXIT_USAGE, fail, print_table, readable, write_json
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
 
 
@@ -149,4 +149,4 @@ def _print(payload: dict[str, Any]) -> None:
             str(i), f"{step['first_sample'] / payload['rate_hz']:.3f}", f"{hold / payload['rate_hz']:.3f}",
             f"{step['frequency_hz']:.5f}", *shown,
         )
-    console.print(table)
+    print_table(table)

@@ -133,7 +133,7 @@ def test_rounding_and_comments(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["drives", "--into", "{path}"], "wanted one of accelerometer, drive, contact"),
-        (["drive", "--into", "simulated"], "copy a shipped one"),
+        (["drive", "--into", "simulated"], "make one from a shipped one"),
     ],
 )
 def test_a_wrong_call_is_refused(tmp_path: Path, arguments: list[str], said: str) -> None:
