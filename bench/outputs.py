@@ -183,7 +183,7 @@ def _check_edited(path: Path, named: str, read: list[Path]) -> None:
     _refuse_input(path, named, read)
     if not path.is_file():
         raise InputError(
-            f"{named}: wanted a profile's file to write into; make one from a shipped one: bench profile new my_rig.toml"
+            f"{named}: wanted a profile's file to write into; make one from a shipped one: bench profile new rig.toml"
         )
     _check_suffix(PROFILE, path, named)
     with path.open("ab"):

@@ -58,7 +58,7 @@ def export(
         When the disk refuses; nothing is left behind.
     """
     if out.exists() and not overwrite:
-        raise InputError(f"{out}: exists already; choose another name.")
+        raise InputError(f"{out}: exists already and is never overwritten unasked; choose another name.")
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist; create it first.")
     tell = progress if progress is not None else lambda _: None
