@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +25,14 @@ from analysis.fit import Fitter, priors_of
 from analysis.gains import Compared
 from analysis.likelihood import DRIFT, World
 from analysis.remainder import Remainder, remainder
-from analysis.robust import SHARED_S
 from analysis.thresholds import FROZEN, Thresholds
+from analysis.verdict import Failed, Verdict, failed_tests, verdict_of
 from analysis.whitening import step_losses
 from daq.errors import InputError
 from daq.setup import Setup
 from model.effects import effect, registry, resolve
 
 Progress = Callable[[str, float], None]
-Verdict = Literal["explained", "unexplained", "nothing_missing"]
 
 Z95 = 1.96
 
@@ -69,6 +68,8 @@ class Loop:
         By effect and parameter, the size below which the run could not have shown it.
     not_identifiable
         Effects that this run could not show at any size.
+    failed
+        Tests that forbid the verdict "explained" or "nothing missing".
     """
 
     verdict: Verdict
@@ -85,6 +86,7 @@ class Loop:
     not_identifiable: tuple[str, ...]
     world: World
     notes: tuple[str, ...]
+    failed: tuple[Failed, ...] = ()
 
     @property
     def rejected(self) -> Rejected | None:
@@ -145,7 +147,8 @@ def close_loop(
     left = remainder(world, best)
     rows, out = judged_rows(world, best.fitted.values, ~train)
     after, floors = errors_on(world, best.fitted.values, rows, out), noise_floors_us(world, best.fitted.values, rows)
-    verdict = verdict_of(best is not attribution.before, left, after, floors, limits)
+    named = best is not attribution.before
+    verdict = verdict_of(named, left, after, floors, limits)
     found = discover(world, fitter, best, train) if verdict == "unexplained" else None
     say("detection limits", 0.97)
     detection, blind = detection_limits(attribution, limits)
@@ -163,6 +166,7 @@ def close_loop(
         blind,
         world,
         _notes(evidence, attribution),
+        failed_tests(named, left, after, floors, limits),
     )
 
 
@@ -183,43 +187,6 @@ def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limit
     return dataclasses.replace(found, best=found.before, ties=(), rounds=(*found.rounds, said), rejected=rejected)
 
 
-def _lacking(left: Remainder, limits: Thresholds) -> bool:
-    """Whether something is left that noise does not explain."""
-    flights = left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio
-    return flights or left.plate_ratio > limits.plate_ratio
-
-
-def verdict_of(
-    named: bool, left: Remainder, after: Errors, floors_us: tuple[float, float], limits: Thresholds
-) -> Verdict:
-    """The verdict.
-
-    Parameters
-    ----------
-    named
-        Whether an effect has been added.
-    left
-        What remains, on all steps.
-    after, floors_us
-        Errors on the held-out steps, and the noise floors of landings and take-offs there.
-    limits
-    """
-    if _lacking(left, limits) or (named and _missed(after, floors_us, limits)):
-        return "unexplained"
-    return "explained" if named else "nothing_missing"
-
-
-def _missed(after: Errors, floors_us: tuple[float, float], limits: Thresholds) -> bool:
-    """Whether held-out landings or take-offs are missed by more than a cause that is said to explain them may leave.
-
-    The circuit's own physics may shift all edges of a step by `SHARED_S`: a floor below that promises too much. Of
-    take-offs the smaller of both measures counts: a few are hidden by a bounce, and where few steps open from rest, the
-    middle one of them is no robust value.
-    """
-    landing, takeoff = (limits.clean_bill * math.hypot(floor, 1e6 * SHARED_S) for floor in floors_us)
-    return after.landing_rms_us > landing or min(after.takeoff_robust_us, after.takeoff_rms_us) > takeoff
-
-
 def _found(best: Explanation) -> list[Found]:
     """Each added effect with its parameters and 95 % intervals."""
     tables: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in best.names}
@@ -231,7 +198,8 @@ def _found(best: Explanation) -> list[Found]:
             bare = q.removesuffix(DRIFT)
             middle = fitted.values.get((name, bare), 0.0)
             size = abs(middle) if middle else 1.0
-            tables.setdefault("parameter_drift", {})[f"{name}.{bare}_per_run"] = (
+            change = "relative_change" if middle else "change"
+            tables.setdefault("parameter_drift", {})[f"{name}.{bare}_{change}"] = (
                 value / size,
                 (value - spread) / size,
                 (value + spread) / size,
@@ -322,6 +290,9 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
             for names, c in sorted(loop.attribution.tried, key=lambda t: -t[1].gain)
         ],
         "rejected": _rejected(loop.rejected),
+        "failed_tests": [
+            {"test": f.test, "found": _finite(f.found), "allowed": _finite(f.allowed)} for f in loop.failed
+        ],
         "rounds": list(loop.attribution.rounds),
         "nuisances": {
             f"{n}.{q}": _finite(v) for (n, q), v in loop.best.fitted.values.items() if (n, q) not in loop.best.free
