@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 
 from daq.setup import Forcing
 
+PEAK_TEX = r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$"
+GAMMA_TEX = r"$\Gamma = A\omega^2/g$"
+
 
 @dataclass(frozen=True)
 class GammaScale:
@@ -45,11 +48,11 @@ def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:
         sense = f"gamma_peak = max(-a)/g = {factor:.4g} A w^2/g"
         return GammaScale(
             factor, "gamma_peak", r"\Gamma_{\mathrm{peak}}",
-            r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$   (c = 1)",
+            f"{PEAK_TEX}   (c = 1)",
             f"{sense}: the greatest downward acceleration of the plate's sine over gravity (c = 1).",
         )  # fmt: skip
     told = f"   (c = {own[0]})" if len(own) == 1 else ""
     return GammaScale(
-        1.0, "gamma", r"\Gamma", rf"$\Gamma = A\omega^2/g${told}",
+        1.0, "gamma", r"\Gamma", f"{GAMMA_TEX}{told}",
         "gamma = A w^2/g: the acceleration amplitude of the first tone over gravity, before the second is added.",
     )  # fmt: skip

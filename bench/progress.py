@@ -5,6 +5,8 @@ Compiling happens once on a machine and can take a minute; without a word it loo
 
 from __future__ import annotations
 
+import functools
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -37,6 +39,12 @@ class _Compiling(numba_event.Listener):
             self._told("", self._done)
 
 
+@functools.cache
+def _announce() -> None:
+    """Say at the first call that kernels are being compiled."""
+    sys.stderr.write("compiling the kernels for this machine, once; this can take a minute\n")
+
+
 @contextmanager
 def progress_bar(quiet: bool = False) -> Iterator[Progress]:
     """A bar that follows ``(what, fraction done)``; where there is no terminal, compiling alone is announced."""
@@ -45,7 +53,7 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
 
     columns = (TextColumn("{task.description:<34}"), BarColumn(bar_width=24), TimeElapsedColumn())
     console = Console(stderr=True)
-    doing, announced = "starting", False
+    doing = "starting"
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task(doing, total=1.0)
 
@@ -55,10 +63,8 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
             bar.update(task, description=what, completed=part)
 
         def compiling(kernel: str, done: int) -> None:
-            nonlocal announced
-            if not announced and not quiet and not console.is_terminal:
-                console.print("compiling the kernels for this machine, once; this can take a minute")
-            announced = True
+            if not quiet and not console.is_terminal:
+                _announce()
             bar.update(task, description=f"compiling, once: {kernel} ({done} done)" if kernel else doing)
 
         listener = _Compiling(compiling)
