@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.attribution import Attributor
 from analysis.beyond import Discovery, discover
+from analysis.calibrations import fitted_calibrations
 from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
 from analysis.evidence import Evidence, evidence_of
 from analysis.explanation import Attribution, Explanation, Rejected
@@ -297,6 +298,10 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
         "nuisances": {
             f"{n}.{q}": _finite(v) for (n, q), v in loop.best.fitted.values.items() if (n, q) not in loop.best.free
         },
+        "calibrations": [
+            {k: x if isinstance(x, str) else _finite(x) for k, x in dataclasses.asdict(c).items()}
+            for c in fitted_calibrations(loop.best)
+        ],
         "notes": list(loop.notes),
         "flights": len(loop.world.evidence),
         "sources": list(loop.world.evidence.sources),

@@ -31,6 +31,7 @@ from analysis.thresholds import FROZEN
 from analysis.wording import (
     interval,
     microseconds,
+    moved_calibrations,
     others_in_words,
     plain,
     probability,
@@ -328,7 +329,7 @@ def _remains(loop: Loop) -> str:
         words += f"<p>What is left goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
     if loop.discovered is not None:
         words += f"<p>Discovered: {html.escape(loop.discovered.in_words)}.</p>"
-    notes = "".join(f"<li>{html.escape(n)}</li>" for n in loop.notes)
+    notes = "".join(f"<li>{_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))
     return words + (f"<ul>{notes}</ul>" if notes else "")
 
 

@@ -88,9 +88,9 @@ def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
                     at[which], gain[which], xerr=error[which], color=colour, ecolor="#495057", capsize=2, hatch=hatch,
                     edgecolor=AFTER if hatch else "none", label=words,
                 )
-        for place, (_, (g, _)) in zip(at, rows, strict=True):
+        for place, (_, (g, e)) in zip(at, rows, strict=True):
             if not g > 0.0:
-                ax.annotate("none", (0.0, float(place)), (4, 0), textcoords="offset points", va="center", fontsize=7)
+                ax.annotate("none", (e, float(place)), (6, 0), textcoords="offset points", va="center", fontsize=7)
         needed = f"needed: {limits.gain_nats:g} nats and {limits.gain_sigmas:g} standard errors"
         ax.axvline(limits.gain_nats, color=BEFORE, lw=1.2, ls="--", label=needed)
         ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)

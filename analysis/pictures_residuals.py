@@ -30,6 +30,7 @@ COLUMNS = 3
 BINS, LEAST_IN_BIN = 12, 4
 SHOWN = 95.0  # per cent of the residuals within the axes; the rest stands at their edge, as triangles
 AT_LEAST_FLOORS = 4.0
+PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
 STILL = 1e-6  # relative spread of a covariate below which it has nothing to say
 TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
 
@@ -107,7 +108,8 @@ def _panel(ax: Any, x: Array, residual_us: Array, colour: str, floor_us: float) 
     ax.axhline(0.0, color=FLOOR, lw=0.6)
     beyond = clipped_dots(ax, x, y, limit, color=colour)
     if beyond:
-        ax.annotate(f"{beyond} beyond", (0.98, 0.04), xycoords="axes fraction", ha="right", fontsize=6.5, color=colour)
+        place = {"xycoords": "axes fraction", "ha": "right", "bbox": PAPER}
+        ax.annotate(f"{beyond} beyond", (0.98, 0.04), fontsize=6.5, color=colour, **place)
     middle, median = medians(x, y)
     ax.plot(middle, np.clip(median, -limit, limit), "-", lw=1.1, color="black", alpha=0.75)
     ax.set_ylim(-limit, limit)

@@ -74,7 +74,7 @@ def _what_was_tried(loop: Loop) -> list[str]:
     ranked = gains(loop)
     out = []
     if ranked:
-        listed = ", ".join(f"{n} {g:.0f} +- {e:.0f}" for n, (g, e) in list(ranked.items())[:LISTED])
+        listed = ", ".join(f"{n} {round(g)} +- {e:.0f}" for n, (g, e) in list(ranked.items())[:LISTED])
         out.append(f"of {len(ranked)} candidates added alone, these gain most on steps not fitted (nats): {listed}.")
     out += [f"{words}." for words in loop.attribution.rounds]
     if loop.rejected is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from analysis.calibrations import fitted_calibrations
 from analysis.close_loop import Found, Loop
 from analysis.likelihood import DRIFT
 from model.effects import effect
@@ -86,3 +87,23 @@ def rejected_in_words(loop: Loop) -> str:
         return ""
     names = " + ".join(plain(n) for n in x.names)
     return f"best rejected candidate: {names}, {x.gain:.0f} +- {x.error:.0f} nats; rejected because {x.reason}"
+
+
+def moved_calibrations(loop: Loop) -> list[str]:
+    """Calibrations that the fit has moved by more than their stated uncertainty, a line each."""
+    return [
+        f"calibration {plain(c.effect)}, {c.parameter}: fitted {plus_minus(c.value, c.sigma)}, stated "
+        f"{plus_minus(c.stated, c.stated_sigma)} {unit_of(c.effect, c.parameter)}".rstrip()
+        for c in fitted_calibrations(loop.best)
+        if c.moved
+    ]
+
+
+def plus_minus(value: float, sigma: float) -> str:
+    """A value with its standard deviation, both to the second significant digit of the latter."""
+    if not (math.isfinite(value) and math.isfinite(sigma) and sigma > 0.0):
+        return f"{value:.4g}"
+    if max(abs(value), sigma) < BELOW:
+        return f"{value:.2e} +- {sigma:.1e}"
+    place = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
+    return f"{value:.{place}f} +- {sigma:.{place}f}"

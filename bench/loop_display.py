@@ -6,7 +6,15 @@ import sys
 from collections.abc import Callable, Sequence
 
 from analysis.close_loop import Loop
-from analysis.wording import microseconds, others_in_words, plain, rejected_in_words, size_of, verdict_line
+from analysis.wording import (
+    microseconds,
+    moved_calibrations,
+    others_in_words,
+    plain,
+    rejected_in_words,
+    size_of,
+    verdict_line,
+)
 from daq.errors import InputError
 
 
@@ -36,7 +44,7 @@ def show(loop: Loop) -> None:
         table.add_row(name, microseconds(before), microseconds(after), floor)
     table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
     out.print(table)
-    for line in (*loop.attribution.rounds, *loop.notes):
+    for line in (*loop.attribution.rounds, *moved_calibrations(loop), *loop.notes):
         out.print(f"  {line}", soft_wrap=True)
 
 
