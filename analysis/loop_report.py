@@ -10,6 +10,7 @@ import base64
 import datetime
 import html
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -211,8 +212,13 @@ def _page(
 
 
 def _html(text: str) -> str:
-    """Plain text as HTML, with the micro sign where units are microseconds."""
-    return html.escape(text).replace(" us", " &micro;s").replace("w^2", "&omega;&sup2;").replace("+-", "&plusmn;")
+    """Plain text as HTML, with the signs that the pictures have for microseconds, gamma and plus or minus."""
+    signs = {r" us\b": " &micro;s", r"w\^2": "&omega;&sup2;", r"\+-": "&plusmn;",
+             r"\bgamma_peak\b": "&Gamma;<sub>peak</sub>", r"\bgamma\b": "&Gamma;"}  # fmt: skip
+    text = html.escape(text)
+    for plain_sign, sign in signs.items():
+        text = re.sub(plain_sign, sign, text)
+    return text
 
 
 def _capital(text: str) -> str:
@@ -292,7 +298,7 @@ def _bifurcation_words(first: dict[str, object] | None, scale: GammaScale) -> st
         return "none in the range" if found is None else f"{x['type']} at {scale.name} {scale.factor * found:.4f}"
 
     measured, before, after = (say(first[k]) for k in ("measured", "before", "after"))
-    return f"<p>First bifurcation: in the data {measured}; before: {before}; after: {after}.</p>"
+    return _html(f"First bifurcation: in the data {measured}; before: {before}; after: {after}.").join(("<p>", "</p>"))
 
 
 def _reasoning(loop: Loop) -> str:

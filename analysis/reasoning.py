@@ -22,7 +22,7 @@ LISTED = 3
 
 def reasoning(loop: Loop, limits: Thresholds = FROZEN) -> list[str]:
     """Sentences in the order of the argument."""
-    return [*_what_was_off(loop, limits), *_what_was_tried(loop), *_why_this_verdict(loop)]
+    return [*_what_was_off(loop, limits), *_what_was_tried(loop), *why_this_verdict(loop)]
 
 
 def gains(loop: Loop) -> Mapping[str, tuple[float, float]]:
@@ -91,7 +91,7 @@ def _what_was_tried(loop: Loop) -> list[str]:
     return out
 
 
-def _why_this_verdict(loop: Loop) -> list[str]:
+def why_this_verdict(loop: Loop) -> list[str]:
     """The tests that the verdict rests on."""
     left, floor = loop.remainder, loop.noise_floor_us
     if loop.failed:

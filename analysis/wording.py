@@ -71,7 +71,7 @@ def verdict_line(loop: Loop) -> str:
     words = VERDICTS[loop.verdict]
     if not loop.effects:
         return words
-    added = "; ".join(f"{plain(f.name)} {size_of(f)}".rstrip() for f in loop.effects)
+    added = "; ".join(f"{plain(f.name)}, {size_of(f)}".removesuffix(", ") for f in loop.effects)
     return f"{words}; best so far, not believed: {added}" if loop.verdict == "unexplained" else f"{words} by {added}"
 
 

@@ -6,13 +6,12 @@ import sys
 from collections.abc import Callable, Sequence
 
 from analysis.close_loop import Loop
+from analysis.reasoning import why_this_verdict
 from analysis.wording import (
     microseconds,
     moved_calibrations,
     others_in_words,
-    plain,
     rejected_in_words,
-    size_of,
     verdict_line,
 )
 from daq.errors import InputError
@@ -25,8 +24,8 @@ def show(loop: Loop) -> None:
 
     out = Console(highlight=False)
     out.print(f"\nverdict: {verdict_line(loop)}", style="bold", soft_wrap=True)
-    for found in loop.effects:
-        out.print(f"  + {plain(found.name)}: {size_of(found)}", soft_wrap=True)
+    for line in why_this_verdict(loop):
+        out.print(f"  {line}", soft_wrap=True)
     if loop.discovered is not None:
         out.print(f"  discovered: {loop.discovered.in_words}", soft_wrap=True)
     if loop.rejected is not None:

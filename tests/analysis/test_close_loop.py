@@ -14,6 +14,7 @@ from analysis import close_loop
 from analysis.close_loop import verdict_of
 from analysis.errors_of import Errors
 from analysis.explanation import Attribution
+from analysis.likelihood import DRIFT
 from analysis.remainder import Remainder
 from analysis.thresholds import FROZEN
 
@@ -66,6 +67,18 @@ def test_a_run_without_rests_is_judged_by_its_landings() -> None:
     """No take-off was seen: there is neither an error nor a floor of them, and that is no reason to refuse."""
     after = replace(HIT, takeoff_robust_us=math.nan, takeoff_rms_us=math.nan)
     assert verdict_of(True, NOISE, after, (10.0, math.nan), FROZEN) == "explained"
+
+
+@pytest.mark.parametrize(("middle", "key", "size"), [(4.0, "relative_change", 0.05), (0.0, "change", 0.2)])
+def test_a_drift_is_named_by_what_it_is(middle: float, key: str, size: float) -> None:
+    """A trend is a fraction of the parameter's middle value, or a change in its own unit where the middle is zero."""
+    rate = ("viscous_damping", "rate_per_s")
+    trend = (rate[0], rate[1] + DRIFT)
+    fitted = SimpleNamespace(values={rate: middle, trend: 0.2}, sigma=lambda key: 0.01)
+    best: Any = SimpleNamespace(names=("viscous_damping",), free=(rate, trend), fitted=fitted)
+    drift = close_loop._found(best)[1]
+    assert drift.name == "parameter_drift"
+    assert drift.parameters[f"viscous_damping.rate_per_s_{key}"][0] == pytest.approx(size)
 
 
 def _found(gain_seen: float, gain_reserved: float, monkeypatch: pytest.MonkeyPatch) -> tuple[bool, str]:
