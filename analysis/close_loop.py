@@ -20,7 +20,7 @@ from analysis.attribution import Attributor
 from analysis.beyond import Discovery, discover
 from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
 from analysis.evidence import Evidence, evidence_of
-from analysis.explanation import Attribution, Explanation
+from analysis.explanation import Attribution, Explanation, Rejected
 from analysis.fit import Fitter, priors_of
 from analysis.gains import Compared
 from analysis.likelihood import DRIFT, World
@@ -85,6 +85,15 @@ class Loop:
     not_identifiable: tuple[str, ...]
     world: World
     notes: tuple[str, ...]
+
+    @property
+    def rejected(self) -> Rejected | None:
+        """The best candidate that was refused, with its gain in nats and the reason; None where none gained anything.
+
+        Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain; or
+        what was accepted and then withdrawn because the reserved steps did not bear it out.
+        """
+        return self.attribution.rejected
 
     @property
     def best(self) -> Explanation:
@@ -166,10 +175,12 @@ def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limit
     before, best = (np.where(train, x.per_step, sum(losses.values())) for x, losses in pair)
     if Compared.of(before, best, ~train).even > 0.0:
         return found
-    if Compared.of(before, best, np.ones_like(train)).beyond(limits.again_nats, limits.again_sigmas):
+    gain = Compared.of(before, best, np.ones_like(train))
+    if gain.beyond(limits.again_nats, limits.again_sigmas):
         return found
     said = f"the reserved steps do not bear out {' + '.join(found.best.names)}: withdrawn"
-    return dataclasses.replace(found, best=found.before, ties=(), rounds=(*found.rounds, said))
+    rejected = Rejected(found.best.names, gain.gain, gain.error, "the reserved steps do not bear it out")
+    return dataclasses.replace(found, best=found.before, ties=(), rounds=(*found.rounds, said), rejected=rejected)
 
 
 def _lacking(left: Remainder, limits: Thresholds) -> bool:
@@ -310,6 +321,7 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
             {"names": list(names), "gain_nats": _finite(c.gain), "standard_error": _finite(c.error)}
             for names, c in sorted(loop.attribution.tried, key=lambda t: -t[1].gain)
         ],
+        "rejected": _rejected(loop.rejected),
         "rounds": list(loop.attribution.rounds),
         "nuisances": {
             f"{n}.{q}": _finite(v) for (n, q), v in loop.best.fitted.values.items() if (n, q) not in loop.best.free
@@ -318,6 +330,13 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
         "flights": len(loop.world.evidence),
         "sources": list(loop.world.evidence.sources),
     }
+
+
+def _rejected(x: Rejected | None) -> dict[str, Any] | None:
+    if x is None:
+        return None
+    gains = {"gain_nats": _finite(x.gain), "standard_error": _finite(x.error)}
+    return {"names": list(x.names), **gains, "reason": x.reason}
 
 
 def _finite(value: float) -> float | None:
