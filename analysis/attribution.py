@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.candidates import Candidate, candidates_of, trends_of, unlike
-from analysis.choice import Judge, lost
+from analysis.choice import Judge
 from analysis.explanation import Attribution, Explanation, Rejected
 from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.gains import Compared
@@ -139,7 +139,7 @@ class Attributor:
     def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
         """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
         done = 0
-        far_off = lost(best)
+        far_off = best.whitener.lost
         near = {"parameter_drift", *plate_effects()}
         far = [c for c in options if far_off and not set(c.names) <= near]
         share = 1.0 / max(len(options) + 2 * len(far), 1)

@@ -15,13 +15,7 @@ from analysis.explanation import Explanation, Rejected
 from analysis.gains import Compared, thriftiest
 from analysis.thresholds import FROZEN, Thresholds
 
-LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
 FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
-
-
-def lost(best: Explanation) -> bool:
-    """Whether landings miss by so much that a fit may begin on the wrong branch."""
-    return best.whitener.excess_s[1] > LOST * float(np.median(best.whitener.total_s))
 
 
 class Judge:
@@ -45,7 +39,7 @@ class Judge:
     def finds(self, best: Explanation, x: Explanation) -> bool:
         """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
         found = x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1]
-        return lost(best) and found and self.gain(best, x).gain > PLENTY_NATS
+        return best.whitener.lost and found and self.gain(best, x).gain > PLENTY_NATS
 
     def tied(self, best: Explanation, x: Explanation) -> bool:
         """Whether the data cannot tell ``x`` from ``best``."""
