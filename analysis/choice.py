@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from analysis.explanation import Explanation, Rejected
 from analysis.gains import Compared, thriftiest
+from analysis.remainder import plate_ratio_of
 from analysis.thresholds import FROZEN, Thresholds
 
+TRIFLE = 0.05  # of a gain, that plate data may lose as long as they remain noise
 FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
 
 
@@ -61,9 +63,20 @@ class Judge:
             )
         for channel in x.losses:
             change = Compared.of(x.losses[channel], best.losses[channel], self.train)
-            if change.beyond(limits.worse_nats, limits.worse_sigmas):
+            if change.beyond(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
+        if x.candidates[-1].free and not x.fitted.differs(x.candidates[-1].free):
+            return "the 95 % intervals of its parameters hold the values at which it does nothing"
         return None
+
+    def _trifling(self, x: Explanation, channel: str, loss: Compared, gain: Compared) -> bool:
+        """Whether plate data that lose a trifle of what the events gain are still noise.
+
+        While events were lost, calibrations could follow the plate's noise; found events hold them.
+        """
+        if channel != "plate" or loss.gain > TRIFLE * gain.gain:
+            return False
+        return plate_ratio_of(x.fitted.fitter.world, x.fitted.values) < self.limits.quiet_ratio
 
     def choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
