@@ -17,6 +17,7 @@ from analysis.remainder import plate_ratio_of
 from analysis.thresholds import FROZEN, Thresholds
 
 TRIFLE = 0.05  # of a gain, that plate data may lose as long as they remain noise
+LEAST_NATS = 1.0  # a refusal of less needs no reason
 FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
 
 
@@ -55,6 +56,8 @@ class Judge:
             (limits.gain_nats, limits.gain_sigmas) if depth == 0 else (limits.again_nats, limits.again_sigmas)
         )
         gain = self.gain(best, x)
+        if not gain.gain > nats:
+            return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
         if not gain.beyond(nats, 1.0 if self.finds(best, x) else sigmas):
             return (
                 f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and {gain.even:.0f} +- "
@@ -110,7 +113,7 @@ class Judge:
         least = 0.0 if chosen is None else self.gain(best, chosen).gain
         for x in sorted(found, key=lambda x: float(x.per_step[self.train].sum())):
             gain = self.gain(best, x)
-            if not gain.gain > least:
+            if not gain.gain > max(least, LEAST_NATS):
                 break
             reason = self.refusal(best, x, depth)
             if reason is not None:
