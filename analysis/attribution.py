@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.candidates import Candidate, candidates_of, trends_of, unlike
-from analysis.choice import Judge, lost
+from analysis.choice import Judge
 from analysis.explanation import Attribution, Explanation, Rejected
 from analysis.fit import Fitted, Fitter, parameter_of
 from analysis.gains import Compared
@@ -64,6 +64,7 @@ class Attributor:
         pool = candidates_of(self.world, hints_hz or self.world.evidence.hints_hz)
         rivals: list[Explanation] = []
         refused: list[Rejected] = []
+        chain = [before]
         for depth in range(self.limits.most_effects):
             if depth and self._quiet(best):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
@@ -83,13 +84,14 @@ class Attributor:
             kept = self._simplified(self._step_back(accepted, rounds), pool, rounds)
             rivals = found if kept is accepted else []
             best = self._refined(kept)
+            chain.append(best)
         ties = self._ties(before, best, rivals)
         if best is not before:
             best = self._lean(best)
             ties = (best, *ties[1:])
         left = [x for x in refused if not set(x.names) <= set(best.names)]
         rejected = max(left, key=lambda x: x.gain, default=None)
-        return Attribution(before, best, ties, tuple(tried), tuple(rounds), rejected)
+        return Attribution(before, best, ties, tuple(tried), tuple(rounds), rejected, tuple(chain[:-1]))
 
     def _quiet(self, best: Explanation) -> bool:
         """Whether so little is left that a further effect could only fit noise."""
@@ -139,7 +141,7 @@ class Attributor:
     def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
         """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
         done = 0
-        far_off = lost(best)
+        far_off = best.whitener.lost
         near = {"parameter_drift", *plate_effects()}
         far = [c for c in options if far_off and not set(c.names) <= near]
         share = 1.0 / max(len(options) + 2 * len(far), 1)
@@ -205,7 +207,7 @@ class Attributor:
         added = (*best.candidates, Candidate(candidate.names, free))
         cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
         if ahead >= HOPELESS_NATS:
-            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else unlike(starts, free))]
+            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else unlike(starts, free, absent=cheap))]
             fits = [self._from(best, (*best.free, *free), p) for p in begun]
             return self._judged(added, min(fits, key=lambda x: self._quick(best.whitener, x.values)))
         if not cheap and promised < HOPELESS_NATS:
@@ -295,21 +297,35 @@ class Attributor:
         return best
 
     def _simplified(self, best: Explanation, pool: Sequence[Candidate], rounds: list[str]) -> Explanation:
-        """A special case in place of an earlier cause, where with the later ones it does as well."""
-        for i, candidate in enumerate(best.candidates[:-1]):
+        """A special case in place of a cause, unless the fuller form is better beyond doubt.
+
+        A fit of the special case may have stopped short when it was tried: it begins where the fuller form stands.
+        """
+        for i, candidate in enumerate(best.candidates):
             for simpler in pool:
                 if len(simpler.free) >= len(candidate.free) or not set(simpler.names) <= _relatives(candidate.names):
                     continue
-                chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
-                known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
-                points = [{**point, **known} for point in simpler.starts or ({},)]
-                start = min(points, key=lambda point: self._quick(best.whitener, point))
-                free = tuple(k for c in chosen for k in c.free)
-                x = self._judged(chosen, self._settled(self.fitter.fit(best.whitener, free, start)))
-                if self.judge.tied(best, x):
+                x = self._in_place(best, i, simpler)
+                if self._as_good(best, x):
                     rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
                     return x
         return best
+
+    def _in_place(self, best: Explanation, i: int, simpler: Candidate) -> Explanation:
+        """The explanation with its ``i``-th candidate replaced by a special case of it, fitted."""
+        candidate = best.candidates[i]
+        chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
+        known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
+        points = [{**point, **known} for point in (*simpler.starts, _reduced(best.fitted.values, simpler.free))]
+        start = min(points, key=lambda point: self._quick(best.whitener, point))
+        free = tuple(k for c in chosen for k in c.free)
+        return self._judged(chosen, self._settled(self.fitter.fit(best.whitener, free, start)))
+
+    def _as_good(self, fuller: Explanation, x: Explanation) -> bool:
+        """Whether a special case may stand in: under the same name where it ties, under another unless beyond doubt."""
+        if x.names == fuller.names:
+            return self.judge.tied(fuller, x)
+        return not self.judge.gain(x, fuller).beyond(self.limits.gain_nats, self.limits.gain_sigmas)
 
     def _ties(self, before: Explanation, best: Explanation, rivals: Sequence[Explanation]) -> tuple[Explanation, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""
@@ -326,6 +342,12 @@ class Attributor:
                 continue
             out.append(x)
         return tuple(out)
+
+
+def _reduced(values: Mapping[Key, float], free: Sequence[Key]) -> dict[Key, float]:
+    """Where a special case begins: friction of any speed at what remains of it at high speed."""
+    kinetic = values.get(("stribeck_friction", "mu_kinetic"), 0.0)
+    return {k: kinetic if k[0] == "coulomb_friction" else values.get(k, parameter_of(k).absent) for k in free}
 
 
 def _relatives(names: Sequence[str]) -> set[str]:

@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from analysis.explanation import Explanation, Rejected
 from analysis.gains import Compared, thriftiest
+from analysis.remainder import plate_ratio_of
 from analysis.thresholds import FROZEN, Thresholds
 
-LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
+TRIFLE = 0.05  # of a gain, that plate data may lose as long as they remain noise
+LEAST_NATS = 1.0  # a refusal of less needs no reason
 FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
-
-
-def lost(best: Explanation) -> bool:
-    """Whether landings miss by so much that a fit may begin on the wrong branch."""
-    return best.whitener.excess_s[1] > LOST * float(np.median(best.whitener.total_s))
 
 
 class Judge:
@@ -45,7 +42,7 @@ class Judge:
     def finds(self, best: Explanation, x: Explanation) -> bool:
         """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
         found = x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1]
-        return lost(best) and found and self.gain(best, x).gain > PLENTY_NATS
+        return best.whitener.lost and found and self.gain(best, x).gain > PLENTY_NATS
 
     def tied(self, best: Explanation, x: Explanation) -> bool:
         """Whether the data cannot tell ``x`` from ``best``."""
@@ -59,6 +56,8 @@ class Judge:
             (limits.gain_nats, limits.gain_sigmas) if depth == 0 else (limits.again_nats, limits.again_sigmas)
         )
         gain = self.gain(best, x)
+        if not gain.gain > nats:
+            return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
         if not gain.beyond(nats, 1.0 if self.finds(best, x) else sigmas):
             return (
                 f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and {gain.even:.0f} +- "
@@ -67,9 +66,20 @@ class Judge:
             )
         for channel in x.losses:
             change = Compared.of(x.losses[channel], best.losses[channel], self.train)
-            if change.beyond(limits.worse_nats, limits.worse_sigmas):
+            if change.beyond(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
+        if x.candidates[-1].free and not x.fitted.differs(x.candidates[-1].free):
+            return "the 95 % intervals of its parameters hold the values at which it does nothing"
         return None
+
+    def _trifling(self, x: Explanation, channel: str, loss: Compared, gain: Compared) -> bool:
+        """Whether plate data that lose a trifle of what the events gain are still noise.
+
+        While events were lost, calibrations could follow the plate's noise; found events hold them.
+        """
+        if channel != "plate" or loss.gain > TRIFLE * gain.gain:
+            return False
+        return plate_ratio_of(x.fitted.fitter.world, x.fitted.values) < self.limits.quiet_ratio
 
     def choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
@@ -103,7 +113,7 @@ class Judge:
         least = 0.0 if chosen is None else self.gain(best, chosen).gain
         for x in sorted(found, key=lambda x: float(x.per_step[self.train].sum())):
             gain = self.gain(best, x)
-            if not gain.gain > least:
+            if not gain.gain > max(least, LEAST_NATS):
                 break
             reason = self.refusal(best, x, depth)
             if reason is not None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from analysis.attribution import Attributor
 from analysis.beyond import Discovery, discover
 from analysis.calibrations import fitted_calibrations
-from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
+from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us, noise_quantiles_us
 from analysis.evidence import Evidence, evidence_of
 from analysis.explanation import Attribution, Explanation, Rejected
 from analysis.fit import Fitter, priors_of
@@ -148,8 +148,8 @@ def close_loop(
     left = remainder(world, best)
     rows, out = judged_rows(world, best.fitted.values, ~train)
     after, floors = errors_on(world, best.fitted.values, rows, out), noise_floors_us(world, best.fitted.values, rows)
-    named = best is not attribution.before
-    verdict = verdict_of(named, left, after, floors, limits)
+    named, chance = best is not attribution.before, noise_quantiles_us(world, best.fitted.values, rows)
+    verdict = verdict_of(named, left, after, floors, limits, chance)
     found = discover(world, fitter, best, train) if verdict == "unexplained" else None
     say("detection limits", 0.97)
     detection, blind = detection_limits(attribution, limits)
@@ -167,25 +167,36 @@ def close_loop(
         blind,
         world,
         _notes(evidence, attribution),
-        failed_tests(named, left, after, floors, limits),
+        failed_tests(named, left, after, floors, limits, chance),
     )
 
 
 def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limits: Thresholds) -> Attribution:
-    """What was found, or the declared model where the reserved steps speak against a gain that was small."""
-    if found.best is found.before:
-        return found
-    reserved = [step_losses(world, x.whitener, world.residuals(x.fitted.values)) for x in (found.before, found.best)]
-    pair = zip((found.before, found.best), reserved, strict=True)
-    before, best = (np.where(train, x.per_step, sum(losses.values())) for x, losses in pair)
-    if Compared.of(before, best, ~train).even > 0.0:
-        return found
-    gain = Compared.of(before, best, np.ones_like(train))
-    if gain.beyond(limits.again_nats, limits.again_sigmas):
-        return found
-    said = f"the reserved steps do not bear out {' + '.join(found.best.names)}: withdrawn"
-    rejected = Rejected(found.best.names, gain.gain, gain.error, "the reserved steps do not bear it out")
-    return dataclasses.replace(found, best=found.before, ties=(), rounds=(*found.rounds, said), rejected=rejected)
+    """What was found, less the last causes where the reserved steps speak against a gain that was small."""
+    chain = [*(found.earlier or (found.before,)), found.best]
+    while len(chain) > 1:
+        worse, better = (_all_steps(world, x, train) for x in chain[-2:])
+        gain = Compared.of(worse, better, np.ones_like(train))
+        stands = gain.beyond(limits.again_nats, limits.again_sigmas)
+        if len(chain) > 2:  # of a further cause more is asked: the best of many gains by chance
+            stands = stands and gain.gain > 2.0 * limits.again_nats
+        if stands or Compared.of(worse, better, ~train).even > 0.0:
+            break
+        last = chain.pop()
+        added = " + ".join(n for n in last.names if n not in chain[-1].names) or " + ".join(last.names)
+        rejected = Rejected(tuple(added.split(" + ")), gain.gain, gain.error, "the reserved steps do not bear it out")
+        said = f"the reserved steps do not bear out {added}: withdrawn"
+        ties = (chain[-1],) if len(chain) > 1 else ()
+        found = dataclasses.replace(
+            found, best=chain[-1], ties=ties, rounds=(*found.rounds, said), rejected=rejected, earlier=tuple(chain[:-1])
+        )
+    return found
+
+
+def _all_steps(world: World, x: Explanation, train: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Loss of each step that the fit had not seen: held out in turn, or reserved."""
+    reserved = np.asarray(sum(step_losses(world, x.whitener, world.residuals(x.fitted.values)).values()))
+    return np.where(train, x.per_step, reserved)
 
 
 def _found(best: Explanation) -> list[Found]:

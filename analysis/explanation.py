@@ -93,6 +93,8 @@ class Attribution:
         What each round found: names, gain, standard error, accepted or why not.
     rejected
         Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
+    earlier
+        What stood before the last cause was added, from the declared model on.
     """
 
     before: Explanation
@@ -101,3 +103,4 @@ class Attribution:
     tried: tuple[tuple[tuple[str, ...], Compared], ...]
     rounds: tuple[str, ...] = field(default=())
     rejected: Rejected | None = None
+    earlier: tuple[Explanation, ...] = ()

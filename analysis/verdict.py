@@ -36,7 +36,12 @@ class Failed:
 
 
 def failed_tests(
-    named: bool, left: Remainder, after: Errors, floors_us: tuple[float, float], limits: Thresholds
+    named: bool,
+    left: Remainder,
+    after: Errors,
+    floors_us: tuple[float, float],
+    limits: Thresholds,
+    chance_us: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Failed, ...]:
     """Tests that forbid to call a recording explained; empty where all are passed.
 
@@ -50,12 +55,14 @@ def failed_tests(
     after, floors_us
         Errors on the held-out steps, and the noise floors of landings and take-offs there.
     limits
+    chance_us
+        Root mean squares that noise alone hardly exceeds there, see `analysis.errors_of.noise_quantiles_us`.
 
     Notes
     -----
     The contact circuit may shift all edges of a step by `SHARED_S`, so that no floor counts for less. Of take-offs the
     smaller of both measures counts: a few are hidden by a bounce, and where few steps open from rest, the middle one of
-    them is no robust value.
+    them is no robust value. Nor may chance decide: the tones of a few steps err for all of their flights.
     """
     out = []
     if left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio:
@@ -63,7 +70,10 @@ def failed_tests(
     if left.plate_ratio > limits.plate_ratio:
         out.append(Failed("plate", left.plate_ratio, limits.plate_ratio))
     if named:
-        landing, takeoff = (limits.clean_bill * math.hypot(floor, 1e6 * SHARED_S) for floor in floors_us)
+        landing, takeoff = (
+            max(limits.clean_bill * math.hypot(floor, 1e6 * SHARED_S), chance)
+            for floor, chance in zip(floors_us, chance_us, strict=True)
+        )
         if after.landing_rms_us > landing:
             out.append(Failed("landings", after.landing_rms_us, landing))
         missed = min(after.takeoff_robust_us, after.takeoff_rms_us)
@@ -73,9 +83,14 @@ def failed_tests(
 
 
 def verdict_of(
-    named: bool, left: Remainder, after: Errors, floors_us: tuple[float, float], limits: Thresholds
+    named: bool,
+    left: Remainder,
+    after: Errors,
+    floors_us: tuple[float, float],
+    limits: Thresholds,
+    chance_us: tuple[float, float] = (0.0, 0.0),
 ) -> Verdict:
     """The verdict; parameters are those of `failed_tests`."""
-    if failed_tests(named, left, after, floors_us, limits):
+    if failed_tests(named, left, after, floors_us, limits, chance_us):
         return "unexplained"
     return "explained" if named else "nothing_missing"
