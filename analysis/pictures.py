@@ -84,5 +84,6 @@ def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, **style: Any) -> i
     inside = ~above & ~below
     ax.plot(x[inside], y[inside], ".", ms=4.5, mew=0, alpha=0.6, **style)
     for rows, mark, edge in ((above, "^", limit), (below, "v", -limit)):
-        ax.plot(x[rows], np.full(int(rows.sum()), 0.95 * edge), mark, ms=4.5, mfc="none", mew=0.8, **style)
+        at = np.full(int(rows.sum()), 0.95 * edge)
+        ax.plot(x[rows], at, mark, ms=4.5, mfc="none", mew=0.8, clip_on=False, **style)
     return int(above.sum() + below.sum())
