@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.candidates import Candidate, candidates_of, trends_of, unlike
-from analysis.explanation import Attribution, Explanation
+from analysis.choice import Judge
+from analysis.explanation import Attribution, Explanation, Rejected
 from analysis.fit import Fitted, Fitter, parameter_of
-from analysis.gains import Compared, thriftiest
+from analysis.gains import Compared
 from analysis.likelihood import Key, World, plate_effects
 from analysis.remainder import plate_ratio_of, ratio_of
 from analysis.search import Landscape, Point, joint_points, thinned
@@ -30,8 +31,6 @@ THREADS = 2
 MOST_SHAPES = 4  # settings of what shapes an effect that are followed from the best linear gain
 REFITS = 3  # of an explanation, from where a larger one has led
 SETTLING = 4  # fits with new weights, at most
-LOST = 20.0  # excess of landings over their uncertainty beyond which behaviours are searched, not fitted
-FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
 MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and from there by a full fit
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # of the best one's gain: an option farther behind it is left
 
@@ -55,6 +54,7 @@ class Attributor:
         self.world, self.fitter, self.limits = world, fitter, limits
         self.progress = progress or (lambda what, part: None)
         self.train = fitter.train
+        self.judge = Judge(fitter.train, limits)
 
     def explain(self, hints_hz: Sequence[float] = ()) -> Attribution:
         """Add effects one after the other while held-out steps gain."""
@@ -63,6 +63,8 @@ class Attributor:
         best, rounds, tried = before, [], []
         pool = candidates_of(self.world, hints_hz or self.world.evidence.hints_hz)
         rivals: list[Explanation] = []
+        refused: list[Rejected] = []
+        chain = [before]
         for depth in range(self.limits.most_effects):
             if depth and self._quiet(best):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
@@ -72,6 +74,7 @@ class Attributor:
             if depth == 0:
                 tried = [(x.candidates[-1].names, Compared.of(before.per_step, x.per_step, self.train)) for x in found]
             accepted, best = self._accepted(best, found, depth)
+            refused += filter(None, [self.judge.rejected(best, found, depth, accepted)])
             if accepted is None:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
                 break
@@ -81,11 +84,14 @@ class Attributor:
             kept = self._simplified(self._step_back(accepted, rounds), pool, rounds)
             rivals = found if kept is accepted else []
             best = self._refined(kept)
+            chain.append(best)
         ties = self._ties(before, best, rivals)
         if best is not before:
             best = self._lean(best)
             ties = (best, *ties[1:])
-        return Attribution(before, best, ties, tuple(tried), tuple(rounds))
+        left = [x for x in refused if not set(x.names) <= set(best.names)]
+        rejected = max(left, key=lambda x: x.gain, default=None)
+        return Attribution(before, best, ties, tuple(tried), tuple(rounds), rejected, tuple(chain[:-1]))
 
     def _quiet(self, best: Explanation) -> bool:
         """Whether so little is left that a further effect could only fit noise."""
@@ -101,7 +107,7 @@ class Attributor:
         A fit that had stopped short would let any other effect look needed.
         """
         for _ in range(REFITS):
-            chosen = self._choose(best, found, depth)
+            chosen = self.judge.choose(best, found, depth)
             if chosen is None:
                 return None, best
             start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
@@ -109,7 +115,7 @@ class Attributor:
             if not Compared.of(best.per_step, again.per_step, self.train).gain > HOPELESS_NATS:
                 return chosen, best
             best = again
-        return self._choose(best, found, depth), best
+        return self.judge.choose(best, found, depth), best
 
     def _refined(self, x: Explanation) -> Explanation:
         """Fitted once more from where it stands: slopes of calibrations are those of where a fit began.
@@ -135,9 +141,9 @@ class Attributor:
     def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
         """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
         done = 0
-        lost = self._lost(best)
+        far_off = best.whitener.lost
         near = {"parameter_drift", *plate_effects()}
-        far = [c for c in options if lost and not set(c.names) <= near]
+        far = [c for c in options if far_off and not set(c.names) <= near]
         share = 1.0 / max(len(options) + 2 * len(far), 1)
 
         def told(candidate: Candidate) -> None:
@@ -201,7 +207,7 @@ class Attributor:
         added = (*best.candidates, Candidate(candidate.names, free))
         cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
         if ahead >= HOPELESS_NATS:
-            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else unlike(starts, free))]
+            begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else unlike(starts, free, absent=cheap))]
             fits = [self._from(best, (*best.free, *free), p) for p in begun]
             return self._judged(added, min(fits, key=lambda x: self._quick(best.whitener, x.values)))
         if not cheap and promised < HOPELESS_NATS:
@@ -211,15 +217,6 @@ class Attributor:
         if gained < HOPELESS_NATS:
             return Explanation(added, fitted, best.whitener, fitted.held_out(best.whitener))
         return self._judged(added, self._settled(fitted))
-
-    def _lost(self, best: Explanation) -> bool:
-        """Whether landings miss by so much that a fit may begin on the wrong branch."""
-        return best.whitener.excess_s[1] > LOST * float(np.median(best.whitener.total_s))
-
-    def _finds(self, best: Explanation, x: Explanation) -> bool:
-        """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
-        gain = Compared.of(best.per_step, x.per_step, self.train).gain
-        return self._lost(best) and x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1] and gain > PLENTY_NATS
 
     def _from(self, best: Explanation, free: Sequence[Key], start: Mapping[Key, float]) -> Fitted:
         """Fit from a start, from soft weights to sharp ones."""
@@ -286,39 +283,6 @@ class Attributor:
             if not set(c.names) & names or (len(c.names) == 1 and own[c.names[0]] and own[c.names[0]] < set(c.free))
         ]  # fmt: skip
 
-    def _choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
-        """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
-
-        Every parameter has a price, and calibrations that have to be bent for it count against an explanation.
-        """
-        nats, sigmas = (
-            (self.limits.gain_nats, self.limits.gain_sigmas)
-            if depth == 0
-            else (self.limits.again_nats, self.limits.again_sigmas)
-        )
-        passing = []
-        for x in found:
-            gain = Compared.of(best.per_step, x.per_step, self.train)
-            if gain.beyond(nats, 1.0 if self._finds(best, x) else sigmas) and not self._worse(best, x):
-                passing.append(x)
-        if not passing:
-            return None
-        top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
-        close = [x for x in passing if self._tied(top, x)]
-        costs = [x.fitted.strain + self.limits.tie_nats * len(x.free) for x in close]
-        return close[thriftiest(top.per_step, [x.per_step for x in close], costs, self.train)]
-
-    def _worse(self, best: Explanation, x: Explanation) -> bool:
-        for channel in x.losses:
-            change = Compared.of(x.losses[channel], best.losses[channel], self.train)
-            if change.beyond(self.limits.worse_nats, self.limits.worse_sigmas):
-                return True
-        return False
-
-    def _tied(self, best: Explanation, x: Explanation) -> bool:
-        lead = Compared.of(x.per_step, best.per_step, self.train)
-        return not self._finds(x, best) and not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
-
     def _step_back(self, best: Explanation, rounds: list[str]) -> Explanation:
         """Leave out an earlier effect that the later ones have made idle."""
         for candidate in best.candidates[:-1]:
@@ -333,21 +297,35 @@ class Attributor:
         return best
 
     def _simplified(self, best: Explanation, pool: Sequence[Candidate], rounds: list[str]) -> Explanation:
-        """A special case in place of an earlier cause, where with the later ones it does as well."""
-        for i, candidate in enumerate(best.candidates[:-1]):
+        """A special case in place of a cause, unless the fuller form is better beyond doubt.
+
+        A fit of the special case may have stopped short when it was tried: it begins where the fuller form stands.
+        """
+        for i, candidate in enumerate(best.candidates):
             for simpler in pool:
                 if len(simpler.free) >= len(candidate.free) or not set(simpler.names) <= _relatives(candidate.names):
                     continue
-                chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
-                known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
-                points = [{**point, **known} for point in simpler.starts or ({},)]
-                start = min(points, key=lambda point: self._quick(best.whitener, point))
-                free = tuple(k for c in chosen for k in c.free)
-                x = self._judged(chosen, self._settled(self.fitter.fit(best.whitener, free, start)))
-                if self._tied(best, x):
+                x = self._in_place(best, i, simpler)
+                if self._as_good(best, x):
                     rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
                     return x
         return best
+
+    def _in_place(self, best: Explanation, i: int, simpler: Candidate) -> Explanation:
+        """The explanation with its ``i``-th candidate replaced by a special case of it, fitted."""
+        candidate = best.candidates[i]
+        chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
+        known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
+        points = [{**point, **known} for point in (*simpler.starts, _reduced(best.fitted.values, simpler.free))]
+        start = min(points, key=lambda point: self._quick(best.whitener, point))
+        free = tuple(k for c in chosen for k in c.free)
+        return self._judged(chosen, self._settled(self.fitter.fit(best.whitener, free, start)))
+
+    def _as_good(self, fuller: Explanation, x: Explanation) -> bool:
+        """Whether a special case may stand in: under the same name where it ties, under another unless beyond doubt."""
+        if x.names == fuller.names:
+            return self.judge.tied(fuller, x)
+        return not self.judge.gain(x, fuller).beyond(self.limits.gain_nats, self.limits.gain_sigmas)
 
     def _ties(self, before: Explanation, best: Explanation, rivals: Sequence[Explanation]) -> tuple[Explanation, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""
@@ -356,7 +334,7 @@ class Attributor:
         out = [best]
         z_best, _ = best.whitener.white(self.world.residuals(best.fitted.values))
         for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
-            if x is best or x.names in [t.names for t in out] or not self._tied(best, x):
+            if x is best or x.names in [t.names for t in out] or not self.judge.tied(best, x):
                 continue
             z, _ = best.whitener.white(self.world.residuals(x.fitted.values))
             same = float(np.sqrt(np.median((z - z_best) ** 2))) < self.limits.idle
@@ -364,6 +342,12 @@ class Attributor:
                 continue
             out.append(x)
         return tuple(out)
+
+
+def _reduced(values: Mapping[Key, float], free: Sequence[Key]) -> dict[Key, float]:
+    """Where a special case begins: friction of any speed at what remains of it at high speed."""
+    kinetic = values.get(("stribeck_friction", "mu_kinetic"), 0.0)
+    return {k: kinetic if k[0] == "coulomb_friction" else values.get(k, parameter_of(k).absent) for k in free}
 
 
 def _relatives(names: Sequence[str]) -> set[str]:

@@ -75,10 +75,20 @@ def trends_of(free: Sequence[Key]) -> list[Candidate]:
 
 
 def unlike(
-    starts: Sequence[tuple[float, dict[Key, float]]], free: Sequence[Key]
+    starts: Sequence[tuple[float, dict[Key, float]]], free: Sequence[Key], *, absent: bool = False
 ) -> list[tuple[float, dict[Key, float]]]:
-    """The best start, and the best of those that what shapes the effect puts elsewhere: another pitch, another trap."""
+    """The best start, and the best of those that what shapes the effect puts elsewhere: another pitch, another trap.
+
+    With ``absent``, also the best one with the effect present: where data are squares, there is no slope without it.
+    """
     shapes = [k for k in free if parameter_of(k).shape]
+    sizes = [k for k in free if not parameter_of(k).shape]
     first = starts[0][1]
+
+    def nothing(point: Mapping[Key, float]) -> bool:
+        return all(point.get(k, 0.0) == parameter_of(k).absent for k in sizes)
+
     others = [s for s in starts if any(abs(s[1][k] - first[k]) > UNLIKE * abs(first[k]) for k in shapes)]
+    if absent and nothing(first):
+        others += [s for s in starts if not nothing(s[1])]
     return [starts[0], *others[:1]]

@@ -11,29 +11,29 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution import Attributor
 from analysis.beyond import Discovery, discover
-from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us
+from analysis.calibrations import fitted_calibrations
+from analysis.errors_of import Errors, errors_on, judged_rows, noise_floors_us, noise_quantiles_us
 from analysis.evidence import Evidence, evidence_of
-from analysis.explanation import Attribution, Explanation
+from analysis.explanation import Attribution, Explanation, Rejected
 from analysis.fit import Fitter, priors_of
 from analysis.gains import Compared
 from analysis.likelihood import DRIFT, World
 from analysis.remainder import Remainder, remainder
-from analysis.robust import SHARED_S
 from analysis.thresholds import FROZEN, Thresholds
+from analysis.verdict import Failed, Verdict, failed_tests, verdict_of
 from analysis.whitening import step_losses
 from daq.errors import InputError
 from daq.setup import Setup
 from model.effects import effect, registry, resolve
 
 Progress = Callable[[str, float], None]
-Verdict = Literal["explained", "unexplained", "nothing_missing"]
 
 Z95 = 1.96
 
@@ -69,6 +69,8 @@ class Loop:
         By effect and parameter, the size below which the run could not have shown it.
     not_identifiable
         Effects that this run could not show at any size.
+    failed
+        Tests that forbid the verdict "explained" or "nothing missing".
     """
 
     verdict: Verdict
@@ -85,6 +87,16 @@ class Loop:
     not_identifiable: tuple[str, ...]
     world: World
     notes: tuple[str, ...]
+    failed: tuple[Failed, ...] = ()
+
+    @property
+    def rejected(self) -> Rejected | None:
+        """The best candidate that was refused, with its gain in nats and the reason; None where none gained anything.
+
+        Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain; or
+        what was accepted and then withdrawn because the reserved steps did not bear it out.
+        """
+        return self.attribution.rejected
 
     @property
     def best(self) -> Explanation:
@@ -136,7 +148,8 @@ def close_loop(
     left = remainder(world, best)
     rows, out = judged_rows(world, best.fitted.values, ~train)
     after, floors = errors_on(world, best.fitted.values, rows, out), noise_floors_us(world, best.fitted.values, rows)
-    verdict = verdict_of(best is not attribution.before, left, after, floors, limits)
+    named, chance = best is not attribution.before, noise_quantiles_us(world, best.fitted.values, rows)
+    verdict = verdict_of(named, left, after, floors, limits, chance)
     found = discover(world, fitter, best, train) if verdict == "unexplained" else None
     say("detection limits", 0.97)
     detection, blind = detection_limits(attribution, limits)
@@ -154,59 +167,36 @@ def close_loop(
         blind,
         world,
         _notes(evidence, attribution),
+        failed_tests(named, left, after, floors, limits, chance),
     )
 
 
 def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limits: Thresholds) -> Attribution:
-    """What was found, or the declared model where the reserved steps speak against a gain that was small."""
-    if found.best is found.before:
-        return found
-    reserved = [step_losses(world, x.whitener, world.residuals(x.fitted.values)) for x in (found.before, found.best)]
-    pair = zip((found.before, found.best), reserved, strict=True)
-    before, best = (np.where(train, x.per_step, sum(losses.values())) for x, losses in pair)
-    if Compared.of(before, best, ~train).even > 0.0:
-        return found
-    if Compared.of(before, best, np.ones_like(train)).beyond(limits.again_nats, limits.again_sigmas):
-        return found
-    said = f"the reserved steps do not bear out {' + '.join(found.best.names)}: withdrawn"
-    return dataclasses.replace(found, best=found.before, ties=(), rounds=(*found.rounds, said))
+    """What was found, less the last causes where the reserved steps speak against a gain that was small."""
+    chain = [*(found.earlier or (found.before,)), found.best]
+    while len(chain) > 1:
+        worse, better = (_all_steps(world, x, train) for x in chain[-2:])
+        gain = Compared.of(worse, better, np.ones_like(train))
+        stands = gain.beyond(limits.again_nats, limits.again_sigmas)
+        if len(chain) > 2:  # of a further cause more is asked: the best of many gains by chance
+            stands = stands and gain.gain > 2.0 * limits.again_nats
+        if stands or Compared.of(worse, better, ~train).even > 0.0:
+            break
+        last = chain.pop()
+        added = " + ".join(n for n in last.names if n not in chain[-1].names) or " + ".join(last.names)
+        rejected = Rejected(tuple(added.split(" + ")), gain.gain, gain.error, "the reserved steps do not bear it out")
+        said = f"the reserved steps do not bear out {added}: withdrawn"
+        ties = (chain[-1],) if len(chain) > 1 else ()
+        found = dataclasses.replace(
+            found, best=chain[-1], ties=ties, rounds=(*found.rounds, said), rejected=rejected, earlier=tuple(chain[:-1])
+        )
+    return found
 
 
-def _lacking(left: Remainder, limits: Thresholds) -> bool:
-    """Whether something is left that noise does not explain."""
-    flights = left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio
-    return flights or left.plate_ratio > limits.plate_ratio
-
-
-def verdict_of(
-    named: bool, left: Remainder, after: Errors, floors_us: tuple[float, float], limits: Thresholds
-) -> Verdict:
-    """The verdict.
-
-    Parameters
-    ----------
-    named
-        Whether an effect has been added.
-    left
-        What remains, on all steps.
-    after, floors_us
-        Errors on the held-out steps, and the noise floors of landings and take-offs there.
-    limits
-    """
-    if _lacking(left, limits) or (named and _missed(after, floors_us, limits)):
-        return "unexplained"
-    return "explained" if named else "nothing_missing"
-
-
-def _missed(after: Errors, floors_us: tuple[float, float], limits: Thresholds) -> bool:
-    """Whether held-out landings or take-offs are missed by more than a cause that is said to explain them may leave.
-
-    The circuit's own physics may shift all edges of a step by `SHARED_S`: a floor below that promises too much. Of
-    take-offs the smaller of both measures counts: a few are hidden by a bounce, and where few steps open from rest, the
-    middle one of them is no robust value.
-    """
-    landing, takeoff = (limits.clean_bill * math.hypot(floor, 1e6 * SHARED_S) for floor in floors_us)
-    return after.landing_rms_us > landing or min(after.takeoff_robust_us, after.takeoff_rms_us) > takeoff
+def _all_steps(world: World, x: Explanation, train: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Loss of each step that the fit had not seen: held out in turn, or reserved."""
+    reserved = np.asarray(sum(step_losses(world, x.whitener, world.residuals(x.fitted.values)).values()))
+    return np.where(train, x.per_step, reserved)
 
 
 def _found(best: Explanation) -> list[Found]:
@@ -220,7 +210,8 @@ def _found(best: Explanation) -> list[Found]:
             bare = q.removesuffix(DRIFT)
             middle = fitted.values.get((name, bare), 0.0)
             size = abs(middle) if middle else 1.0
-            tables.setdefault("parameter_drift", {})[f"{name}.{bare}_per_run"] = (
+            change = "relative_change" if middle else "change"
+            tables.setdefault("parameter_drift", {})[f"{name}.{bare}_{change}"] = (
                 value / size,
                 (value - spread) / size,
                 (value + spread) / size,
@@ -310,14 +301,29 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
             {"names": list(names), "gain_nats": _finite(c.gain), "standard_error": _finite(c.error)}
             for names, c in sorted(loop.attribution.tried, key=lambda t: -t[1].gain)
         ],
+        "rejected": _rejected(loop.rejected),
+        "failed_tests": [
+            {"test": f.test, "found": _finite(f.found), "allowed": _finite(f.allowed)} for f in loop.failed
+        ],
         "rounds": list(loop.attribution.rounds),
         "nuisances": {
             f"{n}.{q}": _finite(v) for (n, q), v in loop.best.fitted.values.items() if (n, q) not in loop.best.free
         },
+        "calibrations": [
+            {k: x if isinstance(x, str) else _finite(x) for k, x in dataclasses.asdict(c).items()}
+            for c in fitted_calibrations(loop.best)
+        ],
         "notes": list(loop.notes),
         "flights": len(loop.world.evidence),
         "sources": list(loop.world.evidence.sources),
     }
+
+
+def _rejected(x: Rejected | None) -> dict[str, Any] | None:
+    if x is None:
+        return None
+    gains = {"gain_nats": _finite(x.gain), "standard_error": _finite(x.error)}
+    return {"names": list(x.names), **gains, "reason": x.reason}
 
 
 def _finite(value: float) -> float | None:

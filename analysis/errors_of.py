@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 GRAZING = 6.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
 REACH_SIGMAS = 3.0  # within which a measured number may be off
 ROBUST = 1.4826
+DRAWS, CHANCE = 4000, 1e-3  # of noise, for what it hardly exceeds
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,38 @@ def noise_floors_us(world: World, values: Mapping[Key, float], rows: NDArray[np.
     u, opens = world.uncertainty(values), rows[world.opens[rows]]
     landing, opening = u.landing_total_s[rows], u.opening_total_s[opens]
     return _rms_us(landing), _rms_us(opening)
+
+
+def noise_quantiles_us(
+    world: World, values: Mapping[Key, float], rows: NDArray[np.int64], seed: int = 0
+) -> tuple[float, float]:
+    """Root mean squares that noise alone exceeds in one of a thousand such sets of flights.
+
+    Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor.
+
+    Returns
+    -------
+    tuple of float
+        Of landings, and of the take-offs that were seen; 0 where there are none.
+    """
+    u, opens, rng = world.uncertainty(values), rows[world.opens[rows]], np.random.default_rng(seed)
+    step = world.evidence.measured.step
+
+    def quantile(events: NDArray[np.int64], sigma: Array, by_tone: Array) -> float:
+        if len(events) == 0:
+            return 0.0
+        names, place = np.unique(step[events], return_inverse=True)
+        squares = np.zeros(DRAWS)
+        for i in range(len(names)):
+            mine = events[place == i]
+            together = by_tone[mine] @ rng.standard_normal((by_tone.shape[1], DRAWS))
+            squares += np.sum((together + sigma[mine, None] * rng.standard_normal((len(mine), DRAWS))) ** 2, axis=0)
+        return 1e6 * float(np.quantile(np.sqrt(squares / len(events)), 1.0 - CHANCE))
+
+    return (
+        quantile(rows, u.landing_sigma_s, u.landing_by_tone),
+        quantile(opens, u.opening_sigma_s, u.opening_by_tone),
+    )
 
 
 def noise_floor_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> float:

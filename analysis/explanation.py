@@ -58,6 +58,26 @@ class Explanation:
 
 
 @dataclass(frozen=True)
+class Rejected:
+    """A candidate that gained and was refused.
+
+    Attributes
+    ----------
+    names
+        Effects that it would have added.
+    gain, error
+        Held-out gain over what it was added to, and its standard error, nats.
+    reason
+        What forbade it, in words.
+    """
+
+    names: tuple[str, ...]
+    gain: float
+    error: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class Attribution:
     """The outcome.
 
@@ -71,6 +91,10 @@ class Attribution:
         Every candidate of the first round with its gain: the chain of reasoning.
     rounds
         What each round found: names, gain, standard error, accepted or why not.
+    rejected
+        Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
+    earlier
+        What stood before the last cause was added, from the declared model on.
     """
 
     before: Explanation
@@ -78,3 +102,5 @@ class Attribution:
     ties: tuple[Explanation, ...]
     tried: tuple[tuple[tuple[str, ...], Compared], ...]
     rounds: tuple[str, ...] = field(default=())
+    rejected: Rejected | None = None
+    earlier: tuple[Explanation, ...] = ()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from analysis.likelihood import DRIFT, Key, World
 from analysis.robust import robust_loss, robust_weight
@@ -341,6 +342,18 @@ class Fitted:
             return spread
         y = abs(self.x[j] * scale)
         return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
+
+    def differs(self, keys: Sequence[Key]) -> bool:
+        """Whether sizes among ``keys`` together differ from those at which nothing happens, by 95 % (Wald's test).
+
+        What only shapes an effect has no such value.
+        """
+        sizes = [k for k in keys if not parameter_of(k).shape]
+        rows = [self.keys.index(k) for k in sizes]
+        away = self.x[rows] - np.array([self.fitter._to_x(k, parameter_of(k).absent) for k in sizes])
+        covariance = self.covariance()[np.ix_(rows, rows)]
+        distance = float(away @ np.linalg.pinv(covariance, rcond=1e-14, hermitian=True) @ away)
+        return distance > float(chi2.isf(0.05, len(sizes)))
 
     def held_out(self, whitener: Whitener) -> dict[str, Array]:
         """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.

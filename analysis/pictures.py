@@ -20,6 +20,7 @@ from daq.recording import Recording
 Floats = npt.NDArray[np.float64]
 
 MEASURED = "#12355b"
+BEFORE, AFTER, FLOOR = "#e07a5f", "#12355b", "#8d99ae"  # of the closed loop: declared model, improved model, noise
 DOUBTFUL = "#b5651d"
 MODEL = "#e07a5f"
 ZONE = "#f2d0a4"
@@ -48,12 +49,12 @@ def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tupl
         When the folder cannot be written.
     """
     import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    size = options.pop("figsize", None)
     with matplotlib.rc_context(STYLE):
-        drawn, axes = pyplot.subplots(**options)
+        drawn = Figure(figsize=size)
+        axes = drawn.subplots(**options)
         try:
             yield drawn, axes
             colour = "#a4161a" if badge.startswith("SIMULATED") else "#2d6a4f"
@@ -62,18 +63,27 @@ def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tupl
                 weight="bold",
                 bbox={"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"},
             )
-            drawn.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / drawn.get_figheight()))
+            layout: Any = drawn.get_layout_engine()
+            layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / drawn.get_figheight()))
             folder.mkdir(parents=True, exist_ok=True)
             for form in FORMATS:
                 drawn.savefig(folder / f"{name}.{form}")
         except OSError as error:
             raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
-        finally:
-            pyplot.close(drawn)
 
 
-def gamma_axis(ratio: int, gamma: Floats, peak: Floats) -> tuple[Floats, str]:
-    """What runs along the horizontal axis: ``gamma_peak`` at c = 1 (the paper's experimental axis), else ``gamma``."""
-    if ratio == 1:
-        return peak, r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$   (c = 1)"
-    return gamma, rf"$\Gamma = A\omega^2/g$   (c = {ratio})"
+def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, **style: Any) -> int:
+    """Dots within ``+-limit``; what lies beyond stands at the edge as a triangle that points outwards.
+
+    Returns
+    -------
+    int
+        How many lie beyond.
+    """
+    above, below = y > limit, y < -limit
+    inside = ~above & ~below
+    ax.plot(x[inside], y[inside], ".", ms=4.5, mew=0, alpha=0.6, **style)
+    for rows, mark, edge in ((above, "^", limit), (below, "v", -limit)):
+        at = np.full(int(rows.sum()), 0.95 * edge)
+        ax.plot(x[rows], at, mark, ms=4.5, mfc="none", mew=0.8, clip_on=False, **style)
+    return int(above.sum() + below.sum())

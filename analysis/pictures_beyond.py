@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from analysis.beyond import Discovery
-from analysis.pictures import figure
+from analysis.pictures import AFTER, PLATE, figure
 
-CURVE, BAND, RUG = "#12355b", "#c9d6e3", "#5c677d"
+CURVE, BAND, RUG = AFTER, "#c9d6e3", PLATE
 
 
 def draw_discovery(found: Discovery, folder: Path, badge: str) -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from analysis import pictures
 from analysis.compare import Comparison, ball_on
 from analysis.flight_table import FlightFlag, Flights
+from analysis.gamma import gamma_scale
 from analysis.plate_motion import StepPlate
 from daq.recording import Recording
 from daq.setup import Setup
@@ -31,22 +32,14 @@ MAPS = 6  # return maps on one page
 CYCLES = 4.0  # of the trajectory
 
 
-def _axis(flights: Flights) -> tuple[list[StepPlate], Floats, str, float]:
-    """Fitted steps, the axis value of every step (NaN: not fitted), its label, and axis over gamma."""
-    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
-    gamma = np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
-    peak = np.array([np.nan if p is None else p.gamma_peak for p in flights.plate.steps])
-    ratio = plates[-1].ratio if plates else 1
-    values, label = pictures.gamma_axis(ratio, gamma, peak)
-    scale = float(np.nanmedian(values / gamma)) if plates else 1.0
-    return plates, values, label, scale
-
-
 def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> None:
     """Measured flight times against gamma over the model's diagram, forbidden zones shaded."""
-    plates, values, label, scale = _axis(flights)
+    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
         return
+    shown = gamma_scale(recording.setup.forcing, plates[-1].ratio)
+    scale = shown.factor
+    values = scale * np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
     with pictures.figure(folder, "bifurcation", pictures.badge_of(recording), figsize=(8.0, 5.2)) as (_, ax):
         low, high = 0.97 * min(p.gamma for p in plates), 1.03 * max(p.gamma for p in plates)
         top = _draw_model(ax, plates[-1], recording.setup, low, high, scale)
@@ -61,7 +54,7 @@ def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> N
                 x[true & marked], y[true & marked], "x", ms=4.0, mew=0.9, color=pictures.DOUBTFUL,
                 label="measured: double hit, or unsure",
             )
-        ax.set_xlabel(label)
+        ax.set_xlabel(shown.label)
         ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
         top = max(top, float(y[true].max()) if true.any() else 0.0)
         ax.set(xlim=(low * scale, high * scale), ylim=(0.0, 1.06 * top))
@@ -98,6 +91,7 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
     chosen = sorted(ranked[:MAPS], key=lambda s: s.step)
     if not chosen:
         return
+    scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     with pictures.figure(
@@ -118,16 +112,10 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
             limits = (span.min() - pad, span.max() + pad)
             ax.plot(limits, limits, "-", lw=0.6, color="0.7", zorder=0)
             ax.set(xlim=limits, ylim=limits, aspect="equal")
-            name = _gamma_name(flights.plate.ratio, own.gamma, own.gamma_peak)
-            ax.set_title(f"{name}: {own.measured.label}", fontsize=9)
+            ax.set_title(rf"${scale.symbol}$ = {scale.factor * own.gamma:.3f}: {own.measured.label}", fontsize=9)
         axes[0, 0].legend(fontsize=8, frameon=False)
         drawn.supxlabel("flight time (ms)", fontsize=10)
         drawn.supylabel("next flight time (ms)", fontsize=10)
-
-
-def _gamma_name(ratio: int, gamma: float, peak: float) -> str:
-    """The gamma of the axis, with its name."""
-    return rf"$\Gamma_{{\mathrm{{peak}}}}$ = {peak:.3f}" if ratio == 1 else rf"$\Gamma$ = {gamma:.3f}"
 
 
 def draw_trajectory(recording: Recording, flights: Flights, folder: Path, step: int | None = None) -> None:
@@ -158,7 +146,8 @@ def draw_trajectory(recording: Recording, flights: Flights, folder: Path, step: 
         low.plot(1e3 * (np.arange(first, last) / recording.rate_hz - begin), volts, lw=0.8, color=pictures.MEASURED)
         low.set(xlabel="time (ms)", ylabel="continuity (V)")
         ax.set(ylabel="height (mm)", xlim=(0.0, 1e3 * (end - begin)))
-        name = _gamma_name(plate.ratio, plate.gamma, plate.gamma_peak)
+        scale = gamma_scale(recording.setup.forcing, plate.ratio)
+        name = rf"${scale.symbol}$ = {scale.factor * plate.gamma:.3f}"
         ax.set_title(f"{name}, c = {plate.ratio}, {plate.frequency_hz:.2f} Hz", fontsize=10, loc="left")
         ax.set_ylim(top=ax.get_ylim()[1] + 0.3 * np.ptp(ax.get_ylim()))
         ax.legend(loc="upper right", fontsize=8, framealpha=0.9)

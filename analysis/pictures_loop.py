@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.close_loop import Loop
-from analysis.pictures import figure
+from analysis.gamma import gamma_scale
+from analysis.pictures import AFTER, BEFORE, FLOOR, figure
+from analysis.reasoning import gains
+from analysis.wording import plain
 
 Array = NDArray[np.float64]
 
-BEFORE, AFTER, FLOOR, RULED = "#e07a5f", "#12355b", "#8d99ae", "#adb5bd"
+RULED = "#adb5bd"
 
 
 def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
@@ -43,17 +46,18 @@ def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
             for s in range(m)
         ]
     )
-    gamma, label = _gamma(loop)
+    shown = gamma_scale(ev.setup.forcing, ev.steps.ratio)
+    gamma = shown.factor * ev.steps.gamma
     held = np.isin(np.arange(m), np.flatnonzero(_held(loop)))
     with figure(folder, "errors", badge, figsize=(7.2, 3.6)) as (_, ax):
         ax.semilogy(gamma, floor, "_", ms=11, mew=2.0, color=FLOOR, label="noise floor")
-        for x, colour, name in (
-            (per_step(before.landing_s), BEFORE, "before"),
-            (per_step(after.landing_s), AFTER, "after"),
-        ):
+        sides = [(per_step(after.landing_s), AFTER, "declared model")]
+        if loop.best is not loop.attribution.before:
+            sides = [(per_step(before.landing_s), BEFORE, "before"), (per_step(after.landing_s), AFTER, "after")]
+        for x, colour, name in sides:
             ax.semilogy(gamma[~held], x[~held], "o", ms=4, color=colour, label=name)
             ax.semilogy(gamma[held], x[held], "D", ms=6, mfc="none", mew=1.5, color=colour, label=f"{name}, held out")
-        ax.set_xlabel(label)
+        ax.set_xlabel(shown.label)
         ax.set_ylabel(r"landing error (robust), $\mu$s")
         ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
@@ -62,41 +66,35 @@ def _held(loop: Loop) -> NDArray[np.bool_]:
     return ~loop.best.fitted.fitter.train
 
 
-def _gamma(loop: Loop) -> tuple[Array, str]:
-    """Measured gamma of the steps, in the axis that the paper uses at c = 1."""
-    steps = loop.world.evidence.steps
-    if np.all(steps.ratio == 1):
-        return 2.0 * steps.gamma, r"$\Gamma_{\mathrm{peak}}$   (c = 1)"
-    return steps.gamma, r"$\Gamma = A\omega^2/g$"
-
-
 def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and what a gain must exceed."""
-    best: dict[str, tuple[float, float]] = {}
-    for names, compared in loop.attribution.tried:
-        name = " + ".join(names)
-        if name not in best or compared.gain > best[name][0]:
-            best[name] = (compared.gain, compared.error)
-    if not best:
+    rows = list(gains(loop).items())[:16][::-1]
+    if not rows:
         return
-    rows = sorted(best.items(), key=lambda item: item[1][0])[-16:]
-    chosen = set(loop.best.names)
-    with figure(folder, "candidates", badge, figsize=(7.2, 0.9 + 0.26 * len(rows))) as (_, ax):
+    chosen, rejected = ({plain(n) for n in x.names} if x else set() for x in (loop.best, loop.rejected))
+    with figure(folder, "candidates", badge, figsize=(7.2, 1.1 + 0.26 * len(rows))) as (_, ax):
         at = np.arange(len(rows))
-        colours = [AFTER if set(name.split(" + ")) & chosen else RULED for name, _ in rows]
-        ax.barh(
-            at,
-            [max(g, 0.1) for _, (g, _) in rows],
-            xerr=[e for _, (_, e) in rows],
-            color=colours,
-            ecolor="#495057",
-            capsize=2,
-        )
+        parts = [set(name.split(" + ")) for name, _ in rows]
+        accepted, refused = np.array([bool(p & chosen) for p in parts]), np.array([p == rejected for p in parts])
+        gain = np.array([max(g, 0.0) for _, (g, _) in rows])
+        error = np.array([e for _, (_, e) in rows])
+        for which, colour, hatch, words in (
+            (accepted, AFTER, "", "added"),
+            (refused & ~accepted, "white", "////", "best rejected"),
+            (~accepted & ~refused, RULED, "", "others"),
+        ):
+            if which.any():
+                ax.barh(
+                    at[which], gain[which], xerr=error[which], color=colour, ecolor="#495057", capsize=2, hatch=hatch,
+                    edgecolor=AFTER if hatch else "none", label=words,
+                )
+        for place, (_, (g, e)) in zip(at, rows, strict=True):
+            if not g > 0.0:
+                ax.annotate("none", (e, float(place)), (6, 0), textcoords="offset points", va="center", fontsize=7)
         needed = f"needed: {limits.gain_nats:g} nats and {limits.gain_sigmas:g} standard errors"
         ax.axvline(limits.gain_nats, color=BEFORE, lw=1.2, ls="--", label=needed)
-        ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0)
-        ax.set_yticks(at, [name.replace("_", " ") for name, _ in rows])
+        ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)
+        ax.set_yticks(at, [name for name, _ in rows])
         ax.set_xscale("symlog", linthresh=10.0)
         ax.set_xlim(left=0.0)
-        ax.set_xlabel("gain on steps that were not fitted, nats")
-        ax.set_title("one effect added to the declared model", fontsize=9, loc="left")
+        ax.set_xlabel("one effect added to the declared model: gain on steps that were not fitted, nats")

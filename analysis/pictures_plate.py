@@ -5,6 +5,7 @@ The rule kept here: the drive's version needs ``g_per_volt``; where nobody measu
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,17 @@ import numpy.typing as npt
 
 from analysis import pictures
 from analysis.flight_table import Flights
+from analysis.gamma import gamma_scale
 from analysis.plate_motion import StepPlate
 from daq.recording import Recording
 
 Floats = npt.NDArray[np.float64]
 
 LONGEST = 400_000  # samples folded into one period
+TONES = (  # colour (Okabe and Ito's, which the colour-blind tell apart), mark and line of each harmonic
+    ("#0072b2", "o", "-"), ("#d55e00", "s", "--"), ("#000000", "^", ":"), ("#cc79a7", "D", "-."), ("#009e73", "v", "-"),
+    ("#e69f00", "P", "--"), ("#56b4e9", "X", ":"),
+)  # fmt: skip
 
 
 def draw_plate(recording: Recording, flights: Flights, folder: Path) -> None:
@@ -26,18 +32,18 @@ def draw_plate(recording: Recording, flights: Flights, folder: Path) -> None:
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
         return
-    gamma = np.array([p.gamma for p in plates])
-    peak = np.array([p.gamma_peak for p in plates])
-    x, label = pictures.gamma_axis(plates[-1].ratio, gamma, peak)
+    scale = gamma_scale(recording.setup.forcing, plates[-1].ratio)
+    x = scale.factor * np.array([p.gamma for p in plates])
     with pictures.figure(
         folder, "plate", pictures.badge_of(recording), nrows=2, ncols=2, figsize=(9.0, 6.0)
     ) as (_, axes):
         _gain(axes[0, 0], plates, x)
         _lag(axes[1, 0], plates, x)
-        axes[1, 0].set_xlabel(label)
+        axes[1, 0].set_xlabel(scale.label)
         _period(axes[0, 1], recording, plates[-1])
+        axes[0, 1].set_title(rf"${scale.symbol}$ = {x[-1]:.3f}", fontsize=9)
         _harmonics(axes[1, 1], plates, x)
-        axes[1, 1].set_xlabel(label)
+        axes[1, 1].set_xlabel(scale.label)
 
 
 def _transfer(plates: list[StepPlate]) -> tuple[Floats, Floats, npt.NDArray[np.complex128]]:
@@ -88,20 +94,24 @@ def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
     start = (grid - plate.phase0_rad / (2.0 * np.pi)) / plate.frequency_hz
     ax.plot(grid, plate.plate().acceleration_at(start), "-", lw=1.4, color=pictures.MODEL, label="fitted tones")
     ax.set(xlabel="forcing period", ylabel="acceleration (m/s$^2$)", xlim=(0.0, 1.0))
-    ax.set_title(rf"$\Gamma$ = {plate.gamma:.3f}", fontsize=9)
     ax.legend(fontsize=8, frameon=False, markerscale=6)
 
 
 def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     """Harmonics and slow lines, relative to the forcing."""
-    for k, m in enumerate(m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples):
+    tones = [m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples]
+    for m, (colour, mark, dashes) in zip(tones, cycle(TONES)):
         own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
         whole = np.array([np.abs(p.acceleration.amplitudes).max() for p in plates])
-        ax.plot(x, 100.0 * own / whole, ".-", ms=4, lw=0.7, color=f"C{k}", label=f"{m} f")
+        ax.plot(
+            x, 100.0 * own / whole, mark, ls=dashes, ms=4.5, mfc="white", mew=1.1, lw=0.9, color=colour, label=f"{m} f"
+        )
     for p, at in zip(plates, x, strict=True):
         for line in p.lines:
             size = 100.0 * line.amplitude_mps2 / float(np.abs(p.acceleration.amplitudes).max())
             ax.plot(at, size, "v", color="k", ms=4)
             ax.annotate(f"{line.frequency_hz:.1f} Hz", (float(at), size), fontsize=6)
     ax.set(ylabel="harmonics, of the forcing (%)", yscale="log")
-    ax.legend(fontsize=7, frameon=False, ncol=3)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend above the lines
+    ax.legend(fontsize=8, frameon=False, ncol=4, loc="upper right", handlelength=3.2)

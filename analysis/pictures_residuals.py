@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from analysis.close_loop import Loop
 from analysis.covariates import COVARIATES, covariates
+from analysis.gamma import gamma_scale
 from analysis.likelihood import Values
-from analysis.pictures import figure
+from analysis.pictures import AFTER, BEFORE, FLOOR, clipped_dots, figure
 from analysis.platedata import GAIN, KINDS, PHASE
 
 Array = NDArray[np.float64]
 
-BEFORE, AFTER, FLOOR = "#e07a5f", "#12355b", "#8d99ae"
 LANDINGS = (
     "gamma", "flight_s", "height_m", "takeoff_phase_rad", "launch_mps", "plate_speed_at_takeoff_mps",
     "impact_mps", "previous_flight_s", "time_in_run_s",
@@ -28,8 +28,9 @@ LANDINGS = (
 TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
 COLUMNS = 3
 BINS, LEAST_IN_BIN = 12, 4
-SHOWN = 95.0  # per cent of the residuals within the axes; the rest lies on their edge
+SHOWN = 95.0  # per cent of the residuals within the axes; the rest stands at their edge, as triangles
 AT_LEAST_FLOORS = 4.0
+PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
 STILL = 1e-6  # relative spread of a covariate below which it has nothing to say
 TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
 
@@ -64,12 +65,13 @@ def _draw(
     if not rows.any():
         return
     x = covariates(loop.world, loop.best.fitted.values)
+    shown = gamma_scale(loop.world.evidence.setup.forcing, loop.world.evidence.steps.ratio)
     against = tuple(c for c in against if np.nanstd(x[c][rows]) > STILL * np.nanmax(np.abs(x[c][rows]), initial=0.0))
     if not against:
         return
-    sides = [("after", after, AFTER)]
+    sides = [("declared model", after, AFTER)]
     if loop.best is not loop.attribution.before:
-        sides.insert(0, ("before", before, BEFORE))
+        sides = [("before", before, BEFORE), ("after", after, AFTER)]
     blocks = -(-len(against) // COLUMNS)
     size = (9.6, 1.75 * blocks * len(sides) + 0.9)
     with figure(
@@ -77,7 +79,7 @@ def _draw(
     ) as (_, axes):
         for i, covariate in enumerate(against):
             about = COVARIATES[covariate]
-            values = about.scale * x[covariate][rows]
+            values = (shown.factor if covariate == "gamma" else about.scale) * x[covariate][rows]
             column = axes[len(sides) * (i // COLUMNS) : len(sides) * (i // COLUMNS + 1), i % COLUMNS]
             for ax, (side, residual, colour) in zip(column, sides, strict=True):
                 _panel(ax, values, residual[rows], colour, floor_us)
@@ -86,7 +88,8 @@ def _draw(
             for ax in column[:-1]:
                 ax.sharex(column[-1])
                 ax.tick_params(labelbottom=False)
-            column[-1].set_xlabel(f"{about.words}, {about.unit}" if about.unit else about.words)
+            words = rf"${shown.symbol}$" if covariate == "gamma" else about.words
+            column[-1].set_xlabel(f"{words}, {about.unit}" if about.unit else words)
         for i in range(len(against), COLUMNS * blocks):
             for ax in axes[len(sides) * (i // COLUMNS) : len(sides) * (i // COLUMNS + 1), i % COLUMNS]:
                 ax.set_axis_off()
@@ -94,7 +97,7 @@ def _draw(
 
 
 def _panel(ax: Any, x: Array, residual_us: Array, colour: str, floor_us: float) -> None:
-    """One covariate: dots kept within the axes, medians of equal shares of the flights, the floor as a band."""
+    """One covariate: residuals (triangles: beyond the axis), medians of equal shares, the noise floor."""
     known = np.isfinite(x) & np.isfinite(residual_us)
     x, y = x[known], residual_us[known]
     if not len(x):
@@ -103,7 +106,10 @@ def _panel(ax: Any, x: Array, residual_us: Array, colour: str, floor_us: float) 
     limit = 1.15 * max(float(np.percentile(np.abs(y), SHOWN)), AT_LEAST_FLOORS * floor, 1e-3)
     ax.axhspan(-floor, floor, color=FLOOR, alpha=0.35, lw=0)
     ax.axhline(0.0, color=FLOOR, lw=0.6)
-    ax.plot(x, np.clip(y, -0.98 * limit, 0.98 * limit), ".", ms=4.5, mew=0, color=colour, alpha=0.6)
+    beyond = clipped_dots(ax, x, y, limit, color=colour)
+    if beyond:
+        place = {"xycoords": "axes fraction", "ha": "right", "bbox": PAPER}
+        ax.annotate(f"{beyond} beyond", (0.98, 0.04), fontsize=6.5, color=colour, **place)
     middle, median = medians(x, y)
     ax.plot(middle, np.clip(median, -limit, limit), "-", lw=1.1, color="black", alpha=0.75)
     ax.set_ylim(-limit, limit)
@@ -124,30 +130,33 @@ def draw_plate(loop: Loop, folder: Path, badge: str) -> None:
     data = ev.plate
     if not len(data):
         return
-    gamma = ev.steps.gamma[data.step]
+    scale = gamma_scale(ev.setup.forcing, ev.steps.ratio)
+    gamma = scale.factor * ev.steps.gamma[data.step]
     before, after = (loop.world.residuals(v).plate for v in _points(loop))
-    sides = ((before, BEFORE, "before"), (after, AFTER, "after"))
+    sides = [(before, BEFORE, "o", "before"), (after, AFTER, ".", "after")]
+    if loop.best is loop.attribution.before:
+        sides = [(after, AFTER, ".", "declared model")]
     with figure(folder, "plate", badge, ncols=3, figsize=(9.6, 3.2), width_ratios=(1, 1, 1.25)) as (_, axes):
         shown = ((GAIN, 100.0, "plate over drive, gain, %"), (PHASE, 180.0 / np.pi, "phase, degrees"))
-        for ax, (kind, scale, words) in zip(axes, shown, strict=False):
+        for ax, (kind, per, words) in zip(axes, shown, strict=False):
             rows = data.kind == kind
-            for residual, colour, side in sides:
+            for residual, colour, mark, side in sides:
                 ax.errorbar(
-                    gamma[rows], scale * residual[rows], scale * data.sigma[rows], fmt=".", ms=4, lw=0.8,
+                    gamma[rows], per * residual[rows], per * data.sigma[rows], fmt=mark, ms=4, mfc="none", lw=0.8,
                     color=colour, label=side,
                 )
             ax.axhline(0.0, color=FLOOR, lw=0.6)
-            ax.set(xlabel="gamma", ylabel=words)
+            ax.set(xlabel=rf"${scale.symbol}$", ylabel=words)
             if not rows.any():
                 ax.text(0.5, 0.5, "the drive's scale is not known", ha="center", transform=ax.transAxes, fontsize=8)
         present = [k for k in range(len(KINDS)) if np.any(data.kind == k)]
-        for residual, colour, _side in sides:
+        for residual, colour, *_ in sides:
             for at, kind in enumerate(present):
                 z = (residual / data.sigma)[data.kind == kind]
-                spread = at + (0.16 if colour == AFTER else -0.16)
+                spread = at if len(sides) == 1 else at + (0.16 if colour == AFTER else -0.16)
                 axes[2].plot(z, np.full(len(z), spread), "|", ms=7, color=colour)
         axes[2].axvspan(-2.0, 2.0, color=FLOOR, alpha=0.35, lw=0)
-        largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, _, _ in sides)
+        largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, *_ in sides)
         axes[2].set_xscale("symlog", linthresh=4.0)
         ticks = [t for t in TICKS if abs(t) <= max(largest, 2.0)]
         axes[2].set_xticks(ticks, [str(t) for t in ticks])

@@ -6,11 +6,15 @@ residuals of one step are whitened together, and weights stay as they are while 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from analysis.likelihood import FARTHEST_PERIODS, Residuals, Values, World
 from analysis.platedata import PlateData
@@ -20,7 +24,9 @@ Array = NDArray[np.float64]
 
 CLIP = 6.0  # a residual beyond so many sigmas, tones included, does not speak for what its step has in common
 STRAIGHT = 0.1  # of what a step shares: by how much a graze bends what is taken for linear
-RAISES, RAISED_FROM, ENOUGH_EVENTS = 4, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
+ENOUGH_EVENTS = 8  # of a kind, for an excess of its own
+LOST = 20.0  # excess over uncertainty beyond which events are lost: behaviours are searched, not fitted
+REACH, COARSE, FINE = 1.4, 0.7, 0.05  # of the search for it, in its logarithm: beyond a first guess, steps, precision
 
 
 def _capped(x: Array, cap: Array) -> Array:
@@ -52,6 +58,7 @@ class Whitener:
     plate_log: Array
     excess_s: tuple[float, float]
     total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
+    lost: bool  # whether landings miss by so much that a fit may begin on the wrong branch
 
     @classmethod
     def of(cls, world: World, values: Values, *, lean: bool = False) -> Whitener:
@@ -76,19 +83,11 @@ class Whitener:
         tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
-        for _ in range(RAISES):
-            sd = np.hypot(edges, np.where(first, *excess))[order]
-            relative = tones[order] / sd[:, None]
-            shared, shrink, logs = _shared(relative, bounds)
-            cap = CLIP * np.sqrt(1.0 + np.sum(relative**2, axis=1))
-            unit = bare[order] / sd
-            z = unit[:, None].copy()
-            _unshare(z, np.clip(unit, -cap, cap)[:, None], bounds, shared, shrink)
-            raised = _raised(excess, z[:, 0], sd, first[order])
-            if raised == excess or lean:
-                break
-            excess = raised
-        logs += np.log(sd)
+        blocks = _Blocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
+        lost = tuple(x > LOST * float(np.median(total)) for x in excess)
+        if not lean:
+            excess = blocks.likeliest(excess, lost)
+        sd, shared, shrink, cap, logs = blocks.parts(excess)
         sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
         return cls(
@@ -108,6 +107,7 @@ class Whitener:
             log,
             excess,
             total,
+            lost[1],
         )
 
     def near(self, other: Whitener) -> bool:
@@ -166,16 +166,55 @@ class Whitener:
         return both[: len(self.step)], both[len(self.step) :]
 
 
-def _raised(
-    excess: tuple[float, float], z: Array, sd: Array, opening: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """The excess raised where residuals still scatter by more than a unit once what a step shares is taken out."""
-    out = list(excess)
-    for i, rows in enumerate((opening, ~opening)):
-        scale = 1.4826 * float(np.median(np.abs(z[rows]))) if rows.sum() >= ENOUGH_EVENTS else 0.0
-        if scale > RAISED_FROM:
-            out[i] = float(np.sqrt(excess[i] ** 2 + (scale**2 - 1.0) * np.median(sd[rows]) ** 2))
-    return out[0], out[1]
+@dataclass(frozen=True)
+class _Blocks:
+    """Events in the order of their steps: bare residuals, what each errs by itself, and with others of its step."""
+
+    bare: Array
+    edges: Array
+    tones: Array
+    opening: NDArray[np.bool_]
+    period_s: Array
+    bounds: NDArray[np.int64]
+
+    def parts(self, excess: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
+        """Own deviation, shared directions, their shrinkage, caps and logarithm of the determinant at an excess."""
+        sd = np.hypot(self.edges, np.where(self.opening, *excess))
+        relative = self.tones / sd[:, None]
+        shared, shrink, logs = _shared(relative, self.bounds)
+        return sd, shared, shrink, CLIP * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
+
+    def loss(self, excess: tuple[float, float]) -> float:
+        """Negative log likelihood at an excess."""
+        sd, shared, shrink, cap, logs = self.parts(excess)
+        unit = self.bare / sd
+        z = unit[:, None].copy()
+        _unshare(z, np.clip(unit, -cap, cap)[:, None], self.bounds, shared, shrink)
+        return float(np.sum(robust_loss(z[:, 0], log_odds(np.exp(logs), self.period_s)) + logs))
+
+    def likeliest(self, guess: tuple[float, float], lost: Sequence[bool]) -> tuple[float, float]:
+        """Excess of openings and of landings by maximum likelihood, errors that a step shares told from scatter.
+
+        Explanations are compared at this likelihood: an excess off its maximum would let mere weights gain. Where
+        events are lost, the guess stays: weights that are sharp for the few that are not would find no other.
+        """
+        opening, landing = guess
+        if not lost[1] and np.sum(~self.opening) >= ENOUGH_EVENTS:
+            landing = _lowest(lambda x: self.loss((opening, x)), landing)
+        if not lost[0] and np.sum(self.opening) >= ENOUGH_EVENTS:
+            opening = _lowest(lambda x: self.loss((x, landing)), opening)
+        return opening, landing
+
+
+def _lowest(loss: Callable[[float], float], guess: float) -> float:
+    """Excess of lowest loss from the least one to somewhat more than a guess: on a grid, then between its points."""
+    start = math.log(max(guess, 4.0 * LEAST_EXCESS_S))
+    grid = np.arange(math.log(LEAST_EXCESS_S), start + REACH, COARSE)
+    losses = [loss(math.exp(x)) for x in grid]
+    k = int(np.argmin(losses))
+    ends = (float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)]))
+    fine: Any = minimize_scalar(lambda x: loss(math.exp(x)), bounds=ends, method="bounded", options={"xatol": FINE})
+    return math.exp(fine.x) if fine.fun < losses[k] else max(math.exp(grid[k]), LEAST_EXCESS_S)
 
 
 def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:

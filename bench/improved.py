@@ -1,7 +1,7 @@
 """The improved model as a profile: what was found is declared, with value, uncertainty and the recording it is from.
 
-The rule kept here: the profile of the recording, every line of it, plus the declarations; never written over a file.
-What cannot be declared, because it belongs to one run or has no name, is said in a comment at the end.
+Every line of the recording's profile is kept. What is not believed, belongs to one run or has no name is not declared:
+it stands in comments at the end.
 """
 
 from __future__ import annotations
@@ -19,8 +19,22 @@ from daq.recording import open_recording
 def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = None) -> list[str]:
     """Write the profile of ``recording`` with the effects of ``loop`` declared in it to the new file ``path``.
 
-    ``text`` is the profile by which the loop was closed, where that is not the recording's own. Returns what was found
-    and is not declared, in words.
+    A loop whose verdict is "unexplained" declares nothing; its effects are written as comments, ready to be declared by
+    whoever believes them.
+
+    Parameters
+    ----------
+    loop, recording
+        The closed loop and the first of its recordings.
+    path
+        The new file.
+    text
+        The profile by which the loop was closed, where that is not the recording's own.
+
+    Returns
+    -------
+    list of str
+        What was written, and what was found and is not declared, a line each.
 
     Raises
     ------
@@ -32,7 +46,7 @@ def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = N
             text = str(opened.attrs.get("profile_text", ""))
     if not text.strip():
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
-    fitted = loop.best.fitted
+    fitted, on = loop.best.fitted, datetime.date.today()
     found = [
         Measured(
             name, q, float(fitted.values[name, q]), float(fitted.sigma((name, q))), f"closed loop on {recording.name}"
@@ -40,10 +54,24 @@ def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = N
         for name, q in loop.best.free
         if not q.endswith(DRIFT)
     ]
+    believed = loop.verdict != "unexplained"
+    edited = declare(text, found if believed else [], on, str(path))
+    doubtful = [] if believed else found
     left = not_declared(loop)
-    edited = declare(text, found, datetime.date.today(), str(path))
-    path.write_text(edited + "".join(f"# not declared: {words}\n" for words in left), encoding="utf-8")
-    return left
+    comments = [f"not declared: {words}" for words in left]
+    if doubtful:
+        comments += [
+            "not declared, because the verdict was unexplained: the best that was found, which leaves something over.",
+            "Take the marks off the lines below to declare it all the same.",
+            *declare("", doubtful, on, str(path)).split("\n")[:-1],
+        ]
+    if comments and not edited.endswith("\n"):
+        edited += "\n"
+    path.write_text(edited + "".join(f"# {line}".rstrip() + "\n" for line in comments), encoding="utf-8")
+    if not found and not left:
+        return [f"improved profile: {path} (unchanged: nothing was found to declare)"]
+    refused = [f"{m.effect}.{m.parameter} = {m.value:.4g}: the verdict is unexplained" for m in doubtful]
+    return [f"improved profile: {path}", *(f"  not declared in it: {words}" for words in (*refused, *left))]
 
 
 def not_declared(loop: Loop) -> list[str]:
@@ -52,7 +80,8 @@ def not_declared(loop: Loop) -> list[str]:
     for name, q in loop.best.free:
         if q.endswith(DRIFT):
             bare, change = q.removesuffix(DRIFT), loop.best.fitted.values[name, q]
-            left.append(f"{name}.{bare} changed by {change:.3g} from start to end of this run; its middle is declared")
+            middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
+            left.append(f"{name}.{bare} changed by {change:.3g} from start to end of this run{middle}")
     if loop.discovered is not None:
         left.append(f"{loop.discovered.in_words} (discovered, without a name)")
     return left

@@ -1,11 +1,13 @@
 """Pictures of `bench predict`: bifurcation diagrams with their forbidden zones, and those of the paper's figures.
 
-The rule kept here: an axis says which gamma it shows, and whether a time is in seconds or in forcing periods.
+An axis says which gamma it shows, and whether a time is in seconds or in forcing periods.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis import pictures
+from analysis.gamma import GAMMA_TEX, PEAK_TEX
 from daq.errors import InputError
 from model.ball import IdealBall
 from model.bifurcation import bifurcations
@@ -36,21 +40,18 @@ PAPER_FIGURES: dict[int, tuple[tuple[int, float, float], ...]] = {  # figure: (c
     11: ((3, 0.08, 2.0),),
     12: ((1, 0.4, 6.0), (2, 0.15, 3.0), (3, 0.08, 2.0)),
 }
-STYLE: dict[Any, Any] = {
-    "font.family": "serif", "mathtext.fontset": "cm", "font.size": 10, "axes.linewidth": 0.8, "xtick.direction": "in",
-    "ytick.direction": "in", "xtick.top": True, "figure.constrained_layout.use": True, "savefig.dpi": 200,
-}
+STYLE: dict[Any, Any] = pictures.STYLE | {"xtick.top": True, "savefig.dpi": 200}
 
 
 def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) -> None:
     """Draw one diagram; the forbidden zones are those of the ideal ball and are drawn for it alone."""
-    figure, axes = _figure(1, path)
-    _panel(axes[0], rows, forcing, request.ratio, request.frequency_hz, ideal=not request.effects and not request.sweep)
-    if request.effects:
-        axes[0].set_title(", ".join(request.effects), fontsize=9)
-    if request.sweep:
-        axes[0].set_title(f"gamma swept {request.sweep}", fontsize=9, loc="right")
-    _save(figure, path)
+    ideal = not request.effects and not request.sweep
+    with _figure(1, path) as (ax,):
+        _panel(ax, rows, forcing, request.ratio, request.frequency_hz, ideal=ideal)
+        if request.effects:
+            ax.set_title(", ".join(request.effects), fontsize=9)
+        if request.sweep:
+            ax.set_title(f"gamma swept {request.sweep}", fontsize=9, loc="right")
 
 
 def paper_figure(number: int, path: Path, steps: int) -> None:
@@ -65,36 +66,28 @@ def paper_figure(number: int, path: Path, steps: int) -> None:
         known = ", ".join(map(str, PAPER_FIGURES))
         raise InputError(f"--paper-figure wants one of {known}, not {number}")
     panels = PAPER_FIGURES[number]
-    figure, axes = _figure(len(panels), path)
-    for ax, (ratio, low, high) in zip(axes, panels, strict=True):
-        forcing = Forcing.superposition(ratio)
-        ball = IdealBall(forcing)
-        rows = adaptive(partial(diagram, ball), low, high, steps)
-        _panel(ax, rows, forcing, ratio, PAPER_HZ, ideal=True)
-    _save(figure, path)
+    with _figure(len(panels), path) as axes:
+        for ax, (ratio, low, high) in zip(axes, panels, strict=True):
+            forcing = Forcing.superposition(ratio)
+            ball = IdealBall(forcing)
+            rows = adaptive(partial(diagram, ball), low, high, steps)
+            _panel(ax, rows, forcing, ratio, PAPER_HZ, ideal=True)
 
 
-def _figure(panels: int, path: Path) -> tuple[Any, list[Any]]:
+@contextmanager
+def _figure(panels: int, path: Path) -> Iterator[list[Any]]:
+    """Axes one above the other, saved as ``path`` at the end."""
     import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    pyplot.rcParams.update(STYLE)
-    figure, axes = pyplot.subplots(panels, 1, figsize=(7.0, 1.2 + 3.2 * panels), squeeze=False)
-    return figure, list(axes[:, 0])
-
-
-def _save(figure: Any, path: Path) -> None:
-    from matplotlib import pyplot
-
-    try:
-        figure.savefig(path)
-    except (OSError, ValueError) as error:
-        text = f"cannot write the picture {path}: {error}; give a name ending in .png, .pdf or .svg"
-        raise InputError(text) from error
-    finally:
-        pyplot.close(figure)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 1.2 + 3.2 * panels))
+        yield list(figure.subplots(panels, 1, squeeze=False)[:, 0])
+        try:
+            figure.savefig(path)
+        except (OSError, ValueError) as error:
+            text = f"cannot write the picture {path}: {error}; give a name ending in .png, .pdf or .svg"
+            raise InputError(text) from error
 
 
 def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: float | None, *, ideal: bool) -> None:
@@ -114,8 +107,7 @@ def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: floa
     top = float(np.nanmax(y)) if shown.any() else 1.0
     ax.set_xlim(low * scale, high * scale)
     ax.set_ylim(0.0, 1.05 * top)
-    name = r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$" if scale == 2.0 else r"$\Gamma = A\omega^2/g$"
-    ax.set_xlabel(f"{name}   (c = {ratio})")
+    ax.set_xlabel(f"{PEAK_TEX if scale == 2.0 else GAMMA_TEX}   (c = {ratio})")
     if frequency_hz:
         ax.set_ylabel(f"flight time (s) at {frequency_hz:g} Hz")
         ax.secondary_yaxis("right", functions=(lambda t: t * frequency_hz, lambda n: n / frequency_hz)).set_ylabel(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
     from analysis.close_loop import Loop
+    from analysis.next_run import Ranked
 
 
 def command(
@@ -33,19 +33,22 @@ def command(
 
     Example: bench close-loop run.h5 --report report --improved better.toml
 
-    Exits 0 whatever the verdict; 1 when a run made by --until-clear failed; 2 when the call or a file was wrong.
+    Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
+    verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from analysis.close_loop import as_json, close_loop
-    from analysis.next_run import as_json as runs_as_json
-    from bench.console import EXIT_USAGE, fail, write_json
-    from bench.next_profile import possible_runs, write_next
+    from analysis.close_loop import close_loop
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail
+    from bench.loop_display import keep, show
     from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
     from bench.profiles import load_measuring
+    from bench.progress import progress_bar
     from bench.until_clear import until_clear as repeat
     from daq.errors import InputError
 
     quiet = json == "-"
     say: Callable[[str], None] = _nothing if quiet else typer.echo
+    text: str | None = None
+    failure = ""
     try:
         check_outputs(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
@@ -55,29 +58,85 @@ def command(
             if not path.is_file():
                 raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
         _warn_of_calibrations(recordings)
-        text: str | None = None
         if until_clear:
-            loop, recordings = repeat(recordings, scenario, seed, say=say, quiet=quiet)
+            loop, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
             setup, text = (None, None) if profile is None else load_measuring(profile)
             with progress_bar(quiet) as bar:
                 loop = close_loop(recordings, setup=setup, progress=bar)
-        ranked = possible_runs(loop, recordings[0])
-        write_json(as_json(loop, runs_as_json(ranked)), json)
-        if next_run is not None and ranked:
-            write_next(ranked, recordings[0], next_run)
-            say(f"next run: {next_run} ({ranked[0].design.words})")
-        elif next_run is not None:
-            say(f"next run: {next_run} is not written, because nothing ties that another run would tell apart")
-        _keep(loop, recordings, report, improved, text, say)
-        if not quiet:
-            show(loop)
-            for run in ranked[:3]:
-                say(f"  a next run worth {run.nats:.0f} nats: {run.design.words}")
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
-        fail(f"{error}; name a file that can be read or written", EXIT_USAGE)
+        fail(f"{error}; name a file that can be read", EXIT_USAGE)
+    if not quiet:
+        show(loop)
+    outputs = _outputs(loop, recordings, json, report, improved, next_run, text=text, say=say)
+    complete = keep(outputs)
+    if failure:
+        fail(failure, EXIT_FAILED)
+    if not complete:
+        raise SystemExit(EXIT_FAILED)
+
+
+def _outputs(
+    loop: Loop,
+    recordings: list[Path],
+    json: str | None,
+    report: Path | None,
+    improved: Path | None,
+    next_run: Path | None,
+    *,
+    text: str | None,
+    say: Callable[[str], None],
+) -> list[tuple[str, Callable[[], None]]]:
+    """Name and function of everything that is to be written, in order."""
+    ranked: list[Ranked] = []
+
+    def rank() -> None:
+        from bench.next_profile import possible_runs
+
+        ranked.extend(possible_runs(loop, recordings[0]))
+        for run in ranked[:3]:
+            say(f"  a next run worth {run.nats:.0f} nats: {run.design.words}")
+
+    def write_verdict() -> None:
+        from analysis.close_loop import as_json
+        from analysis.next_run import as_json as runs_as_json
+        from bench.console import write_json
+
+        write_json(as_json(loop, runs_as_json(ranked)), json)
+
+    def write_page(folder: Path) -> None:
+        from analysis.loop_report import write_report
+        from bench.progress import progress_bar
+
+        with progress_bar(json == "-") as bar:
+            page = write_report(loop, recordings, folder, progress=bar)
+        say(f"report: {page}")
+
+    def write_profile(path: Path) -> None:
+        from bench.improved import write_improved
+
+        for line in write_improved(loop, recordings[0], path, text):
+            say(line)
+
+    def write_next_run(path: Path) -> None:
+        from bench.next_profile import write_next
+
+        if ranked:
+            write_next(ranked, recordings[0], path)
+            say(f"next run: {path} ({ranked[0].design.words})")
+        else:
+            say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
+
+    outputs: list[tuple[str, Callable[[], None]]] = [("list of next runs", rank), ("verdict as JSON", write_verdict)]
+    if report is not None:
+        outputs.append(("report", lambda: write_page(report)))
+    if improved is not None:
+        outputs.append(("improved profile", lambda: write_profile(improved)))
+    if next_run is not None:
+        outputs.append(("next run's profile", lambda: write_next_run(next_run)))
+    return outputs
 
 
 def _warn_of_calibrations(recordings: list[Path]) -> None:
@@ -94,73 +153,3 @@ def _warn_of_calibrations(recordings: list[Path]) -> None:
 
 def _nothing(line: str) -> None:
     """Say nothing: standard output belongs to the JSON."""
-
-
-def _keep(
-    loop: Loop,
-    recordings: list[Path],
-    report: Path | None,
-    improved: Path | None,
-    text: str | None,
-    say: Callable[[str], None],
-) -> None:
-    """Write the report and the improved profile where they are asked for."""
-    if report is not None:
-        from analysis.loop_report import write_report
-
-        say(f"report: {write_report(loop, recordings, report)}")
-    if improved is not None:
-        from bench.improved import write_improved
-
-        left = write_improved(loop, recordings[0], improved, text)
-        say(f"improved profile: {improved}")
-        for words in left:
-            say(f"  not declared in it: {words}")
-
-
-@contextmanager
-def progress_bar(quiet: bool = False) -> Iterator[Callable[[str, float], None]]:
-    """A bar on standard error that follows ``(what, fraction)``."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<34}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        task = bar.add_task("reading", total=1.0)
-        yield lambda what, part: bar.update(task, description=what, completed=part)
-
-
-def show(loop: Loop) -> None:
-    """The verdict for a person."""
-    from rich.console import Console
-    from rich.table import Table
-
-    out = Console()
-    words = {
-        "explained": "explained",
-        "unexplained": "unexplained: something is left that no named effect accounts for",
-        "nothing_missing": "nothing is missing: the declared model explains the recording",
-    }
-    out.print(f"\nverdict: [bold]{words[loop.verdict]}[/bold]")
-    for found in loop.effects:
-        values = ", ".join(f"{k} = {v:.4g} ({lo:.4g} .. {hi:.4g})" for k, (v, lo, hi) in found.parameters.items())
-        out.print(f"  + {found.name}: {values}")
-    if loop.discovered is not None:
-        out.print(f"  discovered: {loop.discovered.in_words}")
-    others = [" + ".join(x.names) for x in loop.attribution.ties[1:]]
-    if others:
-        out.print(f"  the data cannot tell this from: {'; '.join(others)}")
-    table = Table("held-out steps", "before", "after", "noise floor")
-    b, a = loop.before, loop.after
-    table.add_row(
-        "landing, rms (us)", f"{b.landing_rms_us:.1f}", f"{a.landing_rms_us:.1f}", f"{loop.noise_floor_us:.1f}"
-    )
-    table.add_row("landing, robust (us)", f"{b.landing_robust_us:.1f}", f"{a.landing_robust_us:.1f}", "")
-    table.add_row(
-        "take-off, robust (us)", f"{b.takeoff_robust_us:.1f}", f"{a.takeoff_robust_us:.1f}",
-        f"{loop.takeoff_floor_us:.1f}",
-    )
-    table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
-    out.print(table)
-    for line in (*loop.attribution.rounds, *loop.notes):
-        out.print(f"  {line}")

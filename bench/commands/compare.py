@@ -11,6 +11,7 @@ from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
     from analysis.compare import Comparison, StepComparison
+    from analysis.gamma import GammaScale
 
 
 def command(
@@ -26,6 +27,7 @@ def command(
     Example: bench compare run.h5 --profile better.toml --figures pictures
     """
     from analysis.compare import compare
+    from analysis.gamma import gamma_scale
     from bench.commands.reprocess import draw, with_progress
     from bench.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, Folder, check_outputs
@@ -51,7 +53,8 @@ def command(
                 draw(opened, table, figures)
             write_json(as_json(held), json)
             if json != "-":
-                _print(held, recording.name, bool(opened.attrs.get("simulated")))
+                scale = gamma_scale(opened.setup.forcing, held.ratio)
+                _print(held, recording.name, bool(opened.attrs.get("simulated")), scale)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
@@ -109,7 +112,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _print(held: Comparison, name: str, simulated: bool) -> None:
+def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> None:
     """Tables for a person."""
     from rich import box
     from rich.console import Console
@@ -117,25 +120,38 @@ def _print(held: Comparison, name: str, simulated: bool) -> None:
 
     title = f"{name}{' (simulated rig)' if simulated else ''} against the model"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    peak = held.ratio == 1
-    for column in ("step", "peak" if peak else "gamma", "measured", "model", "n", "ratio", "rms us", "doubt"):
-        left = column in ("measured", "model", "doubt")
-        shown.add_column(column, justify="left" if left else "right", no_wrap=True)
+    for column in ("step", scale.name.replace("_", "\n"), "measured", "model", "n", "ratio", "rms us", ""):
+        words = column in ("measured", "model")  # these alone are folded where the terminal is narrow
+        shown.add_column(column, justify="left" if words else "right", no_wrap=not words, overflow="fold")
     for s in held.steps:
         ratio = f"{s.mean_ratio:.4f}" if s.mean_ratio == s.mean_ratio else ""
         rms = f"{1e6 * s.rms_s:.1f}" if s.rms_s == s.rms_s else ""
+        model = s.predicted.replace("with ", "").replace(", period ", " p").replace("at rest on the plate", "at rest")
         shown.add_row(
-            str(s.step), f"{s.gamma_peak if peak else s.gamma:.4f}", s.measured.label,
-            s.predicted.replace("with ", "").replace(", period ", " p"), str(s.measured.flights), ratio, rms, s.doubt,
-        )
+            str(s.step), f"{scale.factor * s.gamma:.4f}", s.measured.label, model,
+            str(s.measured.flights), ratio, rms, "?" if s.doubt else "",
+        )  # fmt: skip
     console = Console()
     console.print(shown)
-    for line in lines(held):
+    for line in (*doubts(held), *lines(held, scale)):
         console.print(line, soft_wrap=True, highlight=False)
 
 
-def lines(held: Comparison) -> list[str]:
-    """What it comes to, in sentences."""
+def doubts(held: Comparison) -> list[str]:
+    """Periodic steps that cannot judge the model, and why."""
+    why = {
+        "sensitive": "the uncertainty of gamma alone moves the prediction",
+        "unsettled": "the predicted cycle attracts too slowly for the settle time",
+    }
+    found: dict[str, list[str]] = {}
+    for s in held.steps:
+        if s.doubt:
+            found.setdefault(s.doubt, []).append(str(s.step))
+    return [f"? {name} ({why.get(name, name)}): step {', '.join(steps)}" for name, steps in found.items()]
+
+
+def lines(held: Comparison, scale: GammaScale) -> list[str]:
+    """What it comes to, in sentences, gamma as ``scale`` shows it."""
     effects = ", ".join(held.effects) if held.effects else "no effects (ideal)"
     out = [f"model with {effects}"]
     if held.short_by == held.short_by:
@@ -149,16 +165,18 @@ def lines(held: Comparison) -> list[str]:
     if first.measured is None:
         out.append("no bifurcation measured after take-off")
     else:
+        before, after = (scale.factor * x for x in (first.measured.gamma_before, first.measured.gamma_after))
         out.append(
-            f"first bifurcation measured: {first.measured.type}, gamma between {first.measured.gamma_before:.4f} and "
-            f"{first.measured.gamma_after:.4f}"
+            f"first bifurcation measured: {first.measured.type}, {scale.name} between {before:.4f} and {after:.4f}"
         )
     if first.predicted_type:
-        out.append(f"first bifurcation predicted: {first.predicted_type} at gamma {first.predicted_gamma:.4f}")
+        at = scale.factor * first.predicted_gamma
+        out.append(f"first bifurcation predicted: {first.predicted_type} at {scale.name} {at:.4f}")
         if first.measured is not None:
             out.append(f"measured / predicted: {first.ratio:.3f}")
     bands = [b for s in held.steps for b in s.bands]
     if bands:
         observed, expected = sum(b.observed for b in bands), sum(b.expected for b in bands)
         out.append(f"flights in the ideal ball's forbidden bands: {observed} (their neighbourhood: {expected:.0f})")
+    out.append(scale.definition)
     return out

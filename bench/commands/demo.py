@@ -8,12 +8,19 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from analysis.close_loop import Loop
+    from rig.profile import Profile
     from rig.sim.scenario import Scenario
+
+UNFINISHED = "unfinished.txt"  # stands in the folder while a demo runs, and stays where it failed
+MADE = ("recording.h5*", "flights.csv", "verdict.json", "improved.toml", "sealed.toml", "pictures", "report")
 
 
 def command(
     out: Path | None = typer.Option(None, "--out", metavar="FOLDER", help="Where everything goes; default runs/DATE."),
-    profile: str = typer.Option("simulated", "--profile", help="A profile's path, or the name of a shipped one."),
+    profile: str = typer.Option(
+        "simulated", "--profile", help="A profile of a simulated rig: its path, or the name of a shipped one."
+    ),
     scenario: Path | None = typer.Option(
         None, "--scenario", metavar="FILE", help="What the rig hides; default: sealed."
     ),
@@ -23,12 +30,13 @@ def command(
 
     Example: bench demo --seed 7
 
-    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written.
+    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written. No
+    device is ever driven. Exits 1 when a part failed: what was made stays, and the same call starts anew.
     """
     import datetime
     import time
 
-    from bench.console import EXIT_USAGE, fail
+    from bench.console import EXIT_FAILED, EXIT_USAGE, fail
     from bench.outputs import Folder, check_outputs
     from bench.profiles import find_scenario
     from daq.errors import InputError
@@ -38,29 +46,56 @@ def command(
     folder = out or Path("runs") / datetime.datetime.now().strftime("%Y-%m-%d_%H%M%S")
     try:
         check_outputs(Folder("--out", folder, makes=()), inputs=[profile, scenario])
-        folder.mkdir(parents=True, exist_ok=False)
-        sealed = folder / "sealed.toml"
+        checked, text = _simulated(profile)
         hidden = _sealed(seed) if scenario is None else load_scenario(find_scenario(scenario))
-        sealed.write_text(hidden.to_toml(), encoding="utf-8")
-        recording = _drive(profile, folder, sealed, seed)
-        _reprocess(recording, folder)
-        page, verdict = _close(recording, folder)
-    except FileExistsError:
-        fail(f"{folder}: exists already; name a new folder by --out", EXIT_USAGE)
+        _claim(folder)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{folder}: cannot be made ({error}); name a folder that can be written by --out", EXIT_USAGE)
+    try:
+        sealed = folder / "sealed.toml"
+        sealed.write_text(hidden.to_toml(), encoding="utf-8")
+        recording = _drive(checked, text, folder, sealed, seed)
+        _reprocess(recording, folder)
+        loop, complete = _close(recording, folder)
+    except (InputError, OSError, ValueError) as error:
+        fail(f"{error}\nwhat was made is in {folder}; the same call starts anew there", EXIT_FAILED)
     names = ", ".join(load_scenario(sealed).effects) or "nothing"
-    typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {verdict}")
+    found = ", ".join(f.name for f in loop.effects) or "no effect added"
+    typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {loop.verdict} ({found})")
     for what, path in (
         ("recording", recording),
         ("flights", folder / "flights.csv"),
         ("pictures", folder / "pictures"),
-        ("report", page),
+        ("report", folder / "report" / "report.html"),
         ("improved profile", folder / "improved.toml"),
         ("what was hidden", sealed),
     ):
-        typer.echo(f"  {what:<17} {path}")
+        if path.exists():
+            typer.echo(f"  {what:<17} {path}")
+    if not complete:
+        raise SystemExit(EXIT_FAILED)
+    (folder / UNFINISHED).unlink()
     typer.echo(f"done in {time.perf_counter() - started:.0f} s")
+
+
+def _simulated(name: str) -> tuple[Profile, str]:
+    """The profile and its text; refused unless its back end is the simulated one and its limits allow the ramp."""
+    from bench.commands.plan import planned, refusal
+    from bench.profiles import load
+    from daq.errors import InputError
+
+    profile, text = load(name)
+    if profile.backend.kind != "simulated":
+        raise InputError(
+            f"{name}: backend.kind is {profile.backend.kind}, and the demo drives no device; name a profile of a "
+            f"simulated rig, or record a run with bench ramp {name} --out run.h5"
+        )
+    faults = planned(profile)[2]
+    if faults:
+        raise InputError(refusal(name, faults))
+    return profile, text
 
 
 def _sealed(seed: int) -> Scenario:
@@ -72,57 +107,103 @@ def _sealed(seed: int) -> Scenario:
     return sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong")
 
 
-def _drive(profile: str, folder: Path, sealed: Path, seed: int) -> Path:
-    from bench.commands.plan import planned, refusal
-    from bench.commands.ramp import make_backend, record
-    from bench.console import EXIT_FAILED, fail
-    from bench.profiles import load
+def _claim(folder: Path) -> None:
+    """Make the folder, or clear what an unfinished demo left in it.
+
+    Raises
+    ------
+    InputError
+        When the folder holds anything but an unfinished demo.
+    """
+    import shutil
+
     from daq.errors import InputError
 
-    checked, text = load(profile)
-    faults = planned(checked)[2]
-    if faults:
-        raise InputError(refusal(profile, faults))
+    if folder.exists():
+        if not folder.is_dir() or (any(folder.iterdir()) and not (folder / UNFINISHED).is_file()):
+            raise InputError(f"{folder}: exists already; name a new folder by --out")
+        for path in [path for pattern in MADE for path in folder.glob(pattern)]:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / UNFINISHED).write_text("A demo began here and has not ended; the same call starts anew.\n", "utf-8")
+
+
+def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -> Path:
+    """Record the ramp on the simulated rig; an `InputError` tells why a run was not completed."""
+    from bench.commands.ramp import record, warm_up
+    from bench.progress import progress_bar
+    from daq.errors import InputError
+    from rig.backends.simulated import SimulatedBackend
+    from rig.sim.scenario import load_scenario
+
     recording = folder / "recording.h5"
     typer.echo(
-        f"1/4  ramp: {checked.name}, c = {checked.forcing.ratio}, {checked.forcing.frequency_hz:g} Hz, simulated rig"
+        f"1/4  ramp: {profile.name}, c = {profile.forcing.ratio}, {profile.forcing.frequency_hz:g} Hz, simulated rig"
     )
-    summary = record(checked, text, make_backend(checked, scenario=sealed, seed=seed), recording)
+    with progress_bar() as say:
+        say("starting the simulated rig", 0.0)
+        warm_up(profile)
+    rig = SimulatedBackend(profile.sampling.rate_hz, load_scenario(sealed), seed)
+    summary = record(profile, text, rig, recording)
     if summary.how != "complete":
-        fail(f"{summary.how}: {summary.why}", EXIT_FAILED)
+        raise InputError(f"{recording}: the run was {summary.how}: {summary.why}")
     return recording
 
 
 def _reprocess(recording: Path, folder: Path) -> None:
+    """Flights, pictures, and what the declared model makes of them."""
     from analysis.compare import compare
     from analysis.flight_table import write_csv
-    from bench.commands.reprocess import draw, with_progress
+    from analysis.flights import flights_of
+    from analysis.gamma import gamma_scale
+    from bench.commands.compare import lines
+    from bench.commands.reprocess import draw
+    from bench.progress import progress_bar
     from daq.recording import open_recording
 
     with open_recording(recording) as opened:
         typer.echo("2/4  reprocess: flights and plate motion from the file, pictures")
-        table = with_progress(opened, quiet=False)
-        write_csv(table, folder / "flights.csv")
-        draw(opened, table, folder / "pictures")
-        held = compare(table, opened.setup, steps_table=opened.steps)
-    typer.echo(
-        f"3/4  compare: {len(table)} flights, {100 * held.short_by:.1f} % shorter than the declared model says, "
-        f"{held.double_hits} double hits"
-    )
+        with progress_bar() as say:
+            table = flights_of(opened, progress=lambda part: say("reading the recording", 0.6 * part))
+            write_csv(table, folder / "flights.csv")
+            say("drawing", 0.6)
+            draw(opened, table, folder / "pictures")
+        typer.echo(f"3/4  compare: {len(table)} flights against the declared model")
+        with progress_bar() as say:
+            say("predicting", 0.0)
+            held = compare(table, opened.setup, steps_table=opened.steps)
+        for line in lines(held, gamma_scale(opened.setup.forcing, held.ratio)):
+            typer.echo(f"       {line}")
 
 
-def _close(recording: Path, folder: Path) -> tuple[Path, str]:
+def _close(recording: Path, folder: Path) -> tuple[Loop, bool]:
+    """Close the loop, show the verdict, then write it; whether everything could be written."""
     from analysis.close_loop import as_json, close_loop
     from analysis.loop_report import write_report
-    from bench.commands.close_loop import progress_bar, show
     from bench.console import write_json
     from bench.improved import write_improved
+    from bench.loop_display import keep, show
+    from bench.progress import progress_bar
 
     typer.echo("4/4  close the loop: which missing effect explains the rest")
     with progress_bar() as say:
         loop = close_loop([recording], progress=say)
-        page = write_report(loop, [recording], folder / "report")
     show(loop)
-    write_json(as_json(loop), str(folder / "verdict.json"))
-    write_improved(loop, recording, folder / "improved.toml")
-    return page, f"{loop.verdict} ({', '.join(f.name for f in loop.effects) or 'no effect added'})"
+
+    def write_page() -> None:
+        with progress_bar() as say:
+            write_report(loop, [recording], folder / "report", progress=say)
+
+    def write_profile() -> None:
+        for line in write_improved(loop, recording, folder / "improved.toml"):
+            typer.echo(line)
+
+    outputs = (
+        ("verdict as JSON", lambda: write_json(as_json(loop), str(folder / "verdict.json"))),
+        ("report", write_page),
+        ("improved profile", write_profile),
+    )
+    return loop, keep(outputs)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from model.effects.base import Effect, Parameter
 
 SIZES = (0.002, 0.01, 0.05)
-BENDS = (-0.03, -0.003, 0.003, 0.03)  # to begin with, per g
+BENDS = (-0.03, -0.003, -0.0005, 0.0005, 0.003, 0.03)  # to begin with, per g; at 0 squares have no slope
 POINTS = 64  # of one period, for the polynomial's harmonics: exact up to the 63rd
 
 EFFECT = Effect(
@@ -32,8 +32,8 @@ EFFECT = Effect(
             "phase_rad", "rad", -np.pi, np.pi, 0.5, scan=(-0.5 * np.pi, 0.0, 0.5 * np.pi, np.pi), shape=True,
             meaning="of the harmonic that falls on the second forcing tone, against that tone",
         ),
-        Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, scan=(0.0, *BENDS), meaning="of acceleration squared"),
-        Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, scan=(0.0, *BENDS), meaning="of acceleration cubed"),
+        Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, scan=BENDS, meaning="of acceleration squared"),
+        Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, scan=BENDS, meaning="of acceleration cubed"),
     ),
     variants=(("second", "third"), ("quadratic_per_g", "cubic_per_g2"), ("second", "third", "phase_rad")),
     seen_in=("plate",),

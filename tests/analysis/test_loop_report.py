@@ -12,13 +12,17 @@ import pytest
 from typer.testing import CliRunner
 
 import analysis.close_loop
+import analysis.loop_report
 from analysis.attribution import Attributor
 from analysis.candidates import Candidate
 from analysis.close_loop import Loop, as_json
-from analysis.explanation import Attribution
+from analysis.explanation import Attribution, Rejected
 from analysis.gains import Compared
-from analysis.loop_report import VERDICTS, write_report
+from analysis.loop_report import write_report
+from analysis.reasoning import reasoning
+from analysis.verdict import Failed
 from analysis.whitening import Whitener
+from analysis.wording import VERDICTS, interval, verdict_line
 from bench.cli import app
 
 KEYS = (
@@ -89,7 +93,7 @@ def test_the_report_says_the_verdict(closed: tuple[Loop, Path], verdict: Any, tm
     """For each verdict one page with the verdict in words, its pictures inside, and the JSON beside it."""
     page = write_report(dataclasses.replace(closed[0], verdict=verdict), [closed[1]], tmp_path / "report")
     text = page.read_text(encoding="utf-8")
-    assert VERDICTS[verdict][1] in text
+    assert VERDICTS[verdict] in text
     assert len(re.findall(r"data:image/png;base64,", text)) >= 3
     assert "simulated rig" in text and not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", text))
     assert json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))["verdict"] == verdict
@@ -105,5 +109,98 @@ def test_nothing_missing_names_nothing(closed: tuple[Loop, Path], tmp_path: Path
     )
     page = write_report(clean, [path], tmp_path / "report")
     text = page.read_text(encoding="utf-8")
-    assert VERDICTS["nothing_missing"][1] in text
+    assert VERDICTS["nothing_missing"] in text
     assert "<th>added</th>" not in text
+
+
+def test_the_verdict_line_has_size_and_interval(closed: tuple[Loop, Path]) -> None:
+    """Each parameter with its 95 % interval and unit, on the page and the terminal alike."""
+    loop = closed[0]
+    value, low, high = loop.effects[0].parameters["mu_up"]
+    line = verdict_line(dataclasses.replace(loop, verdict="explained"))
+    assert line.startswith("Explained by coulomb friction, ") and f"mu_up = {interval(value, low, high)}" in line
+    doubtful = verdict_line(dataclasses.replace(loop, verdict="unexplained"))
+    assert "not believed" in doubtful and interval(value, low, high) in doubtful
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ((0.11776, 0.11, 0.12551), "0.1178 (0.1100 .. 0.1255)"),
+        ((1793.9, 1700.0, 1890.0), "1794 (1700 .. 1890)"),
+        ((2.3e-7, 2.1e-7, 2.5e-7), "2.30e-7 (2.10e-7 .. 2.50e-7)"),
+        ((0.04, 0.0, 0.3), "0.04 (0.00 .. 0.30)"),
+    ],
+)
+def test_value_and_interval_have_one_form(numbers: tuple[float, float, float], text: str) -> None:
+    """The value and both ends are written to the same place."""
+    assert interval(*numbers) == text
+
+
+def test_the_page_tells_where_it_comes_from(closed: tuple[Loop, Path], tmp_path: Path) -> None:
+    """Date, rig, back end and versions stand on the page; gamma is defined once; microseconds have one form."""
+    page = write_report(closed[0], [closed[1]], tmp_path / "report")
+    text = re.sub(r"base64,[^\"]*", "", page.read_text(encoding="utf-8"))
+    setup = closed[0].world.evidence.setup
+    said = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    assert said["recordings"][0]["rig"].startswith(setup.name) and setup.name in text
+    assert said["report"]["date"] in text and text.count("shakerbench") == 2
+    assert text.count("&Gamma;<sub>peak</sub> = max(-a)/g") == 1 and "gamma" not in text
+    assert not re.search(r"\d[.\d]*e[+-]?\d+ (&micro;s|us)", text)
+
+
+def test_every_failed_test_is_a_reason(closed: tuple[Loop, Path]) -> None:
+    """The sentence on an unexplained recording names each test that failed, with what was found and allowed."""
+    tests = ("flights", "plate", "landings", "takeoffs")
+    failed = tuple(Failed(t, 10.0 + n, 1.6) for n, t in enumerate(tests))  # type: ignore[arg-type]
+    said = reasoning(dataclasses.replace(closed[0], verdict="unexplained", failed=failed))[-1]
+    assert said.count(";") == 3
+    assert all(f"{10 + n}." in said for n in range(4)) and "1.6" in said
+
+
+def test_the_best_rejected_candidate_is_shown(
+    closed: tuple[Loop, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Page and terminal name the refused candidate of the greatest gain, its gain and the reason."""
+    from bench.loop_display import show
+
+    refused = Rejected(("restitution",), 1729.0, 480.0, "the steps do not agree on its gain")
+    attribution = dataclasses.replace(closed[0].attribution, rejected=refused)
+    loop = dataclasses.replace(closed[0], attribution=attribution)
+    show(loop)
+    page = write_report(loop, [closed[1]], tmp_path / "report").read_text(encoding="utf-8")
+    for text in (capsys.readouterr().out, page.replace("&plusmn;", "+-")):
+        assert "restitution, 1729 +- 480 nats" in text and "the steps do not agree on its gain" in text
+
+
+def test_the_verdict_survives_a_failing_output(
+    closed: tuple[Loop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The verdict is shown before anything is written; each failure is told under its name, and the rest is written."""
+    from daq.errors import InputError
+
+    def fails(*_: Any, **__: Any) -> None:
+        raise InputError("the disk is full")
+
+    monkeypatch.setattr(analysis.close_loop, "close_loop", lambda *a, **k: closed[0])
+    monkeypatch.setattr("bench.next_profile.possible_runs", lambda *a: [])
+    monkeypatch.setattr(analysis.loop_report, "write_report", fails)
+    verdict, better = tmp_path / "verdict.json", tmp_path / "better.toml"
+    call = ["close-loop", str(closed[1]), "--report", str(tmp_path / "report"), "--json", str(verdict)]
+    result = CliRunner().invoke(app, [*call, "--improved", str(better)])
+    assert result.exit_code == 1
+    assert "verdict: " in result.stdout
+    assert "the report could not be written: the disk is full" in result.stderr
+    assert json.loads(verdict.read_text(encoding="utf-8"))["verdict"] == closed[0].verdict
+    assert result.stderr.count("error: ") == 2 and "improved profile" in result.stderr  # the recording has no profile
+
+
+def test_an_improved_profile_that_exists_is_refused_before_any_work(
+    closed: tuple[Loop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is computed for a name that is taken."""
+    better = tmp_path / "better.toml"
+    better.write_text("mine", encoding="utf-8")
+    monkeypatch.setattr(analysis.close_loop, "close_loop", lambda *a, **k: pytest.fail("computed first"))
+    result = CliRunner().invoke(app, ["close-loop", str(closed[1]), "--improved", str(better)])
+    assert result.exit_code == 2 and better.read_text(encoding="utf-8") == "mine"

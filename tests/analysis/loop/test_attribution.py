@@ -97,6 +97,20 @@ def test_a_special_case_takes_the_place_of_what_it_is_one_of(
     assert said == ["step back: a simpler coulomb_friction does as well"]
 
 
+def test_a_richer_form_gives_way_to_its_special_case(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """Stribeck friction is chosen although plain friction is all there is: the name is that of plain friction."""
+    world = make({UP: 0.15, DOWN: 0.15}, 6, gammas=GAMMAS)
+    attributor = Attributor(world, fitter_of(world))
+    pool = candidates_of(world)
+    stribeck = attributor.add(_nothing(attributor), next(c for c in pool if c.names == ("stribeck_friction",)))
+    assert stribeck is not None
+    said: list[str] = []
+    assert attributor._simplified(stribeck, pool, said).names == ("coulomb_friction",)
+    assert said == ["step back: a simpler coulomb_friction does as well"]
+
+
 def test_a_fuller_form_of_what_is_named_stays_on_offer(
     make: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:

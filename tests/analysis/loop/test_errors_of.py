@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.errors_of import errors_on, judged_rows, noise_floor_us, noise_floors_us
+from analysis.errors_of import errors_on, judged_rows, noise_floor_us, noise_floors_us, noise_quantiles_us
 from analysis.likelihood import World
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
@@ -53,3 +53,14 @@ def test_a_flight_without_prediction_misses_by_half_a_period(make: Callable[...,
     held = {("adhesion", "a_mps2"): 29.0}
     rows, out = judged_rows(world, held, world.evidence.steps.gamma < 0.4)
     assert errors_on(world, held, rows, out).landing_rms_us == pytest.approx(0.5e6 / 25.37, rel=0.05)
+
+
+def test_few_steps_may_miss_by_more_than_their_floor(make: Callable[..., World]) -> None:
+    """Tones err for a whole step: noise alone exceeds the floor of two steps by more than that of fourteen."""
+    world = make(FRICTION, 0)
+    over = []
+    for steps in (2, 14):
+        rows, _ = judged_rows(world, FRICTION, np.arange(len(world.evidence.steps)) < steps)
+        over.append(noise_quantiles_us(world, FRICTION, rows)[0] / noise_floor_us(world, FRICTION, rows))
+    assert over[0] > over[1] > 1.0
+    assert noise_quantiles_us(world, FRICTION, rows[:0]) == (0.0, 0.0)

@@ -91,3 +91,12 @@ def test_what_lies_beyond_the_detection_limit_gains_the_threshold(
     whitener = Whitener.of(world, {RATE: part * limit})
     gain = fitter.fit(whitener, (), {}).loss - fitter.fit(whitener, (RATE,), {}).loss
     assert (gain > 12.0) == seen
+
+
+def test_a_size_differs_from_nothing_only_beyond_its_interval(make: Callable[..., World]) -> None:
+    """Friction of 0.12 differs from none, a damping that is not there does not, and a shape never counts."""
+    world = make(TRUTH, 3)
+    fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
+    fitted = fitter.fit(Whitener.of(world, TRUTH), (UP, DOWN, RATE), TRUTH)
+    assert fitted.differs((UP, DOWN)) and fitted.differs((UP, RATE))
+    assert not fitted.differs((RATE,))
