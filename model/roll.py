@@ -1,16 +1,13 @@
 """Flights with any set of effects, in SI units: one event ahead of a measurement, or marching on from a start.
 
-The rule kept here: all effects are compiled into one kernel, composed from the files in `model.effects`, and kept on
-disk under the hash of their sources; an effect whose parameters are absent costs next to nothing.
+The rule kept here: all effects are compiled into one kernel, composed from the files in `model.effects`; an effect
+whose parameters are absent costs next to nothing.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
-import importlib.util
 import sys
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +33,7 @@ _SIGNATURES = {
 def _composed_source() -> str:
     """Header that sums the hooks of all effects, then the kernel's own text."""
     template = Path(__file__).with_name("roll_kernel.py").read_text(encoding="utf-8")
-    lines = ["import math", "import numpy as np", "from numba import njit"]
+    lines = ["import math", "import numpy as np", "from kernels import njit"]
     entries = registry()
     for entry in entries:
         for hook in entry.hooks.keys() & set(COMPILED_HOOKS):
@@ -64,28 +61,11 @@ def _composed_source() -> str:
 
 @functools.cache
 def kernel() -> ModuleType:
-    """The compiled kernel of all effects; built once and cached on disk under the hash of its sources."""
-    source = _composed_source()
-    parts = [Path(sys.modules[e.module].__file__ or "").read_bytes() for e in registry()]
-    digest = hashlib.sha256(source.encode() + b"".join(parts)).hexdigest()[:16]
-    name = f"_rolled_{digest}"
-    for folder in (Path(__file__).parent / "__pycache__", Path(tempfile.gettempdir()) / "shakerbench"):
-        path = folder / f"{name}.py"
-        try:
-            if not path.exists():
-                folder.mkdir(parents=True, exist_ok=True)
-                part = path.with_suffix(f".{id(source)}.tmp")
-                part.write_text(source, encoding="utf-8")
-                part.replace(path)
-        except OSError:
-            continue  # a read-only installation: the next folder serves
-        break
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"cannot load the composed kernel from {path}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
+    """The kernel of all effects, a module composed once a process; its machine code is kept as any kernel's is."""
+    name = f"{__package__}.composed"
+    module = ModuleType(name, "The kernel of all effects, composed by `model.roll`.")
+    sys.modules[name] = module  # numba looks a compiled function's module up by its name
+    exec(compile(_composed_source(), f"<{name}>", "exec"), module.__dict__)
     return module
 
 

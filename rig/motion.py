@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup import Setup
+from kernels import njit
 from rig.forcing import Floats
 
 Mask = NDArray[np.bool_]
@@ -100,7 +100,7 @@ class MotionWatch:
         self._state[8] = self._state[6]
 
 
-@numba.njit(cache=True)
+@njit()
 def _follow(
     codes: NDArray[np.int16], scale: float, landed: Mask, constants: Floats, state: Floats, quiet: Mask
 ) -> tuple[float, float, float, float]:
