@@ -11,23 +11,21 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numba
+from numba.core import compiler, config, serialize
 from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
-from numba.core.serialize import dumps
 from numba.extending import is_jitted
 
 from kernels import folder
 from kernels.fingerprint import fingerprint
 
-F = TypeVar("F", bound=Callable[..., Any])
-
 DIGEST_BYTES = 32
+_CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
 
 
-def njit(**options: Any) -> Callable[[F], F]:
+def njit(**options: Any) -> Any:
     """Compile a function at its first call, and keep the machine code for later processes.
 
     Parameters
@@ -37,20 +35,20 @@ def njit(**options: Any) -> Callable[[F], F]:
 
     Returns
     -------
-    Callable
-        The decorator, which keeps the function's type.
+    callable
+        The decorator, which gives numba's dispatcher.
     """
 
-    def compiled(function: F) -> F:
-        dispatcher = numba.njit(**{**options, "cache": False})(function)
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = cast(Any, numba.njit(**{**options, "cache": False})(function))
         if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
             dispatcher._cache = KernelCache(dispatcher)
-        return cast(F, dispatcher)
+        return dispatcher
 
     return compiled
 
 
-class KernelCache(NullCache):  # type: ignore[misc]
+class KernelCache(NullCache):
     """What numba asks for the kept machine code of one function, and hands new machine code to.
 
     Any number of processes may use it at once: a file is written whole under its final name or not at all, and its
@@ -71,19 +69,19 @@ class KernelCache(NullCache):  # type: ignore[misc]
         data = folder.read(self._name(sig, target_context.codegen()))
         if data is None or hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
             return None  # a damaged file is compiled anew, and written over
-        return CompileResult._rebuild(target_context, *pickle.loads(data[DIGEST_BYTES:]))
+        return _CompileResult._rebuild(target_context, *pickle.loads(data[DIGEST_BYTES:]))
 
     def save_overload(self, sig: Any, cres: Any) -> None:
         """Keep the code just compiled for ``sig``."""
         if cres.library.has_dynamic_globals or any(not lifted.can_cache for lifted in cres.lifted):
             return  # holds addresses of this process
         name = self._name(sig, cres.target_context.codegen())
-        data = dumps(cres._reduce())
+        data: bytes = _serialize.dumps(cres._reduce())
         folder.write(name, hashlib.sha256(data).digest() + data)
 
     def _name(self, sig: Any, codegen: Any) -> str:
         """The file's name: the function's for a person, and the hash."""
         function = self._dispatcher.py_func
-        made_of = (fingerprint(self._dispatcher), repr(sig), codegen.magic_tuple(), numba.config.BOUNDSCHECK)
+        made_of = (fingerprint(self._dispatcher), repr(sig), codegen.magic_tuple(), _config.BOUNDSCHECK)
         digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:32]
         return f"{function.__module__}.{function.__name__}-{digest}"

@@ -18,7 +18,7 @@ from numba.extending import is_jitted
 Parts = list[object]
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def fingerprint(dispatcher: Any) -> str:
     """The hash of a compiled function and of all that it reaches, as hexadecimal digits."""
     parts: Parts = []

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from model.effects import absent_row, registry, row
 from model.effects.base import COMPILED_HOOKS
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T", bound=np.generic)
 
 _SIGNATURES = {
     "force": ("s, h, v, u, p", "0.0"),
@@ -87,6 +88,11 @@ def _columns(hook: str) -> NDArray[np.intp]:
 def _active(rows: Array, hook: str) -> bool:
     columns = _columns(hook)
     return bool(np.any(rows[..., columns] != absent_row(0.0)[columns]))
+
+
+def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
+    """An array as the kernels take it, contiguous and writable: numba compiles each layout, and each right, anew."""
+    return np.require(values, requirements=["C", "W"])
 
 
 @dataclass(frozen=True)
@@ -245,10 +251,10 @@ def one_ahead(
         How the plate's tones were measured; without one, all the time.
     """
     n = len(measured.landing_s)
-    rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
+    rows = _for_kernel(rows if rows.ndim == 2 else np.broadcast_to(rows, (n, rows.shape[-1])))
     ringing = bool(np.any(rows[:, _columns("mode")] > 0.0))
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1)
-    gap, weak = (np.ascontiguousarray(np.broadcast_to(np.asarray(x, dtype=np.float64), n)) for x in (gap_m, weak_mps))
+    gap, weak = (_for_kernel(np.broadcast_to(np.asarray(x, dtype=np.float64), n)) for x in (gap_m, weak_mps))
 
     ear = _Throughout(plate.omega_radps[:, : plate.omega_radps.shape[1] - plate.derived]) if ear is None else ear
     span_s, heard, heard_s = ear.span_s, np.zeros((0, 0), dtype=np.complex128), np.zeros(len(ear.span_s))
@@ -257,16 +263,16 @@ def one_ahead(
         """The kernel's table; what is listened to is added to what has been heard."""
         out = np.full((n, 10), np.nan)
         kernel().one_ahead(
-            measured.opening_s,
-            measured.landing_s,
-            measured.at_once,
-            measured.linked,
-            wanted,
-            measured.step,
-            plate.period_s,
-            plate.omega_radps,
-            np.ascontiguousarray(tones.real),
-            np.ascontiguousarray(tones.imag),
+            _for_kernel(measured.opening_s),
+            _for_kernel(measured.landing_s),
+            _for_kernel(measured.at_once),
+            _for_kernel(measured.linked),
+            _for_kernel(wanted),
+            _for_kernel(measured.step),
+            _for_kernel(plate.period_s),
+            _for_kernel(plate.omega_radps),
+            _for_kernel(tones.real),
+            _for_kernel(tones.imag),
             rows,
             _active(rows, "force"),
             _active(rows, "dry"),
@@ -277,9 +283,9 @@ def one_ahead(
             closure_s,
             weak,
             np.array(kick),
-            ear.first if listen.shape[1] else np.zeros(len(tones) + 1, dtype=np.int64),
-            span_s,
-            listen,
+            _for_kernel(ear.first if listen.shape[1] else np.zeros(len(tones) + 1, dtype=np.int64)),
+            _for_kernel(span_s),
+            _for_kernel(listen),
             heard,
             heard_s,
             out,
@@ -290,7 +296,7 @@ def one_ahead(
     rung = np.zeros((len(tones), own), dtype=np.complex128)
     if ringing:  # what the mode does to the plate is in the measured tones already: only the rest is driven
         heard = np.zeros((len(span_s), ear.omega_radps.shape[1]), dtype=np.complex128)
-        told(tones, np.zeros(n, dtype=np.bool_), np.ascontiguousarray(ear.omega_radps))
+        told(tones, np.zeros(n, dtype=np.bool_), ear.omega_radps)
         rung = ear.of_tones(heard, heard_s)
         of_step = np.add.reduceat(np.append(heard_s, 0.0), ear.first[:-1]) * (np.diff(ear.first) > 0)
         for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
@@ -307,9 +313,10 @@ def one_ahead(
 def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> NDArray[np.complex128]:
     """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
     k = kernel()
+    row = _for_kernel(row)
     om, ze, _ = k.mode(row)
-    re, im = np.ascontiguousarray(tones.real), np.ascontiguousarray(tones.imag)
-    *_, loaded_re, loaded_im = k.loaded(0.0, 0.0, 0.0, om, ze, omega_radps, re, im, row)
+    re, im = _for_kernel(tones.real), _for_kernel(tones.imag)
+    *_, loaded_re, loaded_im = k.loaded(0.0, 0.0, 0.0, om, ze, _for_kernel(omega_radps), re, im, row)
     factor = np.divide(loaded_re + 1j * loaded_im, tones, out=np.ones_like(tones), where=tones != 0.0)
     return np.asarray(tones * (1.0 - 1.0 / factor))
 
@@ -353,10 +360,10 @@ def march(
         0.0,
         0.0,
         period_s,
-        omega_radps,
-        np.ascontiguousarray(acceleration_mps2.real),
-        np.ascontiguousarray(acceleration_mps2.imag),
-        rows,
+        _for_kernel(omega_radps),
+        _for_kernel(acceleration_mps2.real),
+        _for_kernel(acceleration_mps2.imag),
+        _for_kernel(rows),
         _active(rows, "force"),
         _active(rows, "dry"),
         0.0,

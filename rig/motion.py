@@ -136,5 +136,6 @@ def _follow(
         cap = 9.0 if quiet[i] else 1.5  # ringing is not usual, but what never ends must be
         usual = max(usual + leak * (min(jump, cap * usual) - usual), scale * scale)  # a code is the least noise
         last = a
-    state[:] = (rest, first, second, v, x, last, usual, since, present, slope, calm)
+    for k, value in enumerate((rest, first, second, v, x, last, usual, since, present, slope, calm)):
+        state[k] = value  # not state[:] = (...), for whose error message numba compiles text formatting for seconds
     return peak_a, peak_v, peak_x, squares
