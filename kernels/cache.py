@@ -40,9 +40,9 @@ def njit(**options: Any) -> Any:
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = cast(Any, numba.njit(**{**options, "cache": False})(function))
+        dispatcher = numba.njit(**{**options, "cache": False})(function)
         if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
-            dispatcher._cache = KernelCache(dispatcher)
+            cast(Any, dispatcher)._cache = KernelCache(dispatcher)
         return dispatcher
 
     return compiled
