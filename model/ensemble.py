@@ -18,7 +18,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from model import flight
 from model.choose import EXACT, ball_of, rough_of
 from model.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
 from model.effects import resolve
@@ -133,7 +132,7 @@ def compute(job: Job, start: int, stop: int) -> Rows:
             each = [rough_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
             rough = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
         return exact_rows(
-            job.forcing.tones, flight.turning_points(job.forcing), gammas, rough,
+            job.forcing, gammas, rough,
             lambda i: job.ball(job.effects_at(columns, i)), job.keep,
         )
     rows = empty_rows(gammas, job.keep)

@@ -95,6 +95,13 @@ def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
     return np.require(values, requirements=["C", "W"])
 
 
+def _of_each(value: Array | float, n: int) -> Array:
+    """One number, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
+    values = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), n))
+    values.flags.writeable = False
+    return values
+
+
 @dataclass(frozen=True)
 class PlateSteps:
     """The plate's motion in each step: tones on one time axis.
@@ -251,10 +258,10 @@ def one_ahead(
         How the plate's tones were measured; without one, all the time.
     """
     n = len(measured.landing_s)
-    rows = _for_kernel(rows if rows.ndim == 2 else np.broadcast_to(rows, (n, rows.shape[-1])))
+    rows = _for_kernel(rows if len(rows) == n and rows.ndim == 2 else np.broadcast_to(rows, (n, rows.shape[-1])))
     ringing = bool(np.any(rows[:, _columns("mode")] > 0.0))
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1)
-    gap, weak = (_for_kernel(np.broadcast_to(np.asarray(x, dtype=np.float64), n)) for x in (gap_m, weak_mps))
+    gap, weak = (_of_each(x, n) for x in (gap_m, weak_mps))
 
     ear = _Throughout(plate.omega_radps[:, : plate.omega_radps.shape[1] - plate.derived]) if ear is None else ear
     span_s, heard, heard_s = ear.span_s, np.zeros((0, 0), dtype=np.complex128), np.zeros(len(ear.span_s))

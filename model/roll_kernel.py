@@ -754,12 +754,14 @@ def one_ahead(
         previous_hit = max(hit, 0.0)
         out[i, 7], out[i, 8] = v0, previous_hit
         if ratio != 0.0 and linked[i]:
-            for resting in (True, False):  # one call for both: for each constant it would be compiled anew
-                since, until, x, v = (t_landed, start, q, qd) if resting else (start, landing[i], qs, qds)
-                hear(
-                    since, until, resting, x, v, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m],
-                    heard, heard_s,
-                )
+            hear(
+                t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m], heard,
+                heard_s,
+            )
+            hear(
+                start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m],
+                heard, heard_s,
+            )
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 
 
