@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.predict_diagram import check_adaptive
 from daq.errors import InputError
 from model.ball import IdealBall
 from model.bifurcation import bifurcations
@@ -64,6 +65,7 @@ def paper_figure(number: int, path: Path | None, steps: int) -> None:
     if number not in PAPER_FIGURES:
         known = ", ".join(map(str, PAPER_FIGURES))
         raise InputError(f"--paper-figure wants one of {known}, not {number}")
+    check_adaptive(steps)
     path = path or Path(f"figure{number}.png")
     panels = PAPER_FIGURES[number]
     figure, axes = _figure(len(panels), path)

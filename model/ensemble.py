@@ -22,9 +22,13 @@ from model.choose import EXACT, ball_of, rough_of
 from model.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
 from model.effects import resolve
 from model.orbit import Ball, attractor
+from model.precision import MOST_WINDOWS, largest_gamma
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 CHUNK = 4000  # points: a fraction of a second of an exact ball
+USUAL_WINDOWS = 1000  # of a flight, in parts of `model.precision.MOST_WINDOWS`: full chunks up to there
+MOST_POINTS = 100_000_000
+"""Points of a job: half a kilobyte each."""
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with the points done and all points."""
@@ -112,6 +116,8 @@ def check(job: Job) -> None:
     """
     if job.size == 0:
         raise ValueError("a job needs at least one gamma and one value of every axis")
+    if job.size > MOST_POINTS:
+        raise ValueError(f"a diagram has at most {MOST_POINTS:,} points (half a kilobyte each), not {job.size:,}")
     lengths = [len(a.values) for a in job.axes]
     for which in range(max(lengths, default=1)):
         columns = {a.name: np.array([a.values[min(which, len(a.values) - 1)]]) for a in job.axes}
@@ -172,6 +178,7 @@ def run(
         For a job that cannot be computed, or a file that belongs to another job.
     """
     check(job)
+    chunk = min(chunk, _lively(job))
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
         done: NDArray[np.bool_] = file["chunk_done"][:]
@@ -187,6 +194,13 @@ def run(
             finished += stop - start
             if progress is not None:
                 progress(finished, job.size)
+
+
+def _lively(job: Job) -> int:
+    """Points in a chunk, fewer where flights are long, so that progress is shown and a wish to stop is heeded."""
+    forcing = job.forcing
+    windows = max(job.gammas, default=0.0) / largest_gamma(forcing) * MOST_WINDOWS
+    return max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS))))
 
 
 def _computed(
@@ -215,7 +229,12 @@ def _computed(
 def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
     description = json.dumps({**asdict(job), "chunk": chunk}, sort_keys=True)
     fresh = not path.exists()
-    with h5py.File(path, "a") as file:
+    try:
+        opened = h5py.File(path, "a")
+    except OSError as error:
+        wanted = "a diagram written by bench predict --out (HDF5), to be continued" if path.is_file() else "a new file"
+        raise ValueError(f"{path}: wanted {wanted}; {_reason(error)}; give another --out") from error
+    with opened as file:
         if fresh:
             file.attrs["job"] = description
             file.attrs["kinds"] = list(KINDS)
@@ -231,6 +250,11 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
         elif file.attrs.get("job") != description:
             raise ValueError(f"{path} holds the results of another job: give another --out, or remove it")
         yield file
+
+
+def _reason(error: OSError) -> str:
+    """The operating system's reason, or HDF5's first words, without its inner ones."""
+    return error.strerror or str(error).partition("(")[2].partition(")")[0] or str(error)
 
 
 def save(job: Job, rows: Rows, path: Path) -> None:
