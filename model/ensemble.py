@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -254,7 +255,7 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
 
 def _reason(error: OSError) -> str:
     """The operating system's reason, or HDF5's first words, without its inner ones."""
-    return error.strerror or str(error).partition("(")[2].partition(")")[0] or str(error)
+    return os.strerror(error.errno) if error.errno else str(error).partition("(")[2].partition(")")[0] or str(error)
 
 
 def save(job: Job, rows: Rows, path: Path) -> None:

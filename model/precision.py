@@ -75,6 +75,7 @@ def check_gamma(forcing: Forcing, gamma: ArrayLike, lengthening: ArrayLike = 1.0
     """
     if not (np.all(np.isfinite(gamma)) and np.all(np.asarray(gamma) >= 0)):
         raise ValueError(f"gamma must be finite and not negative, not {gamma!r}")
+    check_harmonics(forcing)
     most = largest_gamma(forcing) / float(np.max(lengthening, initial=1.0))
     largest = float(np.max(gamma, initial=0.0))
     if largest > most:
