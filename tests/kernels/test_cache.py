@@ -1,4 +1,4 @@
-"""Kept kernels: an edit anywhere in what a kernel reaches is seen, and a folder that cannot be written is no obstacle."""
+"""Kept kernels: an edit of anything a kernel reaches is seen; a folder that cannot be written is no obstacle."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numba
@@ -31,11 +32,13 @@ print(outer(1.0), sum(outer.stats.cache_hits.values()))
 
 
 def write_callee(place: Path, factor: float) -> None:
+    """A module with a kernel that another module's kernel calls."""
     text = f"from kernels import njit\nFACTOR = {factor}\n\n\n@njit()\ndef inner(x):\n    return FACTOR * x\n"
     (place / "callee.py").write_text(text, encoding="utf-8")
 
 
 def start(place: Path) -> subprocess.Popen[str]:
+    """A process that prints the kernel's answer, and how often it was taken from the folder."""
     (place / "caller.py").write_text(CALLER, encoding="utf-8")
     env = {
         **os.environ,
@@ -47,6 +50,7 @@ def start(place: Path) -> subprocess.Popen[str]:
 
 
 def answers(*started: subprocess.Popen[str]) -> list[list[float]]:
+    """What the processes printed, as numbers."""
     return [[float(word) for word in process.communicate(timeout=200)[0].split()] for process in started]
 
 
@@ -60,7 +64,8 @@ def test_an_edit_of_a_called_file_is_seen_and_two_processes_share_the_folder(tmp
     assert answers(start(tmp_path)) == [[6.0, 0.0]]
 
 
-def compiled_with(factor: float, inner_options: dict[str, bool]) -> object:
+def compiled_with(factor: float, inner_options: dict[str, bool]) -> Callable[[float], float]:
+    """A kernel that calls another one with a constant and options of its own."""
     names = {"FACTOR": factor, "TABLE": np.arange(3.0)}
     exec("def inner(x):\n    return FACTOR * x + TABLE[1]\ndef outer(x):\n    return inner(x)\n", names)
     names["inner"] = njit(**inner_options)(names["inner"])
@@ -86,7 +91,7 @@ def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
 
 def test_without_a_writable_place_a_temporary_one_serves_and_is_named_once(places, tmp_path: Path, caplog) -> None:
-    """Where a file stands in the folder's way, kernels go to the next place and are read from there; one line says so."""
+    """Where a file stands in the folder's way, kernels go to the next and are read from there; one line says so."""
     (tmp_path / "own").write_text("in the way", encoding="utf-8")
     folder.write("one", b"code")
     folder.write("two", b"more")

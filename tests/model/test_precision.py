@@ -27,9 +27,10 @@ def test_landings_at_the_largest_gamma_are_within_the_promise(c: int) -> None:
         landing = first_landing(forcing, gamma, phase)
         if landing.flag & FlightFlag.UNDECIDED:
             continue
+        start = mpmath.mpf(phase)
         with mpmath.workdps(40):
 
-            def height(tau, start=mpmath.mpf(phase)):
+            def height(tau, start=start):
                 moved = [
                     b
                     * (
@@ -50,13 +51,13 @@ def test_every_ball_refuses_a_gamma_beyond_the_proven(effects: dict[str, dict[st
     """The ideal, the bouncing and the integrated ball name the largest gamma instead of answering with noise."""
     ball = ball_of(Forcing.superposition(1), effects, frequency_hz=25.0)
     for ask in (lambda: attractor(ball, 1e300), lambda: diagram(ball, [0.9, 1e5])):
-        with pytest.raises(ValueError, match="gamma = .* on this plate"):
+        with pytest.raises(ValueError, match=r"gamma = .* on this plate"):
             ask()
 
 
 def test_a_ratio_beyond_the_proven_sine_is_refused() -> None:
     """c = 1,000,000 is refused at once, with the largest c."""
-    with pytest.raises(ValueError, match="the sine of a phase is proven up to .*, which is c = 79577"):
+    with pytest.raises(ValueError, match=r"the sine of a phase is proven up to .*, which is c = 79577"):
         attractor(IdealBall(Forcing.superposition(1_000_000)), 1e-11)
 
 

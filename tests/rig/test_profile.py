@@ -176,7 +176,7 @@ def test_declared_effects_are_checked_by_name_and_parameter(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     "text",
-    ["a = " + "[" * 1000 + "]" * 1000, "a = " + "{a=" * 1000 + "1" + "}" * 1000, "[" + ".".join("a" * 3000) + "]\nx = 1"],
+    [f"a = {'[' * 1000}{']' * 1000}", f"a = {'{a=' * 1000}1{'}' * 1000}", f"[{'.'.join('a' * 3000)}]\nx = 1"],
 )
 def test_a_file_nested_a_thousand_deep_is_refused_in_a_line(text: str) -> None:
     """Lists, inline tables and dotted tables too deep in one another are bad input like any other."""
