@@ -61,7 +61,7 @@ class KernelCache(NullCache):
     @property
     def cache_path(self) -> str:
         """The folder in which kernels are looked for first."""
-        return str(folder.places()[0])
+        return str(next(iter(folder.places()), ""))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The kept code for the argument types ``sig``; None when there is none."""

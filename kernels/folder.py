@@ -124,7 +124,10 @@ def _temporary() -> Path | None:
 
     Machine code is read from it: nobody else may be able to write there.
     """
-    base = Path(tempfile.gettempdir())
+    try:
+        base = Path(tempfile.gettempdir())
+    except OSError:  # none can be written
+        return None
     if not hasattr(os, "getuid"):  # Windows: the temporary folder is the user's own
         return base / NAME
     own = base / f"{NAME}-{os.getuid()}"
