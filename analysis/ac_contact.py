@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from analysis.contact import Levels
 from analysis.stream import PAD, Piece
 from analysis.waveform import white_noise
+from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Volts = npt.NDArray[np.float32]
@@ -163,7 +163,7 @@ class LevelRestorer:
         self._state[:] = level, level - float(own[0]), 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _restore(x, rates, persists, state, missed):  # type: ignore[no-untyped-def]
     """Put the level back in place; returns how many edges must have been missed, their samples in ``missed``."""
     leak, follow = rates

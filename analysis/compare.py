@@ -26,6 +26,7 @@ from model.zones import forbidden_zones
 
 Floats = npt.NDArray[np.float64]
 
+MOST_GAMMA = 500.0  # of a plate: beyond what shakers reach, with room
 FLIGHTS = 2048  # flown before a step is called chaotic
 CYCLES_SHOWN = 4  # cycles put through the instrument
 NEAR_SAMPLES = 1.0
@@ -154,6 +155,16 @@ def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, For
     return ball_of(forcing, own, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value), forcing, gamma
 
 
+def _check_plausible(flights: Flights) -> None:
+    """Refuse a plate that no shaker moves so: its scale is wrong, and its flights would be followed for hours."""
+    for plate in flights.plate.steps:
+        if plate is not None and plate.gamma > MOST_GAMMA:
+            raise ValueError(
+                f"step {plate.step}: the accelerometer reads gamma = {plate.gamma:.4g}; no shaker goes beyond "
+                f"{MOST_GAMMA:g}: check channels.accelerometer.sensitivity and its unit, or pass a --profile"
+            )
+
+
 def compare(
     flights: Flights,
     setup: Setup,
@@ -175,8 +186,9 @@ def compare(
     Raises
     ------
     ValueError
-        For effects that the model does not know.
+        For effects that the model does not know, or a plate beyond `MOST_GAMMA`.
     """
+    _check_plausible(flights)
     declared = resolve(setup.declared_values() if effects is None else effects)
     classes = classify(flights)
     steps, last = [], AT_REST

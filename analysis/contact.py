@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -143,7 +144,7 @@ class CrossingScan:
         return merged
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
     """Hysteresis over one piece; ``state`` and ``lowest`` live on between pieces."""
     low, high, dip = thresholds

@@ -20,6 +20,7 @@ from analysis.jitter import with_jitter
 from analysis.modulation import Swells
 from analysis.plate import StepPlate
 from analysis.platedata import PlateData, plate_data
+from daq.errors import InputError
 from daq.recording import Recording, open_recording
 from daq.setup import Setup
 from model.roll import Measured, PlateSteps
@@ -146,8 +147,9 @@ def evidence_of(
     Raises
     ------
     InputError
-        Where a file is no recording or holds no flights and no plate motion.
+        Where a file is no recording or holds no flights and no plate motion, or two have another c.
     """
+    _check_alike(paths)
     parts = []
     for path in paths:
         with open_recording(path) as recording:
@@ -156,6 +158,17 @@ def evidence_of(
             flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
             parts.append(_part(recording, flights, recording.setup))
     return parts[0] if len(parts) == 1 else join(parts)
+
+
+def _check_alike(paths: Sequence[Path]) -> None:
+    """Refuse recordings of unlike c before any is read: their steps cannot be judged together."""
+    ratios = {}
+    for path in paths:
+        with open_recording(path) as recording:
+            ratios[path] = recording.setup.forcing.ratio
+    if len(set(ratios.values())) > 1:
+        found = ", ".join(f"{path}: {ratio}" for path, ratio in ratios.items())
+        raise InputError(f"wanted recordings of one c (forcing.ratio), found {found}; close the loop on each c alone")
 
 
 def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float], None]:

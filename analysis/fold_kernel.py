@@ -6,12 +6,13 @@ The rule kept here: one pass over the means, phasors by rotation, nothing of the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from kernels import njit
 
 RESYNC = 512  # means between exact restarts of the rotating phasors
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def second_look(  # type: ignore[no-untyped-def]
     x, keep, first, cycles, response, amplitudes, offsets, rows, group, slow, seen, length, gram, side, power, used
 ):

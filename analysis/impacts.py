@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from analysis.contact import CLOSES, Edges
 from analysis.waveform import FINE, LEAD, LENGTH, SHORTEST_MASK_S, Waveform
+from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -106,7 +106,7 @@ class ImpactScan:
         return Impacts(place / self.rate_hz, np.minimum(sigma, 1.0 / self.rate_hz), score / noise)
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@njit(error_model="numpy", fastmath=True)
 def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-def]
     """Matched filter over ``x[pad : pad + count]`` and its local maxima above ``limit``; returns how many."""
     length = taps.shape[0]
@@ -134,7 +134,7 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
     """Add the waveform, begun ``lag`` samples before the snippet, to the snippet ``out``."""
     for k in range(out.shape[0]):
@@ -145,7 +145,7 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
             out[k] += size * ((1.0 - share) * fine[j] + share * fine[j + 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
     """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
 
@@ -194,7 +194,7 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _subtract(x, offset, table, fine):  # type: ignore[no-untyped-def]
     """Take every impact's waveform out of ``x`` (``x[0]`` is sample ``offset``)."""
     for row in range(table.shape[0]):

@@ -12,8 +12,9 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from kernels import njit
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -117,7 +118,7 @@ def solved(gram: Complex, side: Complex) -> Complex:
     return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * side))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _overlaps(step, span_s, e, others, out):  # type: ignore[no-untyped-def]
     """Add the stretches' integrals to ``out`` (n, a, b): from both ends' turns, each calculated once."""
     a, b = e.shape[1], others.shape[1]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from analysis.folding import multiples_of
 from analysis.impacts import ImpactScan
@@ -17,6 +16,7 @@ from analysis.mains import MAINS_HZ, STANDS_OUT, lines_apart
 from analysis.stream import PAD, Piece
 from analysis.waveform import LEAD, Waveform, echo_samples, learn_waveform
 from daq.tones import ToneFit, fit_tones
+from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 
@@ -124,7 +124,7 @@ def _motion(
     return fit if there.all() else fit_tones(volts, start, rate_hz, tones_hz[there], quiet)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _subtract_tones(x, first, cycles, amplitudes):  # type: ignore[no-untyped-def]
     """Take tones out of ``x``, whose first sample is sample ``first``, in place."""
     phasor = amplitudes.copy()

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from daq.recording import Recording
+from kernels import njit
 
 PIECE = 1 << 17
 SURVEY_PIECE = 1 << 16
@@ -82,7 +82,7 @@ def block_means(x: Volts, width: int, skip: int = 0) -> npt.NDArray[np.float32]:
     return out
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(fastmath=True, error_model="numpy")
 def _means(x, width, skip, out):  # type: ignore[no-untyped-def]
     scale = np.float32(1.0 / width)
     for i in range(out.shape[0]):
@@ -92,7 +92,7 @@ def _means(x, width, skip, out):  # type: ignore[no-untyped-def]
         out[i] = total * scale
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(fastmath=True, error_model="numpy")
 def _volts(codes, factor, offset, out):  # type: ignore[no-untyped-def]
     for i in range(codes.shape[0]):
         out[i] = codes[i] * factor + offset

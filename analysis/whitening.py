@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from analysis.likelihood import FARTHEST_PERIODS, Residuals, Values, World
 from analysis.platedata import PlateData
 from analysis.robust import LEAST_EXCESS_S, NEVER, SHARED_S, excess_of, log_odds, plate_scale, robust_loss
+from kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -230,7 +230,7 @@ def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Arra
     return shared, shrink, logs
 
 
-@njit(cache=True)
+@njit()
 def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
     """Take from each block what its residuals have in common: ``y += U shrink U^T heard``, in place, (n, columns)."""
     for i in range(len(bounds) - 1):

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from bench.predict_run import Request
 
 MOST_ROWS_AS_JSON = 100_000
+MOST_GAMMAS = 1_000_000
+MOST_ADAPTIVE = 20_000
 
 
 def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str, Mapping[str, float]]) -> None:
@@ -38,7 +40,12 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     InputError
         For options that contradict one another.
     """
+    if request.steps > MOST_GAMMAS:
+        raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.steps:,}")
     job = _job(request, effects)
+    ensemble.check(job)
+    if request.json_to is not None and not request.adaptive:
+        _check_json(job.size, job)
     if request.out is None and request.figure is None and request.json_to is None:
         raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
     if request.overwrite and request.out is not None:
@@ -46,6 +53,7 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     if request.adaptive:
         if request.sweep or request.grid or request.workers > 1 or request.cluster:
             raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")
+        check_adaptive(request.steps)
         low, high = request.gamma_range or (0.0, 0.0)
         rows = adaptive(partial(rows_at, ball), low, high, request.steps)
         if request.out is not None:
@@ -76,11 +84,21 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
     )
 
 
+def check_adaptive(steps: int) -> None:
+    """Refuse more gammas than an adaptive diagram, kept in memory, can be refined from."""
+    if steps > MOST_ADAPTIVE:
+        raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
+
+
 def _axis(text: str) -> ensemble.Axis:
     name, equals, values = text.partition("=")
     try:
         low, high, count = values.split(":")
+        if int(count) > MOST_GAMMAS:
+            raise InputError(f"--grid wants at most {MOST_GAMMAS:,} values of {name}, not {int(count):,}")
         numbers = np.linspace(float(low), float(high), int(count))
+    except InputError:
+        raise
     except ValueError:
         numbers = np.empty(0)
     if not (equals and "." in name and numbers.size and np.all(np.isfinite(numbers))):
@@ -91,16 +109,17 @@ def _axis(text: str) -> ensemble.Axis:
 def _flown(job: ensemble.Job, request: Request) -> Rows:
     with tempfile.TemporaryDirectory() as folder:
         path = request.out or Path(folder) / "diagram.h5"
-        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=_Progress())
+        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=Progress("points"))
         if request.figure is None and request.json_to is None:
             return empty_rows(np.empty(0), 0)
         return ensemble.load(path)[0]
 
 
-class _Progress:
-    """A line on standard error, at most once a second."""
+class Progress:
+    """A line on standard error, at most once a second; ``what`` is counted."""
 
-    def __init__(self) -> None:
+    def __init__(self, what: str) -> None:
+        self.what = what
         self.began = self.said = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
@@ -109,12 +128,16 @@ class _Progress:
         if now - self.said < 1.0:
             return
         self.said = now
-        sys.stderr.write(f"{done} of {total} points, {now - self.began:.0f} s\n")
+        sys.stderr.write(f"{done} of {total} {self.what}, {now - self.began:.0f} s\n")
+
+
+def _check_json(size: int, job: ensemble.Job) -> None:
+    if size > MOST_ROWS_AS_JSON or job.axes:
+        raise InputError(f"as JSON at most {MOST_ROWS_AS_JSON} gammas and no --grid; give --out for HDF5")
 
 
 def _rows_json(rows: Rows, job: ensemble.Job) -> list[dict[str, Any]]:
-    if rows.gamma.size > MOST_ROWS_AS_JSON or job.axes:
-        raise InputError(f"as JSON at most {MOST_ROWS_AS_JSON} gammas and no --grid; give --out for HDF5")
+    _check_json(rows.gamma.size, job)
     out = []
     for i in range(rows.gamma.size):
         tau = rows.tau[i][np.isfinite(rows.tau[i])].tolist()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from analysis import pictures
 from analysis.gamma import GAMMA_TEX, PEAK_TEX
+from bench.predict_diagram import check_adaptive
 from daq.errors import InputError
 from model.ball import IdealBall
 from model.bifurcation import bifurcations
@@ -65,6 +66,7 @@ def paper_figure(number: int, path: Path, steps: int) -> None:
     if number not in PAPER_FIGURES:
         known = ", ".join(map(str, PAPER_FIGURES))
         raise InputError(f"--paper-figure wants one of {known}, not {number}")
+    check_adaptive(steps)
     panels = PAPER_FIGURES[number]
     with _figure(len(panels), path) as axes:
         for ax, (ratio, low, high) in zip(axes, panels, strict=True):

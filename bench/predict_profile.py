@@ -92,13 +92,19 @@ def ramp_json(request: Request, name: str) -> list[dict[str, Any]]:
     InputError
         When the profile has no ramp.
     """
+    from bench.predict_diagram import Progress
     from bench.predict_run import ball_for, orbit_json
-    from model.orbit import sweep
+    from model.orbit import AT_REST, Attractor, attractor
 
     profile = load(name)[0]
     asked = profile.ramp.gammas()
     plate = [plate_gamma(profile, g, controlled=profile.control is not None) for g in asked]
-    found = sweep(ball_for(request), plate)
+    ball, state, progress = ball_for(request), AT_REST, Progress("steps")
+    found: list[Attractor] = []
+    for gamma in plate:
+        found.append(attractor(ball, gamma, state))
+        state = found[-1].last
+        progress(len(found), len(plate))
     return [
         {"step": i, "asked_gamma": a, **orbit_json(f, request.ratio, g, request.frequency_hz)}
         for i, (a, g, f) in enumerate(zip(asked, plate, found, strict=True))

@@ -7,6 +7,10 @@ error.
 from __future__ import annotations
 
 import math
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +56,24 @@ class Request:
 
 def run(request: Request) -> None:
     """Answer ``request``; leaves with status 2 and one line where it cannot be answered."""
+    with _stopped_at_once() if request.out is None else nullcontext():
+        _answer(request)
+
+
+@contextmanager
+def _stopped_at_once() -> Iterator[None]:
+    """Ctrl-C ends the process: a compiled search heeds no exception, and no file is half written."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _answer(request: Request) -> None:
     try:
         picture = request.figure
         if request.paper_figure is not None:

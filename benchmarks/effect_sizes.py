@@ -15,8 +15,8 @@ import argparse
 import math
 
 import numpy as np
-from numba import njit
 
+from kernels import njit
 from rig.sim.catalogue import EFFECTS, EffectEntry
 from rig.sim.plant import _run
 from rig.sim.scenario import Scenario
@@ -28,7 +28,7 @@ REBOUND_FREE_MPS = 0.02
 """Impacts that are followed by a faster rebound are left out: what follows is another bounce, not the next flight."""
 
 
-@njit(cache=True)
+@njit()
 def _to_next_impact(start, params, drift, drive_v, at, dt_s, codes, noise):
     """Landing and take-off of the next flight from a copy of a state."""
     state = start.copy()
@@ -40,7 +40,7 @@ def _to_next_impact(start, params, drift, drive_v, at, dt_s, codes, noise):
     return state[0].landed_s, state[0].left_s
 
 
-@njit(cache=True)
+@njit()
 def _differences(state, params, drift, ideal, drive_v, dt_s, out):
     """Run with the effect; at each impact compare the next flight with and without it."""
     noise, codes = np.zeros(1, np.float32), np.zeros((1, 3), np.int16)

@@ -47,7 +47,10 @@ def _bare_number(value: Any) -> Any:
 
 def _iso_date(value: Any) -> Any:
     """Take ``2026-11-20`` as text for the date it writes."""
-    return datetime.date.fromisoformat(value) if isinstance(value, str) else value
+    try:
+        return datetime.date.fromisoformat(value) if isinstance(value, str) else value
+    except ValueError:
+        raise ValueError("wanted a date as 2026-11-20") from None
 
 
 class QuantityTable(Frozen):

@@ -20,6 +20,7 @@ from daq.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 
+_TOO_DEEP = "tables or lists lie too deep in one another; wanted a table within a table, a few levels at most"
 _LIMITS = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
 
 
@@ -50,9 +51,15 @@ def parse_toml(text: str, model: type[Model], name: str) -> Model:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{name}: {_TOO_DEEP}") from error
+    except ValueError as error:  # the one other that reading a number raises
+        raise InputError(f"{name}: holds a whole number of thousands of digits; write a shorter one") from error
     try:
         # Through JSON, because strict checking there still takes arrays for tuples and ISO dates for dates.
         return model.model_validate_json(json.dumps(data, default=_iso), strict=True)
+    except RecursionError as error:
+        raise InputError(f"{name}: {_TOO_DEEP}") from error
     except ValidationError as error:
         lines = _fault_lines(error, data, model)
         count = "1 fault" if len(lines) == 1 else f"{len(lines)} faults"
@@ -119,6 +126,9 @@ def _wanted(fault: Any, place: list[int | str], data: dict[str, Any], model: typ
     if kind in {"model_type", "model_attributes_type"}:
         bare = context.get("class_name") == "QuantityTable"
         return "wanted a number, or a table { value = ..., uncertainty = ... }" if bare else "wanted a table"
+    if kind in {"too_long", "too_short"}:
+        number = context.get("max_length", context.get("min_length"))
+        return f"wanted {'at most' if kind == 'too_long' else 'at least'} {number} values"
     simple = {
         "float_type": "wanted a number",
         "int_type": "wanted a whole number",
@@ -127,6 +137,10 @@ def _wanted(fault: Any, place: list[int | str], data: dict[str, Any], model: typ
         "bool_type": "wanted true or false",
         "finite_number": "wanted a finite number",
         "value_error": str(context.get("error", "")),
+        "tuple_type": "wanted a list in brackets",
+        "list_type": "wanted a list in brackets",
+        "dict_type": "wanted a table",
+        **dict.fromkeys(("date_type", "date_parsing", "date_from_datetime_parsing"), "wanted a date as 2026-11-20"),
     }
     return simple.get(kind, f"wanted: {fault['msg']}")
 

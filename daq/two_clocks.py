@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from daq.block import CLOCK_DTYPE, MAP_DTYPE
 from daq.clock import LATENCY, SMALLEST_MISFIT, Played, slip_at
+from kernels import njit
 
 Floats = NDArray[np.float64]
 
@@ -190,7 +190,7 @@ def _honest(where: Floats, slips: Floats, sigma: Floats, jump: NDArray[np.bool_]
     return np.asarray(sigma * max(1.0, float(np.median(np.abs(bend / claimed)[calm])) * 1.4826))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _ahead(state, dt, wander):  # type: ignore[no-untyped-def]
     """``(slip, rate, var slip, cov, var rate)`` after ``dt`` frames in which the rate wanders."""
     slip, rate, ss, sr, rr = state
@@ -204,7 +204,7 @@ def _ahead(state, dt, wander):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _filter(where, slips, variance, jump, wander, before, after):  # type: ignore[no-untyped-def]
     """Forwards: fills the states before and after each reading, shape (n, 5); returns the log likelihood of all."""
     likelihood = 0.0
@@ -223,7 +223,7 @@ def _filter(where, slips, variance, jump, wander, before, after):  # type: ignor
     return likelihood
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _smooth(where, before, states):  # type: ignore[no-untyped-def]
     """Backwards, in place: states by all readings, before and after."""
     for k in range(where.size - 2, -1, -1):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from model import cycle_kernel, flight, ideal_kernel
 from model.branches import TWO_PI, fold, q_and_slope
 from model.orbit import LockedCycle, Path, State
+from model.precision import check_gamma
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]
@@ -107,6 +108,7 @@ class IdealBall:
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
         """Signatures (`model.cycle_kernel`) of the orbits from rest at each gamma, shape (m, SIGNATURE_SIZE)."""
+        check_gamma(self.forcing, gammas)
         out = np.empty((len(gammas), cycle_kernel.SIGNATURE_SIZE), dtype=np.int64)
         turning = flight.turning_points(self.forcing)
         cycle_kernel.signatures(self.forcing.tones, turning, np.ascontiguousarray(gammas), 0.0, max_flights, out)

@@ -26,6 +26,7 @@ from model.orbit import State
 from model.staircase import Window
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
+MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
 LONGEST = 32  # flights of the longest cycle looked for
 SAME = 1e-9  # two edges nearer than this are one event
 CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles has not jumped (cube roots move 1e-5)
@@ -108,6 +109,15 @@ def cycle_windows(
     """
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
         raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+    if not narrowest > 0.0:
+        raise ValueError(f"the narrowest window must be wider than 0, not {narrowest:g}")
+    finest = min(narrowest, ball.coarse)
+    if not (high - low) <= MOST_GAMMAS * finest:
+        raise ValueError(
+            f"bifurcations from {low:g} to {high:g} down to windows of {finest:g} want {(high - low) / finest:.1e} "
+            f"gammas looked at, more than {MOST_GAMMAS:.0e}: ask for a narrower range, or for wider windows "
+            "(--narrowest)"
+        )
     births, merges = ball.take_off_levels
     levels = [g for g in sorted([*births, *merges]) if low < g < high]
     out: list[Window] = []

@@ -12,8 +12,9 @@ from collections.abc import Callable
 from typing import TypeVar, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from kernels import njit
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -23,7 +24,7 @@ _F = TypeVar("_F", bound=Callable[..., object])
 
 def compiled(function: _F) -> _F:
     """Compile ``function`` at its first call (a decorator that keeps its type)."""
-    return cast(_F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
+    return cast(_F, njit(error_model="numpy", fastmath={"contract"})(function))
 
 
 # pi/2 = HALF_PI_1 + HALF_PI_2 + HALF_PI_3, the first two of 33 bits: k times them is exact for |k| < 2^20

@@ -16,7 +16,9 @@ from model import batch_kernel, flight
 from model.ball import IdealBall
 from model.cycle_kernel import FLIGHTS, PERIOD, RESETS
 from model.orbit import AT_REST, Attractor, Ball, attractor, sweep
+from model.precision import check_gamma, lengthened
 from model.rough_ball import RoughBall
+from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row
 MOST_FLIGHTS = 256  # before a row is left to `model.orbit`
@@ -84,18 +86,20 @@ def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
         for i, gamma in enumerate(grid):
             put(rows, i, attractor(ball, float(gamma)))
         return rows
-    return exact_rows(ball.forcing.tones, flight.turning_points(ball.forcing), grid, rough, lambda _: ball, keep)
+    return exact_rows(ball.forcing, grid, rough, lambda _: ball, keep)
 
 
 def exact_rows(
-    tones: Floats,
-    turning: Floats,
+    forcing: Forcing,
     gammas: Floats,
     rough: Floats | None,
     ball_at: Callable[[int], Ball],
     keep: int,
 ) -> Rows:
     """Rows by the compiled kernels; those that do not close by `model.orbit.attractor` of ``ball_at(row)``."""
+    lengthening = 1.0 if rough is None else lengthened(rough[:, 1], rough[:, 2])
+    check_gamma(forcing, gammas, lengthening)
+    tones, turning = forcing.tones, flight.turning_points(forcing)
     rows = empty_rows(gammas, keep)
     outcome = np.empty((gammas.size, batch_kernel.OUTCOME_SIZE), dtype=np.int64)
     if rough is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -18,14 +19,17 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from model import flight
 from model.choose import EXACT, ball_of, rough_of
 from model.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
 from model.effects import resolve
 from model.orbit import Ball, attractor
+from model.precision import MOST_WINDOWS, largest_gamma
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 CHUNK = 4000  # points: a fraction of a second of an exact ball
+USUAL_WINDOWS = 1000  # of a flight, in parts of `model.precision.MOST_WINDOWS`: full chunks up to there
+MOST_POINTS = 100_000_000
+"""Points of a job: half a kilobyte each."""
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with the points done and all points."""
@@ -113,6 +117,8 @@ def check(job: Job) -> None:
     """
     if job.size == 0:
         raise ValueError("a job needs at least one gamma and one value of every axis")
+    if job.size > MOST_POINTS:
+        raise ValueError(f"a diagram has at most {MOST_POINTS:,} points (half a kilobyte each), not {job.size:,}")
     lengths = [len(a.values) for a in job.axes]
     for which in range(max(lengths, default=1)):
         columns = {a.name: np.array([a.values[min(which, len(a.values) - 1)]]) for a in job.axes}
@@ -133,7 +139,7 @@ def compute(job: Job, start: int, stop: int) -> Rows:
             each = [rough_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
             rough = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
         return exact_rows(
-            job.forcing.tones, flight.turning_points(job.forcing), gammas, rough,
+            job.forcing, gammas, rough,
             lambda i: job.ball(job.effects_at(columns, i)), job.keep,
         )
     rows = empty_rows(gammas, job.keep)
@@ -173,6 +179,7 @@ def run(
         For a job that cannot be computed, or a file that belongs to another job.
     """
     check(job)
+    chunk = min(chunk, _lively(job))
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
         done: NDArray[np.bool_] = file["chunk_done"][:]
@@ -188,6 +195,13 @@ def run(
             finished += stop - start
             if progress is not None:
                 progress(finished, job.size)
+
+
+def _lively(job: Job) -> int:
+    """Points in a chunk, fewer where flights are long, so that progress is shown and a wish to stop is heeded."""
+    forcing = job.forcing
+    windows = max(job.gammas, default=0.0) / largest_gamma(forcing) * MOST_WINDOWS
+    return max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS))))
 
 
 def _computed(
@@ -216,7 +230,12 @@ def _computed(
 def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
     description = json.dumps({**asdict(job), "chunk": chunk}, sort_keys=True)
     fresh = not path.exists()
-    with h5py.File(path, "a") as file:
+    try:
+        opened = h5py.File(path, "a")
+    except OSError as error:
+        wanted = "a diagram written by bench predict --out (HDF5), to be continued" if path.is_file() else "a new file"
+        raise ValueError(f"{path}: wanted {wanted}; {_reason(error)}; give another --out") from error
+    with opened as file:
         if fresh:
             file.attrs["job"] = description
             file.attrs["kinds"] = list(KINDS)
@@ -232,6 +251,11 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
         elif file.attrs.get("job") != description:
             raise ValueError(f"{path} holds the results of another job: give another --out, or remove it")
         yield file
+
+
+def _reason(error: OSError) -> str:
+    """The operating system's reason, or HDF5's first words, without its inner ones."""
+    return os.strerror(error.errno) if error.errno else str(error).partition("(")[2].partition(")")[0] or str(error)
 
 
 def save(job: Job, rows: Rows, path: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model import aperiodic, branches, ideal_kernel, lockstep, stage
+from model.precision import check_gamma, check_harmonics
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
@@ -70,6 +71,7 @@ def turning_points(forcing: Forcing) -> Floats:
         raise ValueError(f"harmonics {forcing.harmonic} are not all integers: the motion has no period of 2 pi")
     if not forcing.moves:
         return np.empty(0)
+    check_harmonics(forcing)
     return np.asarray(branches.turning_points(forcing.tones, 0.0, branches.TWO_PI))
 
 
@@ -79,18 +81,12 @@ def edges(forcing: Forcing, gamma: float) -> tuple[Floats, int]:
     Raises
     ------
     ValueError
-        If gamma is negative or not finite, or the forcing not periodic.
+        If gamma is negative, not finite or too large (`model.precision`), or the forcing not periodic.
     """
-    _check_gamma(gamma)
+    check_gamma(forcing, gamma)
     turning = turning_points(forcing)
     table = np.zeros(turning.size + 2)
     return table, branches.fill_edges(forcing.tones, turning, gamma, table)
-
-
-def _check_gamma(gamma: ArrayLike) -> None:
-    """Refuse amplitudes without meaning."""
-    if not (np.all(np.isfinite(gamma)) and np.all(np.asarray(gamma) >= 0)):
-        raise ValueError(f"gamma must be finite and not negative, not {gamma!r}")
 
 
 def take_off_phases(forcing: Forcing, gamma: float) -> Windows:
@@ -153,7 +149,7 @@ def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) 
 
 def _first_landing_aperiodic(forcing: Forcing, gamma: float, phi0: float, v0: float) -> Landing:
     """`first_landing` on tones without a period: ``phi0`` is not folded."""
-    _check_gamma(gamma)
+    check_gamma(forcing, gamma)
     leaves, waits = aperiodic.next_take_off_aperiodic(forcing.tones, gamma, phi0)
     at_threshold = waits and abs(leaves - phi0) <= SNAP * max(1.0, abs(phi0))
     if v0 == 0.0 and waits and not at_threshold:
@@ -197,7 +193,7 @@ def run_diagram(
     On tones without a common period (a harmonic that is no integer) the phases are not folded: they are ``w t``.
     """
     grid = np.ascontiguousarray(gammas, dtype=np.float64)
-    _check_gamma(grid)
+    check_gamma(forcing, grid)
     if n_transient < 0 or n_keep < 0:
         raise ValueError(f"flight counts must not be negative, not {n_transient} and {n_keep}")
     shape = (grid.size, n_keep)

@@ -1,21 +1,18 @@
 """Flights with any set of effects, in SI units: one event ahead of a measurement, or marching on from a start.
 
-The rule kept here: all effects are compiled into one kernel, composed from the files in `model.effects`, and kept on
-disk under the hash of their sources; an effect whose parameters are absent costs next to nothing.
+The rule kept here: all effects are compiled into one kernel, composed from the files in `model.effects`; an effect
+whose parameters are absent costs next to nothing.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
-import importlib.util
 import sys
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +21,7 @@ from model.effects import absent_row, registry, row
 from model.effects.base import COMPILED_HOOKS
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T", bound=np.generic)
 
 _SIGNATURES = {
     "force": ("s, h, v, u, p", "0.0"),
@@ -36,7 +34,7 @@ _SIGNATURES = {
 def _composed_source() -> str:
     """Header that sums the hooks of all effects, then the kernel's own text."""
     template = Path(__file__).with_name("roll_kernel.py").read_text(encoding="utf-8")
-    lines = ["import math", "import numpy as np", "from numba import njit"]
+    lines = ["import math", "import numpy as np", "from kernels import njit"]
     entries = registry()
     for entry in entries:
         for hook in entry.hooks.keys() & set(COMPILED_HOOKS):
@@ -64,28 +62,11 @@ def _composed_source() -> str:
 
 @functools.cache
 def kernel() -> ModuleType:
-    """The compiled kernel of all effects; built once and cached on disk under the hash of its sources."""
-    source = _composed_source()
-    parts = [Path(sys.modules[e.module].__file__ or "").read_bytes() for e in registry()]
-    digest = hashlib.sha256(source.encode() + b"".join(parts)).hexdigest()[:16]
-    name = f"_rolled_{digest}"
-    for folder in (Path(__file__).parent / "__pycache__", Path(tempfile.gettempdir()) / "shakerbench"):
-        path = folder / f"{name}.py"
-        try:
-            if not path.exists():
-                folder.mkdir(parents=True, exist_ok=True)
-                part = path.with_suffix(f".{id(source)}.tmp")
-                part.write_text(source, encoding="utf-8")
-                part.replace(path)
-        except OSError:
-            continue  # a read-only installation: the next folder serves
-        break
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"cannot load the composed kernel from {path}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
+    """The kernel of all effects, a module composed once a process; its machine code is kept as any kernel's is."""
+    name = f"{__package__}.composed"
+    module = ModuleType(name, "The kernel of all effects, composed by `model.roll`.")
+    sys.modules[name] = module  # numba looks a compiled function's module up by its name
+    exec(compile(_composed_source(), f"<{name}>", "exec"), module.__dict__)
     return module
 
 
@@ -107,6 +88,18 @@ def _columns(hook: str) -> NDArray[np.intp]:
 def _active(rows: Array, hook: str) -> bool:
     columns = _columns(hook)
     return bool(np.any(rows[..., columns] != absent_row(0.0)[columns]))
+
+
+def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
+    """An array as the kernels take it, contiguous and writable: numba compiles each layout, and each right, anew."""
+    return np.require(values, requirements=["C", "W"])
+
+
+def _of_each(value: Array | float, n: int) -> Array:
+    """One number, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
+    values = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), n))
+    values.flags.writeable = False
+    return values
 
 
 @dataclass(frozen=True)
@@ -265,10 +258,10 @@ def one_ahead(
         How the plate's tones were measured; without one, all the time.
     """
     n = len(measured.landing_s)
-    rows = np.ascontiguousarray(np.broadcast_to(rows, (n, rows.shape[-1])))
+    rows = _for_kernel(rows if len(rows) == n and rows.ndim == 2 else np.broadcast_to(rows, (n, rows.shape[-1])))
     ringing = bool(np.any(rows[:, _columns("mode")] > 0.0))
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1)
-    gap, weak = (np.ascontiguousarray(np.broadcast_to(np.asarray(x, dtype=np.float64), n)) for x in (gap_m, weak_mps))
+    gap, weak = (_of_each(x, n) for x in (gap_m, weak_mps))
 
     ear = _Throughout(plate.omega_radps[:, : plate.omega_radps.shape[1] - plate.derived]) if ear is None else ear
     span_s, heard, heard_s = ear.span_s, np.zeros((0, 0), dtype=np.complex128), np.zeros(len(ear.span_s))
@@ -277,16 +270,16 @@ def one_ahead(
         """The kernel's table; what is listened to is added to what has been heard."""
         out = np.full((n, 10), np.nan)
         kernel().one_ahead(
-            measured.opening_s,
-            measured.landing_s,
-            measured.at_once,
-            measured.linked,
-            wanted,
-            measured.step,
-            plate.period_s,
-            plate.omega_radps,
-            np.ascontiguousarray(tones.real),
-            np.ascontiguousarray(tones.imag),
+            _for_kernel(measured.opening_s),
+            _for_kernel(measured.landing_s),
+            _for_kernel(measured.at_once),
+            _for_kernel(measured.linked),
+            _for_kernel(wanted),
+            _for_kernel(measured.step),
+            _for_kernel(plate.period_s),
+            _for_kernel(plate.omega_radps),
+            _for_kernel(tones.real),
+            _for_kernel(tones.imag),
             rows,
             _active(rows, "force"),
             _active(rows, "dry"),
@@ -297,9 +290,9 @@ def one_ahead(
             closure_s,
             weak,
             np.array(kick),
-            ear.first if listen.shape[1] else np.zeros(len(tones) + 1, dtype=np.int64),
-            span_s,
-            listen,
+            _for_kernel(ear.first if listen.shape[1] else np.zeros(len(tones) + 1, dtype=np.int64)),
+            _for_kernel(span_s),
+            _for_kernel(listen),
             heard,
             heard_s,
             out,
@@ -310,7 +303,7 @@ def one_ahead(
     rung = np.zeros((len(tones), own), dtype=np.complex128)
     if ringing:  # what the mode does to the plate is in the measured tones already: only the rest is driven
         heard = np.zeros((len(span_s), ear.omega_radps.shape[1]), dtype=np.complex128)
-        told(tones, np.zeros(n, dtype=np.bool_), np.ascontiguousarray(ear.omega_radps))
+        told(tones, np.zeros(n, dtype=np.bool_), ear.omega_radps)
         rung = ear.of_tones(heard, heard_s)
         of_step = np.add.reduceat(np.append(heard_s, 0.0), ear.first[:-1]) * (np.diff(ear.first) > 0)
         for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
@@ -327,9 +320,10 @@ def one_ahead(
 def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> NDArray[np.complex128]:
     """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
     k = kernel()
+    row = _for_kernel(row)
     om, ze, _ = k.mode(row)
-    re, im = np.ascontiguousarray(tones.real), np.ascontiguousarray(tones.imag)
-    *_, loaded_re, loaded_im = k.loaded(0.0, 0.0, 0.0, om, ze, omega_radps, re, im, row)
+    re, im = _for_kernel(tones.real), _for_kernel(tones.imag)
+    *_, loaded_re, loaded_im = k.loaded(0.0, 0.0, 0.0, om, ze, _for_kernel(omega_radps), re, im, row)
     factor = np.divide(loaded_re + 1j * loaded_im, tones, out=np.ones_like(tones), where=tones != 0.0)
     return np.asarray(tones * (1.0 - 1.0 / factor))
 
@@ -373,10 +367,10 @@ def march(
         0.0,
         0.0,
         period_s,
-        omega_radps,
-        np.ascontiguousarray(acceleration_mps2.real),
-        np.ascontiguousarray(acceleration_mps2.imag),
-        rows,
+        _for_kernel(omega_radps),
+        _for_kernel(acceleration_mps2.real),
+        _for_kernel(acceleration_mps2.imag),
+        _for_kernel(rows),
         _active(rows, "force"),
         _active(rows, "dry"),
         0.0,

@@ -15,34 +15,35 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from kernels import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def force(s, h, v, u, p):
     """Sum of the effects' accelerations, m/s^2."""
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def dry(h, speed, direction, p):
     """Sum of dry frictions, m/s^2."""
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def hold(dwell_s, p):
     """Sum of take-off thresholds, m/s^2."""
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def rebound(v, p):
     """Coefficient of restitution at impact speed v."""
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def mode(p):
     """Plate mode struck by impacts: omega, damping, mass ratio."""
     return 1.0, 0.0, 0.0
@@ -62,7 +63,7 @@ RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: whi
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def plate(t, w, ar, ai):
     """Displacement, velocity and acceleration of the plate's tones at time t."""
     x, v, a = 0.0, 0.0, 0.0
@@ -77,7 +78,7 @@ def plate(t, w, ar, ai):
     return x, v, a
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def pace(period, w, ar, ai):
     """Integration step: a fixed part of the period of the fastest tone that matters."""
     largest = 0.0
@@ -90,7 +91,7 @@ def pace(period, w, ar, ai):
     return 2.0 * math.pi / (fastest * STEPS_PER_PERIOD)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def ring(s, q, qd, om, ze):
     """Displacement, velocity and acceleration of the plate mode, s after the state (q, qd)."""
     if q == 0.0 and qd == 0.0:
@@ -104,7 +105,7 @@ def ring(s, q, qd, om, ze):
     return x, v, -2.0 * ze * om * v - om * om * x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def settled(t, w, ar, ai, p):
     """Plate mode under a ball that has long been resting on it: displacement, velocity and acceleration at time t.
 
@@ -126,7 +127,7 @@ def settled(t, w, ar, ai, p):
     return x, v, a
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def loaded(t, q, qd, om, ze, w, ar, ai, p):
     """The same plate with a ball resting on it from time t on: state, pitch and damping of the mode, and tones.
 
@@ -146,7 +147,7 @@ def loaded(t, q, qd, om, ze, w, ar, ai, p):
     return q - x, qd - v, om / root, ze / root, lr, li
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def pressed(t, s, q, qd, w, ar, ai, p):
     """The plate mode s after the state (q, qd) at time t, the ball resting on the plate all the while."""
     om, ze, ratio = mode(p)
@@ -159,7 +160,7 @@ def pressed(t, s, q, qd, w, ar, ai, p):
     return x + x1, v + v1, a + a1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def hermite5(z, d, h0, v0, a0, h1, v1, a1):
     """Quintic through height, velocity and acceleration at both ends of a step d; z in [0, 1]: height, velocity."""
     c0, c1, c2 = h0, v0 * d, 0.5 * a0 * d * d
@@ -174,7 +175,7 @@ def hermite5(z, d, h0, v0, a0, h1, v1, a1):
     return h, v
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def crossing(level, lo, hi, d, h0, v0, a0, h1, v1, a1):
     """Where in [lo, hi] the quintic crosses ``level``; its value minus level must differ in sign at the ends."""
     flo = hermite5(lo, d, h0, v0, a0, h1, v1, a1)[0] - level
@@ -199,7 +200,7 @@ def crossing(level, lo, hi, d, h0, v0, a0, h1, v1, a1):
     return 0.5 * (lo + hi)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def standstill(d, h0, v0, a0, h1, v1, a1):
     """Where in [0, 1] the quintic's velocity vanishes in a step d; the velocities at the ends differ in sign."""
     lo, hi = 0.0, 1.0
@@ -212,7 +213,7 @@ def standstill(d, h0, v0, a0, h1, v1, a1):
     return 0.5 * (lo + hi)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def first_touch(d, h0, v0, a0, h1, v1, a1):
     """First place in (0, 1] of a step where the height falls below zero, or -1; sees a dip inside the step, too."""
     if h1 <= 0.0:
@@ -229,7 +230,7 @@ def first_touch(d, h0, v0, a0, h1, v1, a1):
     return -1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def pull(t, s, h, direction, q, qd, om, ze, w, ar, ai, p):
     """Relative acceleration of a ball that does not move along the rod, friction left out, m/s^2."""
     _, v, a = plate(t, w, ar, ai)
@@ -237,7 +238,7 @@ def pull(t, s, h, direction, q, qd, om, ze, w, ar, ai, p):
     return -p[-1] - a - qa + force(0.0, h, 0.0, v + qv, p)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def between(lo, hi, below, above, k):
     """Where to look next for the sign change between ``below`` < 0 at lo and ``above`` > 0 at hi, in round k."""
     if k % 4 == 3 or above <= below:
@@ -246,7 +247,7 @@ def between(lo, hi, below, above, k):
     return at if lo < at < hi else 0.5 * (lo + hi)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """How long a ball at standstill stays: on the plate (h = 0) until it is thrown, in mid-air until friction yields.
 
@@ -283,7 +284,7 @@ def wait(t0, h, s0, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     return 0.0, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def segment(t0, s0, h0, v0, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap):
     """Fly until impact or, with dry friction, standstill.
 
@@ -360,7 +361,7 @@ def segment(t0, s0, h0, v0, direction, q, qd, om, ze, w, ar, ai, dt, p, forced, 
     return 0, s0 + s, h, v, opened
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def flight(t0, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap):
     """From leaving the plate at t0 with relative velocity v0 to the impact.
 
@@ -384,7 +385,7 @@ def flight(t0, v0, q, qd, om, ze, w, ar, ai, dt, p, forced, rough, gap):
     return -1.0, 0.0, opened
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def leave(t, v_in, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     """After an impact at time t with speed v_in: when, how fast and how the ball leaves the plate.
 
@@ -424,7 +425,7 @@ def leave(t, v_in, dwell0, q, qd, om, ze, w, ar, ai, dt, p):
     return t + stay, 0.0, 0, t
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def strike(q, qd, s, v_in, om, ze, ratio, p):
     """State of the plate mode just after an impact, s after its last state."""
     if ratio == 0.0:
@@ -433,7 +434,7 @@ def strike(q, qd, s, v_in, om, ze, ratio, p):
     return x, v - ratio / (1.0 + ratio) * (1.0 + rebound(v_in, p)) * v_in
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def next_flight(
     t, v_in, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough, gap, unseen_s, after, passable_s, closure_s
 ):
@@ -465,7 +466,7 @@ def next_flight(
     return t, 0.0, t, 0.0, t, 0, -1, q, qd
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def weak_rebounds(land, hit, target, weak_mps, closure_s, q, qd, om, ze, ratio, w, ar, ai, dt, p, forced, rough):
     """Which landing ends a flight as the instrument shows it, given a first landing.
 
@@ -497,7 +498,7 @@ def weak_rebounds(land, hit, target, weak_mps, closure_s, q, qd, om, ze, ratio, 
     return near, near_hit, near_passed, doubt
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def launch_of(t0, t1, v_near, t_near, q, qd, om, ze, w, ar, ai, dt, p, forced, rough):
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
@@ -540,7 +541,7 @@ def launch_of(t0, t1, v_near, t_near, q, qd, om, ze, w, ar, ai, dt, p, forced, r
     return vb, va_hit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     """The last moment before an opening at which a ball at rest is thrown: what the plate's motion says of it."""
     back = 0.5 * h_period
@@ -569,7 +570,7 @@ def thrown_before(t_open, h_period, q, qd, s0, om, ze, w, ar, ai, dt, p):
     return t_open
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def turned(rate, before, after, length):
     """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
     if abs(rate) * length < 1e-6:
@@ -577,7 +578,7 @@ def turned(rate, before, after, length):
     return (after - before) / rate
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, first, last, span_s, listen, heard, heard_s):
     """Add to ``heard`` (r, l) what the plate mode does from t0, its state (q, qd), to t1, in stretches first to last.
 
@@ -616,7 +617,7 @@ def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, first, last, span_s, list
         r += 1
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True)
 def one_ahead(
     opening,
     landing,
@@ -764,7 +765,7 @@ def one_ahead(
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def march(t, v_in, q, qd, period, w, ar, ai, p, forced, rough, gap, unseen_s, out):
     """Flights one after another from an impact at t: fills ``out`` (n, 6) and returns how many and the last state.
 

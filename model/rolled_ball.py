@@ -16,6 +16,7 @@ from model import roll
 from model.ball import resting
 from model.branches import TWO_PI
 from model.orbit import LockedCycle, Path, State
+from model.roll_kernel import LONGEST_PERIODS
 from model.tones import Forcing, Plate
 
 REPEATS = 1e-6  # phase
@@ -43,8 +44,19 @@ class RolledBall:
         """Whether an impact can throw it back."""
         return "restitution" in self.effects
 
+    def _check(self, gamma: float) -> None:
+        """Refuse a gamma at which a flight may be longer than the integration follows it."""
+        n, b, _ = self.forcing.tones.T
+        most = 0.5 * TWO_PI * LONGEST_PERIODS / float(np.sum(n * b))
+        if not gamma <= most:
+            raise ValueError(
+                f"gamma = {gamma:g}: with these effects a flight is followed for {LONGEST_PERIODS:g} periods of the "
+                f"forcing, which is enough up to gamma = {most:.4g} on this plate"
+            )
+
     def _march(self, gamma: float, phase: float, launch: float, flights: int) -> roll.Orbit:
         n, b, p = self.forcing.tones.T
+        self._check(gamma)
         w = self.omega_radps
         plate = Plate(n * w, 1j * gamma * self.g_mps2 * n**2 * b * np.exp(1j * p))
         return roll.march(

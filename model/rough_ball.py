@@ -20,6 +20,7 @@ from model.branches import TWO_PI
 from model.cycle_kernel import SIGNATURE_SIZE
 from model.friction_kernel import fill_rough_edges
 from model.orbit import LockedCycle, Path, State
+from model.precision import check_gamma, lengthened
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]
@@ -73,7 +74,11 @@ class RoughBall:
         """Spacing in gamma of the search that goes everywhere."""
         return 1e-5 if not self.bounces else 1e-3
 
+    def _check(self, gamma: float | Floats) -> None:
+        check_gamma(self.forcing, gamma, lengthened(self.mu_down, self.e0))
+
     def _tables(self, gamma: float) -> Tables:
+        self._check(gamma)
         turning = flight.turning_points(self.forcing)
         up, down = np.zeros((2, turning.size + 2))
         n_up, n_down = fill_rough_edges(self.forcing.tones, turning, gamma, self.rough, up, down)
@@ -104,6 +109,7 @@ class RoughBall:
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
         """Signatures (`model.cycle_kernel`) of the orbits from rest at each gamma, shape (m, SIGNATURE_SIZE)."""
+        self._check(gammas)
         out = np.empty((len(gammas), SIGNATURE_SIZE), dtype=np.int64)
         turning = flight.turning_points(self.forcing)
         kernel.rough_signatures(

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup import Setup
+from kernels import njit
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -107,7 +107,7 @@ def synthesise(clock: PhaseClock, multiples: tuple[int, ...], fade: Fade, first_
     return out
 
 
-@numba.njit(cache=True)
+@njit()
 def _weight(since: int, length: int) -> float:
     """The weight of a fade's end ``since`` samples after its start."""
     if since >= length:
@@ -118,7 +118,7 @@ def _weight(since: int, length: int) -> float:
     return s * s * (3.0 - 2.0 * s)
 
 
-@numba.njit(cache=True)
+@njit()
 def _add_tone(
     out: Floats,
     phase: int,
@@ -141,7 +141,7 @@ def _add_tone(
             phase -= den
 
 
-@numba.njit(cache=True)
+@njit()
 def _cos_sin_turns(turns: float) -> tuple[float, float]:
     """Cosine and sine of ``2 pi turns``, ``turns`` in [0, 1], to 4e-16: Taylor series about the nearest quarter."""
     quarter = int(4.0 * turns + 0.5)

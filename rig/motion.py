@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup import Setup
+from kernels import njit
 from rig.forcing import Floats
 
 Mask = NDArray[np.bool_]
@@ -100,7 +100,7 @@ class MotionWatch:
         self._state[8] = self._state[6]
 
 
-@numba.njit(cache=True)
+@njit()
 def _follow(
     codes: NDArray[np.int16], scale: float, landed: Mask, constants: Floats, state: Floats, quiet: Mask
 ) -> tuple[float, float, float, float]:
@@ -136,5 +136,6 @@ def _follow(
         cap = 9.0 if quiet[i] else 1.5  # ringing is not usual, but what never ends must be
         usual = max(usual + leak * (min(jump, cap * usual) - usual), scale * scale)  # a code is the least noise
         last = a
-    state[:] = (rest, first, second, v, x, last, usual, since, present, slope, calm)
+    for k, value in enumerate((rest, first, second, v, x, last, usual, since, present, slope, calm)):
+        state[k] = value  # not state[:] = (...), for whose error message numba compiles text formatting for seconds
     return peak_a, peak_v, peak_x, squares

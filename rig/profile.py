@@ -17,6 +17,10 @@ from daq.setup import Frozen, Setup
 from daq.strict_toml import load_toml, parse_toml
 
 MAX_STEPS = 100_000
+MOST_RATE_HZ = 1e6
+"""Samples a second of a run; the sample path is measured at 200 kHz on four channels."""
+MOST_RATIO = 1000
+"""c of a run; the peaks of a step are sought at 512 points in each cycle of the fastest tone."""
 
 
 class GammaTable(Frozen):
@@ -147,6 +151,13 @@ class Profile(Setup):
         """Refuse what cannot be driven: an unknown drive scale, a tone at or above half the sample rate."""
         if self.drive.g_per_volt is None:
             raise ValueError("drive.g_per_volt: missing; a ramp cannot be driven without the drive's scale")
+        if self.sampling.rate_hz > MOST_RATE_HZ:
+            raise ValueError(
+                f"sampling.rate_hz: wanted at most {MOST_RATE_HZ:g} to drive a ramp, came {self.sampling.rate_hz:g}; "
+                "every sample passes the interlock and the recorder as it comes"
+            )
+        if self.forcing.ratio > MOST_RATIO:
+            raise ValueError(f"forcing.ratio: wanted at most {MOST_RATIO} to drive a ramp, came {self.forcing.ratio}")
         highest_hz = self.forcing.frequency_hz * self.forcing.ratio
         if highest_hz * 8 > self.sampling.rate_hz:
             raise ValueError(

@@ -7,11 +7,13 @@ tone; it fades from the step before within the slew limit, settles, and holds.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.errors import InputError
 from daq.setup import Setup
 from rig.forcing import Complexes, PhaseClock, drive_amplitudes
 from rig.profile import Limits, Profile, RampTable
@@ -20,6 +22,9 @@ Integers = NDArray[np.int64]
 
 _STEEPEST = 1.5  # slope of a fade's middle, over that of a straight line
 _MIN_FADE_CYCLES = 2
+_MOST_FADE_CYCLES = 10**15  # more than any run has
+LONGEST_RUN_DAYS = 30.0
+"""Longer ramps are refused: a slip in the profile rather than a plan."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +90,18 @@ class Programme:
 
 
 def plan(profile: Profile) -> Programme:
-    """The programme of ``profile``'s ramp."""
+    """The programme of ``profile``'s ramp.
+
+    Raises
+    ------
+    daq.errors.InputError
+        When it would last longer than `LONGEST_RUN_DAYS`, or the forcing is too slow for its clock.
+    """
     ramp, rate_hz = profile.ramp, profile.sampling.rate_hz
-    clock = PhaseClock.of(profile.forcing.frequency_hz, rate_hz)
+    try:
+        clock = PhaseClock.of(profile.forcing.frequency_hz, rate_hz)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name!r}: {error}; change forcing.frequency_hz") from error
     steps: list[Step] = []
     cycle, previous = 0, 0.0
     for index, gamma in enumerate(ramp.gammas()):
@@ -104,6 +118,12 @@ def plan(profile: Profile) -> Programme:
             hold_cycles=ramp.hold_cycles,
         )
         steps.append(step.placed(clock, cycle, ramp.settle_cycles))
+        days = steps[-1].end_sample / rate_hz / 86400.0
+        if days > LONGEST_RUN_DAYS:
+            raise InputError(
+                f"profile {profile.name!r}: step {index} of the ramp would end after {_long(days)}; a run lasts at "
+                f"most {LONGEST_RUN_DAYS:g} days: give fewer steps, fewer cycles to settle and hold, or a faster slew"
+            )
         cycle += step.fade_cycles + step.settle_cycles + step.hold_cycles
         previous = gamma
     return Programme(clock, rate_hz, tuple(steps))
@@ -111,20 +131,34 @@ def plan(profile: Profile) -> Programme:
 
 def fade_cycles(ramp: RampTable, change: float) -> int:
     """Whole cycles in which gamma can change by ``change`` within the slew limit."""
-    return max(_MIN_FADE_CYCLES, math.ceil(_STEEPEST * abs(change) / ramp.slew_per_cycle - 1e-9))
+    cycles = _STEEPEST * abs(change) / ramp.slew_per_cycle - 1e-9
+    return max(_MIN_FADE_CYCLES, math.ceil(min(cycles, _MOST_FADE_CYCLES)))
+
+
+def _long(days: float) -> str:
+    """A long time in words."""
+    return f"{days / 365.25:.3g} years" if days > 1000.0 else f"{days:.0f} days"
 
 
 def peaks(setup: Setup, gamma: float) -> Peaks:
     """What ``gamma`` asks of drive and plate; exact to 1e-8 for any pair of tones."""
-    g = setup.g_mps2.value
-    w = 2.0 * math.pi * setup.forcing.frequency_hz
     tones = setup.forcing.displacement_tones()
+    at_one = _peaks_at_one(tones, drive_amplitudes(setup, 1.0), setup.forcing.frequency_hz, setup.g_mps2.value)
+    return Peaks(*(gamma * value for value in astuple(at_one)))
+
+
+@lru_cache(maxsize=16)
+def _peaks_at_one(
+    tones: tuple[tuple[int, complex], ...], drive_v: tuple[complex, ...], frequency_hz: float, g: float
+) -> Peaks:
+    """What gamma = 1 asks: all of it grows with gamma."""
+    w = 2.0 * math.pi * frequency_hz
     multiples = np.array([m for m, _ in tones])
-    x: Complexes = np.array([d for _, d in tones], dtype=np.complex128) * gamma * g / w**2
+    x: Complexes = np.array([d for _, d in tones], dtype=np.complex128) * g / w**2
     a = -x * (multiples * w) ** 2
     return Peaks(
         gamma_peak=_highest(multiples, -a) / g,
-        drive_v=_largest(multiples, np.array(drive_amplitudes(setup, gamma))),
+        drive_v=_largest(multiples, np.array(drive_v)),
         acceleration_mps2=_largest(multiples, a),
         velocity_mps=_largest(multiples, 1j * multiples * w * x),
         displacement_m=_largest(multiples, x),

@@ -31,9 +31,9 @@ def command(
     try:
         check_outputs(File("--json", json, JSON), inputs=[profile], overwrite=overwrite)
         checked, _ = load(profile)
+        programme, rows, faults = planned(checked)
     except InputError as error:
         fail(str(error), EXIT_USAGE)
-    programme, rows, faults = planned(checked)
     write_json(as_json(checked, programme, rows, faults), json)
     if json != "-":
         _print(checked, programme, rows)
@@ -77,6 +77,18 @@ def as_json(
     }
 
 
+MOST_ROWS = 1000
+"""Rows of the table; of a longer ramp its first and last half as many."""
+
+
+def duration(seconds: float) -> str:
+    """A run's length: in seconds, and where that is long in hours or days, too."""
+    if seconds < 7200.0:
+        return f"{seconds:.1f} s"
+    longer = f"{seconds / 3600.0:.1f} hours" if seconds < 172800.0 else f"{seconds / 86400.0:.1f} days"
+    return f"{seconds:.1f} s ({longer})"
+
+
 def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]]) -> None:
     """The table for a person."""
     from rich.box import SIMPLE_HEAD
@@ -88,7 +100,9 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
     for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s^2)", "speed\n(m/s)", "displ\n(mm)",
                     "start\n(s)", "length\n(s)"):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
-    for step, asked in rows:
+    left_out = max(0, len(rows) - MOST_ROWS)
+    shown = rows if not left_out else rows[: MOST_ROWS // 2] + rows[-(MOST_ROWS // 2) :]
+    for step, asked in shown:
         table.add_row(
             str(step.index), f"{step.gamma:.5g}", f"{asked.gamma_peak:.5g}", f"{asked.drive_v:.4g}",
             f"{asked.acceleration_mps2:.4g}", f"{asked.velocity_mps:.4g}", f"{asked.displacement_m * 1e3:.4g}",
@@ -96,5 +110,7 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
         )  # fmt: skip
     print_lines(f"{profile.name}: {profile.forcing.frequency_hz:g} Hz, c = {profile.forcing.ratio}; peaks from rest")
     print_table(table)
+    if left_out:
+        print_lines(f"{left_out} steps in the middle are not shown; --json FILE writes all of them")
     seconds = programme.n_samples / programme.rate_hz
-    print_lines(f"{len(rows)} steps, {seconds:.1f} s, {programme.n_samples} samples at {programme.rate_hz:g} Hz")
+    print_lines(f"{len(rows)} steps, {duration(seconds)}, {programme.n_samples} samples at {programme.rate_hz:g} Hz")

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
@@ -33,7 +32,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def hold(dwell_s: float, p: Row, k: int) -> float:
     """Acceleration to be overcome at take-off, m/s^2."""
     if p[k] <= 0.0 or p[k + 1] <= 0.0:

@@ -4,8 +4,7 @@ The rule kept here: static equals kinetic, so the ball leaves when ``-a_p > g (1
 
 from __future__ import annotations
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
@@ -25,7 +24,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     return float(p[-1] * (p[k] if direction > 0.0 else p[k + 1]))

@@ -4,8 +4,7 @@ The rule kept here: the place's g is known to 1e-4 unless the profile says other
 
 from __future__ import annotations
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
@@ -21,7 +20,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     return float(-p[k])

@@ -4,8 +4,7 @@ The rule kept here: e is never below 0.
 
 from __future__ import annotations
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
@@ -30,7 +29,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def rebound(v: float, p: Row, k: int) -> float:
     """Contribution to the coefficient of restitution."""
     return float(max(p[k] - p[k + 1] * v, 0.0) if p[k] > 0.0 else 0.0)

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 KNOTS = 45
@@ -32,7 +31,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     of = p[k]

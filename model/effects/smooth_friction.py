@@ -4,8 +4,7 @@ The rule kept here: piecewise linear between knots, constant beyond them, never 
 
 from __future__ import annotations
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 KNOTS = 45
@@ -26,7 +25,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k] == 0.0:

@@ -4,8 +4,7 @@ The rule kept here: piecewise linear between knots, constant beyond them; never 
 
 from __future__ import annotations
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 KNOTS = 45
@@ -24,7 +23,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def rebound(v: float, p: Row, k: int) -> float:
     """Contribution to the coefficient of restitution."""
     place = min(max((v - p[k]) / p[k + 1], 0.0), KNOTS - 1.0)

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
@@ -37,7 +36,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k + 1] == 0.0:

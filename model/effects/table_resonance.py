@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
@@ -37,7 +36,7 @@ EFFECT = Effect(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def mode(p: Row, k: int) -> tuple[float, float, float]:
     """``(omega_radps, damping_ratio, mass_ratio)``."""
     return 2.0 * math.pi * p[k + 1], p[k + 2], p[k]

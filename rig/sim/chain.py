@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from kernels import njit
 from rig.sim.forces import G_MPS2
 
 _SIXTH = 1.0 / 6.0
@@ -22,7 +21,7 @@ LEAK_S = 2.0
 """The suspension's memory of the plate's mean velocity."""
 
 
-@njit(cache=True)
+@njit()
 def _amplifier(s: Any, p: Any, volts: float) -> float:
     """Gain errors, bending and clipping; volts that would drive an ideal shaker."""
     t = s.t_s + s.dt_s
@@ -39,7 +38,7 @@ def _amplifier(s: Any, p: Any, volts: float) -> float:
     return float(min(max(out, -p.clip_v), p.clip_v))
 
 
-@njit(cache=True)
+@njit()
 def _shaker(s: Any, p: Any, volts: float) -> float:
     """First-order lag, then the shaker's own resonance where it is not equalised: volts to volts."""
     if p.phase_lag_time_constant_s > 0.0:
@@ -61,7 +60,7 @@ def _shaker(s: Any, p: Any, volts: float) -> float:
     return float(volts - w * w * s.shaker_x - 2.0 * damping * w * s.shaker_v)
 
 
-@njit(cache=True)
+@njit()
 def drive_plate(s: Any, p: Any, volts: float) -> None:
     """Set the cubic of the plate's driven acceleration over the interval that ends with this sample."""
     node = G_MPS2 * p.g_per_volt * _shaker(s, p, _amplifier(s, p, volts))

@@ -8,14 +8,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from kernels import njit
 
 _GOLDEN, _MIX_1, _MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _HALF_WORD = np.uint64(0xFFFF)
 _FOUR_UNIFORMS_MEAN, _FOUR_UNIFORMS_SD = 131070.0, 37837.2
 
 
-@njit(cache=True)
+@njit()
 def _word(counter: Any) -> Any:
     """64 well mixed bits (Steele, Lea and Flood 2014, SplitMix64)."""
     z = counter * _GOLDEN
@@ -24,7 +25,7 @@ def _word(counter: Any) -> Any:
     return z ^ (z >> np.uint64(31))
 
 
-@njit(cache=True)
+@njit()
 def small_noise(counter: Any) -> float:
     """Noise of unit variance, the sum of four uniforms: for channels whose noise is a few codes."""
     z = _word(counter)
@@ -32,7 +33,7 @@ def small_noise(counter: Any) -> float:
     return (float(total + (z >> np.uint64(48))) - _FOUR_UNIFORMS_MEAN) / _FOUR_UNIFORMS_SD
 
 
-@njit(cache=True)
+@njit()
 def uniform(s: Any) -> float:
     """The next number in [0, 1) of the plant's events (contact bounce, scattered rebounds)."""
     s.event_counter += np.uint64(1)

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from kernels import njit
 from rig.sim.chance import uniform
 from rig.sim.state import BOUNCE_CLOSE, BOUNCE_OPEN, CLOSE, EDGE_CAPACITY, OPEN
 
 
-@njit(cache=True)
+@njit()
 def _insert(s: Any, t: float, kind: int) -> None:
     """Put an edge in its place; a full queue drops bounces rather than true edges."""
     n = s.n_edges
@@ -29,7 +28,7 @@ def _insert(s: Any, t: float, kind: int) -> None:
     s.n_edges = n + 1
 
 
-@njit(cache=True)
+@njit()
 def _cancel(s: Any, kind: int, after_s: float) -> None:
     """Forget pending edges of one kind later than ``after_s``."""
     kept = 0
@@ -41,7 +40,7 @@ def _cancel(s: Any, kind: int, after_s: float) -> None:
     s.n_edges = kept
 
 
-@njit(cache=True)
+@njit()
 def push_edge(s: Any, p: Any, t: float, kind: int) -> None:
     """Queue the opening or closing that happens mechanically at ``t``."""
     late = t + p.contact_latency_delay_s
@@ -53,7 +52,7 @@ def push_edge(s: Any, p: Any, t: float, kind: int) -> None:
     _insert(s, late, kind)
 
 
-@njit(cache=True)
+@njit()
 def landing_edges(s: Any, p: Any, t: float) -> None:
     """Close the circuit at an impact, with contact bounce where the rig has it."""
     if s.commanded_open == 0:
@@ -72,7 +71,7 @@ def landing_edges(s: Any, p: Any, t: float) -> None:
         at += gone + 0.15 * p.bounce_s * uniform(s)
 
 
-@njit(cache=True)
+@njit()
 def _relax(s: Any, p: Any, dt_s: float) -> None:
     """Let the voltage run towards the level of the circuit's present state."""
     closed = s.closed == 1 and s.bouncing == 0
@@ -84,7 +83,7 @@ def _relax(s: Any, p: Any, dt_s: float) -> None:
     s.continuity_v = level + off * math.exp(-dt_s / (p.rc_close_s if closed else p.rc_open_s))
 
 
-@njit(cache=True)
+@njit()
 def run_circuit(s: Any, p: Any) -> None:
     """Carry the continuity voltage to the end of the interval through the edges that fall into it."""
     now, end = s.t_s, s.t_s + s.dt_s
@@ -106,7 +105,7 @@ def run_circuit(s: Any, p: Any) -> None:
     _relax(s, p, end - now)
 
 
-@njit(cache=True)
+@njit()
 def ring_now(s: Any, p: Any, speed_mps: float) -> None:
     """Start the table's ringing at the present place; the stored phasor is that of the interval's end."""
     left = (1.0 - s.u) * s.dt_s

@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from kernels import njit
 
 G_MPS2 = 9.80665
 """Standard gravity: the unit of every ``_g`` parameter."""
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def gravity(p: Any) -> float:
     """Local gravity, m/s^2."""
     return float(G_MPS2 * (1.0 + p.local_gravity_relative))
 
 
-@njit(cache=True)
+@njit()
 def plate_acceleration(s: Any, p: Any, u: float, y: float, yv: float, touching: bool) -> tuple[float, float]:
     """Acceleration of the plate and of its slow mode, m/s^2.
 
@@ -41,12 +41,12 @@ def plate_acceleration(s: Any, p: Any, u: float, y: float, yv: float, touching: 
     return a + ydd, ydd
 
 
-@njit(cache=True)
+@njit()
 def _bell(x: float, centre: float, width: float) -> float:
     return math.exp(-(((x - centre) / width) ** 2))
 
 
-@njit(cache=True)
+@njit()
 def _unusual_friction(s: Any, p: Any, h: float, v: float, t: float) -> float:
     """Friction that depends on more than the direction, over local weight."""
     mu = p.height_friction_mu_per_m * h + p.level_friction_mu_per_v2 * s.mean_square_v2
@@ -69,7 +69,7 @@ def _unusual_friction(s: Any, p: Any, h: float, v: float, t: float) -> float:
     return float(max(mu, 0.0))
 
 
-@njit(cache=True)
+@njit()
 def friction(s: Any, p: Any, h: float, v: float, t: float, direction: int) -> float:
     """Friction over local weight, >= 0, against sliding in ``direction``; at ``v`` = 0 the most that can be held."""
     mu = p.coulomb_friction_mu_up if direction > 0 else p.coulomb_friction_mu_down
@@ -78,7 +78,7 @@ def friction(s: Any, p: Any, h: float, v: float, t: float, direction: int) -> fl
     return float(mu)
 
 
-@njit(cache=True)
+@njit()
 def _other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> float:
     """Sum of the forces on the ball beside weight and friction, over its mass, m/s^2."""
     force = -p.viscous_damping_rate_per_s * v - p.position_force_stiffness_per_s2 * h
@@ -101,7 +101,7 @@ def _other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> fl
     return float(force - G_MPS2 * pull)
 
 
-@njit(cache=True)
+@njit()
 def pull_free(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float, touching: bool) -> float:
     """Relative acceleration of the ball before friction, m/s^2."""
     a, _ = plate_acceleration(s, p, u, y, yv, touching)
@@ -111,7 +111,7 @@ def pull_free(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float,
     return float(free)
 
 
-@njit(cache=True)
+@njit()
 def net(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float) -> float:
     """Relative acceleration in flight, friction against the current direction included, m/s^2."""
     free = pull_free(s, p, h, v, u, y, yv, False)
@@ -120,7 +120,7 @@ def net(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float) -> fl
     return free
 
 
-@njit(cache=True)
+@njit()
 def release_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
     """Upward relative pull in excess of what holds the ball on the plate, m/s^2: it leaves when this is positive."""
     t = s.t_s + u * s.dt_s
@@ -135,7 +135,7 @@ def release_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
     return float(pull_free(s, p, 0.0, 0.0, u, y, yv, True) - held)
 
 
-@njit(cache=True)
+@njit()
 def hang_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
     """Pull in excess of what friction can hold in mid-air, m/s^2: the ball starts to slide when this is positive."""
     free = pull_free(s, p, s.height_m, 0.0, u, y, yv, True)
@@ -143,7 +143,7 @@ def hang_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
     return abs(free) - gravity(p) * friction(s, p, s.height_m, 0.0, t, 1 if free > 0.0 else -1)
 
 
-@njit(cache=True)
+@njit()
 def rebound(s: Any, p: Any, impact_mps: float, chance: float) -> float:
     """Coefficient of restitution for this impact, 0 to 0.99; ``chance`` is uniform in [0, 1)."""
     e = p.restitution_e0 - p.restitution_e1_s_per_m * impact_mps + p.scattered_restitution_e * chance

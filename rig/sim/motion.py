@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from kernels import njit
 from rig.sim.chance import uniform
 from rig.sim.circuit import landing_edges, push_edge, ring_now
 from rig.sim.forces import gravity, hang_margin, net, plate_acceleration, rebound, release_margin
@@ -32,7 +31,7 @@ SHORTEST_BOUNCE_S = 1e-6
 """A rebound that would be over sooner has converged: the ball rests."""
 
 
-@njit(cache=True)
+@njit()
 def _slope(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float) -> tuple[float, float, float, float]:
     """Time derivatives of height, relative speed, mode displacement and mode speed."""
     flying = s.state == FLIGHT
@@ -42,7 +41,7 @@ def _slope(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float) ->
     return 0.0, 0.0, yv, ydd
 
 
-@njit(cache=True)
+@njit()
 def _ballistic(s: Any, p: Any, step_s: float) -> tuple[float, float, float, float]:
     """Exact step where weight and constant friction are all that acts: the plate's cubic integrated twice."""
     u, du = s.u, step_s / s.dt_s
@@ -55,7 +54,7 @@ def _ballistic(s: Any, p: Any, step_s: float) -> tuple[float, float, float, floa
     return h, v, s.mode_m, s.mode_mps
 
 
-@njit(cache=True)
+@njit()
 def _step(s: Any, p: Any, step_s: float) -> tuple[float, float, float, float]:
     """State (height, speed, mode, mode speed) one step later: exact where it can be, else Runge-Kutta of order 4."""
     h, v, y, yv, u = s.height_m, s.speed_mps, s.mode_m, s.mode_mps, s.u
@@ -75,7 +74,7 @@ def _step(s: Any, p: Any, step_s: float) -> tuple[float, float, float, float]:
     )
 
 
-@njit(cache=True)
+@njit()
 def _hermite(
     h0: float, v0: float, a0: float, h1: float, v1: float, a1: float, step: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -85,17 +84,17 @@ def _hermite(
     return (h0, v0, 0.5 * a0, 10.0 * d - 4.0 * dv + 0.5 * da, -15.0 * d + 7.0 * dv - da, 6.0 * d - 3.0 * dv + 0.5 * da)
 
 
-@njit(cache=True)
+@njit()
 def _height(c: Any, x: float) -> float:
     return float(c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5])))))
 
 
-@njit(cache=True)
+@njit()
 def _speed(c: Any, x: float) -> float:
     return float(c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5]))))
 
 
-@njit(cache=True)
+@njit()
 def _root(c: Any, lo: float, hi: float, of_speed: bool, level: float) -> float:
     """Where height (or speed) crosses ``level`` between ``lo`` and ``hi``, by bisection and secant."""
     f_lo = (_speed(c, lo) if of_speed else _height(c, lo)) - level
@@ -116,7 +115,7 @@ def _root(c: Any, lo: float, hi: float, of_speed: bool, level: float) -> float:
     return hi
 
 
-@njit(cache=True)
+@njit()
 def _margin(s: Any, p: Any, u: float) -> float:
     """How far the resting ball is from moving at ``u``; the mode is carried there by Taylor's rule."""
     tau = (u - s.u) * s.dt_s
@@ -129,12 +128,12 @@ def _margin(s: Any, p: Any, u: float) -> float:
     return hang_margin(s, p, u, y, yv)
 
 
-@njit(cache=True)
+@njit()
 def _move_to(s: Any, u: float, h: float, v: float, y: float, yv: float) -> None:
     s.u, s.height_m, s.speed_mps, s.mode_m, s.mode_mps = u, h, v, y, yv
 
 
-@njit(cache=True)
+@njit()
 def _leave(s: Any, p: Any, v: float) -> None:
     """The ball leaves the plate with relative speed ``v`` >= 0."""
     t = s.t_s + s.u * s.dt_s
@@ -146,7 +145,7 @@ def _leave(s: Any, p: Any, v: float) -> None:
         s.commanded_open = 0
 
 
-@njit(cache=True)
+@njit()
 def _settle(s: Any, p: Any, v: float) -> None:
     """Right after an impact at the plate, rebounding with ``v``: fly again, be launched again, or rest."""
     s.state, s.direction, s.height_m, s.speed_mps = FLIGHT, 1, 0.0, v
@@ -159,7 +158,7 @@ def _settle(s: Any, p: Any, v: float) -> None:
         _leave(s, p, 0.0)
 
 
-@njit(cache=True)
+@njit()
 def _land(s: Any, p: Any, v: float) -> None:
     """Impact with relative speed ``v`` <= 0 at the current place: recoil of the table, ringing, rebound."""
     t, impact = s.t_s + s.u * s.dt_s, max(-v, 0.0)
@@ -179,7 +178,7 @@ def _land(s: Any, p: Any, v: float) -> None:
     _settle(s, p, e * impact)
 
 
-@njit(cache=True)
+@njit()
 def _cross_gap(s: Any, p: Any, c: Any, step_s: float, h1: float) -> None:
     """Open the circuit where the ball rises through the contact gap in this step."""
     if s.commanded_open == 0 and s.height_m <= p.contact_gap_gap_m < h1:
@@ -188,7 +187,7 @@ def _cross_gap(s: Any, p: Any, c: Any, step_s: float, h1: float) -> None:
         push_edge(s, p, s.t_s + s.u * s.dt_s + x * step_s, OPEN)
 
 
-@njit(cache=True)
+@njit()
 def _fly(s: Any, p: Any) -> None:
     """One flight step: to the end of the interval, or to the first event before it."""
     step = (1.0 - s.u) * s.dt_s
@@ -225,7 +224,7 @@ def _fly(s: Any, p: Any) -> None:
         _move_to(s, 1.0, h1, v1, y1, yv1)
 
 
-@njit(cache=True)
+@njit()
 def _advance(s: Any, p: Any, step_s: float) -> None:
     """Move to an event located inside the step; a step that ends the interval ends it exactly."""
     h, v, y, yv = _step(s, p, step_s)
@@ -233,7 +232,7 @@ def _advance(s: Any, p: Any, step_s: float) -> None:
     _move_to(s, min(u, 1.0), h, v, y, yv)
 
 
-@njit(cache=True)
+@njit()
 def _turn(s: Any, p: Any) -> None:
     """At a standstill in mid-air under friction: hang on the rod, or slide on in the direction of the pull."""
     s.speed_mps = 0.0
@@ -245,14 +244,14 @@ def _turn(s: Any, p: Any) -> None:
         _slide(s, p)
 
 
-@njit(cache=True)
+@njit()
 def _slide(s: Any, p: Any) -> None:
     """Start to slide from a hang."""
     s.state, s.direction = FLIGHT, 1
     s.direction = 1 if net(s, p, s.height_m, 0.0, s.u, s.mode_m, s.mode_mps) > 0.0 else -1
 
 
-@njit(cache=True)
+@njit()
 def _stay(s: Any, p: Any) -> None:
     """Rest on the plate or hang on the rod until the end of the interval, or until the ball moves."""
     u = 2.0
@@ -276,7 +275,7 @@ def _stay(s: Any, p: Any) -> None:
             _slide(s, p)
 
 
-@njit(cache=True)
+@njit()
 def _quietly(s: Any, p: Any) -> bool:
     """Carry a ball under weight and constant friction through a whole interval without events; False if it has any.
 
@@ -297,7 +296,7 @@ def _quietly(s: Any, p: Any) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit()
 def move_ball(s: Any, p: Any) -> None:
     """Carry ball and table mode from the start of the interval to its end."""
     if p.is_simple != 0.0 and _quietly(s, p):

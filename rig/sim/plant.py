@@ -10,9 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from kernels import njit
 from rig.sim.chain import drive_plate
 from rig.sim.chance import small_noise
 from rig.sim.circuit import run_circuit
@@ -30,12 +30,12 @@ NOISE_BLOCK = 65536
 REFRESH_SAMPLES = 64
 """Drifting parameters are brought up to date this often, counted from the start of the run; a power of two."""
 
-@njit(cache=True)
+@njit()
 def _code(volts: float, scale_v: float, limit: float) -> int:
     return int(min(max(math.floor(volts / scale_v + 0.5), -limit), limit - 1.0))
 
 
-@njit(cache=True)
+@njit()
 def _refresh(s: Any, p: Any, values: Any, drift: Any, dt_s: float) -> None:
     """Let drifting parameters follow the time, then derive what the loop needs from the parameters."""
     for k in range(drift.size):
@@ -48,7 +48,7 @@ def _refresh(s: Any, p: Any, values: Any, drift: Any, dt_s: float) -> None:
     s.zero_v = p.accelerometer_v_per_g * p.accelerometer_offset_offset_g
 
 
-@njit(cache=True)
+@njit()
 def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: float, codes: Any) -> None:
     """March the rig over the samples of one block, one interval ending at each sample."""
     s, p, values = state[0], params[0], params.view(np.float64)

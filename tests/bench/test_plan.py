@@ -56,3 +56,22 @@ def test_a_bad_profile_is_a_wrong_call(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "ramp.hold_cycle: unknown key; did you mean hold_cycles?" in result.stderr
     result = bench("plan", "papre")
     assert result.exit_code == 2 and "did you mean paper?" in result.stderr
+
+
+def test_a_ramp_of_many_steps_is_planned_in_short(tmp_path: Path) -> None:
+    """Of 6000 steps the first and the last 500 are printed, the others counted; the length is in hours, too."""
+    profile = tmp_path / "many.toml"
+    profile.write_text(SIMULATED.replace("steps = 23", "steps = 6000"), encoding="utf-8")
+    result = bench("plan", str(profile))
+    assert result.exit_code == 0
+    assert "5000 steps in the middle are not shown" in result.stdout
+    assert "hours" in result.stdout
+
+
+def test_a_ramp_of_years_is_refused(tmp_path: Path) -> None:
+    """A ramp of years ends with exit 2 and its length, not with a table."""
+    profile = tmp_path / "years.toml"
+    profile.write_text(SIMULATED.replace("hold_cycles = 20", "hold_cycles = 100000000000"), encoding="utf-8")
+    result = bench("plan", str(profile))
+    assert result.exit_code == 2
+    assert "a run lasts at most 30 days" in result.stderr

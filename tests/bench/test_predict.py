@@ -128,8 +128,23 @@ def test_an_adaptive_diagram_has_more_rows(tmp_path):
         (["--gamma-range", "2", "1", "--bifurcations"], "range"),
         (["--gamma-range", "1", "2"], "--out"),
         (["--paper-figure", "5"], "4, 10, 11, 12"),
+        (["--gamma", "1e300"], "beyond what double precision proves"),
+        (["--c", "1000000", "--gamma", "1"], "c = 79577"),
+        (["--gamma-range", "1", "2", "--steps", "2000000000", "--json", "-"], "at most 1,000,000"),
+        (["--gamma-range", "1", "2", "--steps", "200000", "--json", "-"], "as JSON at most 100000"),
+        (["--gamma-range", "1", "2", "--steps", "50000", "--adaptive", "--json", "-"], "at most 20,000"),
+        (["--gamma-range", "1", "2", "--grid", "restitution.e0=0:0.9:1000000000", "--json", "-"], "at most 1,000,000"),
     ],
 )
 def test_a_wrong_call_says_what_to_do(arguments, said):
     """Exit status 2 and one line to act on."""
     assert said in predict(*arguments, code=2)
+
+
+def test_an_output_that_is_no_diagram_is_refused_and_kept(tmp_path):
+    """A file that is not HDF5, named by --out, is refused with its name and stays as it was."""
+    other = tmp_path / "notes.h5"
+    other.write_text("notes", encoding="utf-8")
+    said = predict("--gamma-range", 1, 2, "--steps", 4, "--out", other, code=2)
+    assert f"{other}: wanted a diagram written by bench predict --out" in said
+    assert other.read_text(encoding="utf-8") == "notes"

@@ -17,7 +17,8 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
-from numba import njit
+
+from kernels import njit
 
 G = 9.80665
 STEPS_PER_SAMPLE = 10
@@ -104,7 +105,7 @@ class Run:
         return vector
 
 
-@njit(cache=True)
+@njit()
 def _level(gammas, step_s, fade_s, t):
     """Amplitude level and its first two time derivatives: a quintic fade at the start of each step."""
     k = min(int(t / step_s), gammas.size - 1)
@@ -119,7 +120,7 @@ def _level(gammas, step_s, fade_s, t):
     return before + rise * value, rise * first / fade_s, rise * second / fade_s**2
 
 
-@njit(cache=True)
+@njit()
 def _tones(w, c, t):
     """The waveform sin wt + sin cwt and its first two time derivatives."""
     a, b = w * t, c * w * t
@@ -127,7 +128,7 @@ def _tones(w, c, t):
     return sa + sb, w * (math.cos(a) + c * math.cos(b)), -w * w * (sa + c * c * sb)
 
 
-@njit(cache=True)
+@njit()
 def _commanded(gammas, step_s, fade_s, w, c, t):
     """Displacement, velocity and acceleration asked of the plate, SI."""
     if t < 0.0:
@@ -142,7 +143,7 @@ def _commanded(gammas, step_s, fade_s, w, c, t):
     )
 
 
-@njit(cache=True)
+@njit()
 def _plate(q, gammas, step_s, fade_s, w, c, t):
     """What the driven table does: the command with the hidden gain, lag, bend, hum and breathing."""
     level = gammas[max(min(int(t / step_s), gammas.size - 1), 0)]
@@ -166,14 +167,14 @@ def _plate(q, gammas, step_s, fade_s, w, c, t):
     return x, v, a
 
 
-@njit(cache=True)
+@njit()
 def _mu(q, height, speed, level, up):
     """Sliding friction over weight."""
     mu = q[_MU] + (q[_MU_UP] if up else q[_MU_DOWN])
     return mu + q[_MU_H] * height + q[_MU_V] * abs(speed) + q[_MU_L] * level
 
 
-@njit(cache=True)
+@njit()
 def _push(q, g, height, speed, absolute, last_flight):
     """Acceleration of the free ball, friction apart."""
     a = -g - q[_VISCOUS] * speed - q[_DRAG] * abs(absolute) * absolute - q[_SPRING] * height
@@ -186,7 +187,7 @@ def _push(q, g, height, speed, absolute, last_flight):
     return a
 
 
-@njit(cache=True)
+@njit()
 def _rebound(q, speed):
     """Restitution at this impact speed."""
     e = min(max(q[_E0] - q[_E1] * speed, 0.0), 0.95)
@@ -195,21 +196,21 @@ def _rebound(q, speed):
     return e
 
 
-@njit(cache=True)
+@njit()
 def _slide(q, g, height, speed, free, here):
     """Acceleration of a ball that slides, friction included."""
     up = speed > 0.0 or (speed == 0.0 and free > 0.0)
     return free - (1.0 if up else -1.0) * _mu(q, height, speed, here, up) * g
 
 
-@njit(cache=True)
+@njit()
 def _holding(q, g, here, rested_s):
     """Pull that the resting ball withstands, m/s^2."""
     dwell = q[_DWELL] * (1.0 - math.exp(-rested_s / q[_DWELL_S])) if q[_DWELL] > 0.0 else 0.0
     return q[_ADHESION] * 9.80665 + (_mu(q, 0.0, 0.0, here, True) + dwell) * g
 
 
-@njit(cache=True)
+@njit()
 def _march(q, gammas, step_s, fade_s, w, c, dt, plate, edges, impacts):
     """March ball and table; fill the plate's acceleration per sample, edges (+t opens, -t closes) and impacts."""
     g = 9.80665 * (1.0 + q[_GRAVITY])
@@ -264,7 +265,7 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, plate, edges, impacts):
     return n_edges, n_impacts
 
 
-@njit(cache=True)
+@njit()
 def _commands(gammas, step_s, fade_s, w, c, time_s):
     """Commanded acceleration at each sample."""
     out = np.empty(time_s.size)

@@ -8,7 +8,8 @@ import itertools
 
 import mpmath as mp
 import numpy as np
-from numba import njit
+
+from kernels import njit
 
 DIGITS = 60
 
@@ -147,7 +148,7 @@ def bisect_newton(f, slope, a, b):
     return x
 
 
-@njit(cache=True)
+@njit()
 def _height(tones, gamma, phi0, v0, tau):
     h = v0 * tau - 0.5 * tau * tau
     for j in range(tones.shape[0]):
@@ -157,7 +158,7 @@ def _height(tones, gamma, phi0, v0, tau):
     return h
 
 
-@njit(cache=True)
+@njit()
 def stays_above(tones, gamma, phi0, v0, start, stop, noise):
     """Whether ``h > 0`` on all of ``[start, stop]``: 1 proven, 0 one point is below ``-noise``, -1 too near to say.
 

@@ -3,8 +3,9 @@
 import math
 
 import mpmath as mp
-from numba import njit
 from reference import Exact, bisect_newton
+
+from kernels import njit
 
 
 class ExactRough(Exact):
@@ -59,7 +60,7 @@ class ExactRough(Exact):
         return min(ends)
 
 
-@njit(cache=True)
+@njit()
 def march(tones, gamma, omega, g, mu_up, mu_down, e0, e1, phi0, v0_mps, step_s, stop_s, times, speeds):
     """Brute force in SI at a fixed step: the ball leaves the plate at phase ``phi0`` with ``v0_mps`` relative to it.
 

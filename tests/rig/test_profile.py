@@ -172,3 +172,37 @@ def test_declared_effects_are_checked_by_name_and_parameter(tmp_path: Path) -> N
         message = str(caught.value)
         assert "declared.coulomb_frction" in message and "did you mean coulomb_friction?" in message
         assert "declared.restitution" in message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [f"a = {'[' * 1000}{']' * 1000}", f"a = {'{a=' * 1000}1{'}' * 1000}", f"[{'.'.join('a' * 3000)}]\nx = 1"],
+)
+def test_a_file_nested_a_thousand_deep_is_refused_in_a_line(text: str) -> None:
+    """Lists, inline tables and dotted tables too deep in one another are bad input like any other."""
+    assert "too deep in one another" in refusal(text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("ratio = 1 ", "ratio = " + "9" * 5000 + " ", "thousands of digits"),
+        ("date = 2026-11-20", 'date = "soon"', 'date: wanted a date as 2026-11-20, came "soon"'),
+        ("date = 2026-11-20", "date = 5", "date: wanted a date as 2026-11-20, came 5"),
+        ("amplitude = [1.0, 1.0]", "amplitude = [1.0, 1, 2]", "amplitude: wanted at most 2 values, came [1.0, 1, 2]"),
+        ("amplitude = [1.0, 1.0]", "amplitude = 'a'", 'amplitude: wanted a list in brackets, came "a"'),
+        ("[ramp]", "[declared]\nx = 1\n[ramp]", "declared.x: wanted a table, came 1"),
+        ("rate_hz = 20000", "rate_hz = 20e6", "sampling.rate_hz: wanted at most 1e+06 to drive a ramp"),
+    ],
+)
+def test_a_fault_is_said_in_the_words_of_the_file(old: str, new: str, said: str) -> None:
+    """No word of the checking library reaches the screen: what was wanted, what came, in the file's terms."""
+    message = refusal(GOOD.replace(old, new))
+    assert said in message
+    assert "Input should" not in message
+
+
+def test_a_ratio_beyond_any_run_is_refused() -> None:
+    """c above a thousand is refused where a ramp is to be driven."""
+    text = GOOD.replace("ratio = 1 ", "ratio = 2000 ").replace("frequency_hz = 25.37", "frequency_hz = 0.5")
+    assert "forcing.ratio: wanted at most 1000" in refusal(text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from daq.errors import InputError
 from rig.ramp import forbidden, peaks, plan
 
 
@@ -72,3 +73,26 @@ def test_each_limit_forbids(make_profile, limit: str, name: str) -> None:
     assert "step 1 (gamma 0.5)" in lines[1]
     fine = make_profile()
     assert not [x for step in plan(fine).steps for x in forbidden(fine.limits, step, peaks(fine, step.gamma))]
+
+
+@pytest.mark.parametrize("slew", ["1e-9", "1e-300"])
+def test_a_ramp_of_years_is_refused(make_profile, slew: str) -> None:
+    """A slew mistyped by powers of ten makes a ramp of years, which is refused with its length and the longest."""
+    with pytest.raises(InputError, match=r"would end after .* a run lasts at most 30 days"):
+        plan(make_profile(("settle_cycles = 2", f"settle_cycles = 2\nslew_per_cycle = {slew}")))
+
+
+def test_a_forcing_too_slow_for_its_clock_is_refused(make_profile) -> None:
+    """A frequency of which a sample is no measurable part is bad input, said in one line."""
+    profile = make_profile()
+    slow = profile.model_copy(update={"forcing": profile.forcing.model_copy(update={"frequency_hz": 1e-300})})
+    with pytest.raises(InputError, match="no usable phase clock"):
+        plan(slow)
+
+
+def test_peaks_grow_with_gamma(make_profile) -> None:
+    """Every peak at gamma = 2.5 is two and a half times that at 1."""
+    profile = make_profile()
+    one, more = peaks(profile, 1.0), peaks(profile, 2.5)
+    for name in ("gamma_peak", "drive_v", "acceleration_mps2", "velocity_mps", "displacement_m"):
+        assert getattr(more, name) == pytest.approx(2.5 * getattr(one, name), rel=1e-14)

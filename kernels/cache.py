@@ -1,0 +1,87 @@
+"""Kernels compiled by numba, and kept on disk under the hash of everything that they are made of.
+
+numba's own cache looks at the file in which a function stands, not at the functions it calls, and so runs stale code
+after an edit of one of those. Here the name of a kept kernel is a hash of its bytecode and constants and those of every
+function it reaches (`kernels.fingerprint`), of the types it is called with and of the processor. The folder carries
+the versions of numba, llvmlite, Python and this package.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from typing import Any, cast
+
+import numba
+from numba.core import compiler, config, serialize
+from numba.core.caching import NullCache
+from numba.extending import is_jitted
+
+from kernels import folder
+from kernels.fingerprint import fingerprint
+
+DIGEST_BYTES = 32
+_CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
+
+
+def njit(**options: Any) -> Any:
+    """Compile a function at its first call, and keep the machine code for later processes.
+
+    Parameters
+    ----------
+    **options
+        As `numba.njit` takes them; ``cache`` has no effect: it is always on.
+
+    Returns
+    -------
+    callable
+        The decorator, which gives numba's dispatcher.
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(**{**options, "cache": False})(function)
+        if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
+            cast(Any, dispatcher)._cache = KernelCache(dispatcher)
+        return dispatcher
+
+    return compiled
+
+
+class KernelCache(NullCache):
+    """What numba asks for the kept machine code of one function, and hands new machine code to.
+
+    Any number of processes may use it at once: a file is written whole under its final name or not at all, and its
+    name fixes its content.
+    """
+
+    def __init__(self, dispatcher: Any) -> None:
+        self._dispatcher = dispatcher
+
+    @property
+    def cache_path(self) -> str:
+        """The folder in which kernels are looked for first."""
+        return str(next(iter(folder.places()), ""))
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The kept code for the argument types ``sig``; None when there is none."""
+        target_context.refresh()
+        data = folder.read(self._name(sig, target_context.codegen()))
+        if data is None or hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
+            return None  # a damaged file is compiled anew, and written over
+        return _CompileResult._rebuild(target_context, *pickle.loads(data[DIGEST_BYTES:]))
+
+    def save_overload(self, sig: Any, cres: Any) -> None:
+        """Keep the code just compiled for ``sig``."""
+        if cres.library.has_dynamic_globals or any(not lifted.can_cache for lifted in cres.lifted):
+            return  # holds addresses of this process
+        name = self._name(sig, cres.target_context.codegen())
+        data: bytes = _serialize.dumps(cres._reduce())
+        folder.write(name, hashlib.sha256(data).digest() + data)
+
+    def _name(self, sig: Any, codegen: Any) -> str:
+        """The file's name: the function's for a person, and the hash."""
+        function = self._dispatcher.py_func
+        made_of = (fingerprint(self._dispatcher), repr(sig), codegen.magic_tuple(), _config.BOUNDSCHECK)
+        digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:32]
+        return f"{function.__module__}.{function.__name__}-{digest}"

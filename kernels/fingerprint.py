@@ -1,0 +1,97 @@
+"""The hash of a kernel: its bytecode, its constants and options, and those of every kernel it calls.
+
+numba compiles the values of global names into the machine code, so they belong to the hash as the bytecode does. Files
+and line numbers do not: a comment or a moved function changes nothing.
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import hashlib
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba.extending import is_jitted
+
+Parts = list[object]
+
+
+@functools.cache
+def fingerprint(dispatcher: Any) -> str:
+    """The hash of a compiled function and of all that it reaches, as hexadecimal digits."""
+    parts: Parts = []
+    _kernel(dispatcher, parts, {})
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def _kernel(dispatcher: Any, parts: Parts, seen: dict[int, int]) -> None:
+    """Add a compiled function; one met before is named by its number."""
+    if id(dispatcher) in seen:
+        parts.append(("met", seen[id(dispatcher)]))
+        return
+    seen[id(dispatcher)] = len(seen)
+    function = dispatcher.py_func
+    parts.append(("options", sorted((key, _plain(value)) for key, value in dispatcher.targetoptions.items())))
+    _function(function, parts, seen)
+
+
+def _function(function: FunctionType, parts: Parts, seen: dict[int, int]) -> None:
+    parts.append(("function", function.__module__, function.__qualname__))
+    _value(function.__defaults__, parts, seen)
+    for cell in function.__closure__ or ():
+        _value(cell.cell_contents, parts, seen)
+    _code(function.__code__, function.__globals__, parts, seen)
+
+
+def _code(code: CodeType, names: dict[str, Any], parts: Parts, seen: dict[int, int]) -> None:
+    """Add bytecode, its constants, and the values of the global names it reads."""
+    parts.append(("code", code.co_code, code.co_names, code.co_varnames, code.co_argcount))
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            _code(constant, names, parts, seen)
+        else:
+            _value(constant, parts, seen)
+    for name in code.co_names:
+        if name in names:
+            _global(names[name], code.co_names, parts, seen)
+
+
+def _global(value: Any, used: tuple[str, ...], parts: Parts, seen: dict[int, int]) -> None:
+    """Add the value of a global name; of a module what is used of it."""
+    if not isinstance(value, ModuleType):
+        _value(value, parts, seen)
+        return
+    parts.append(("module", value.__name__))
+    for name in used:
+        if hasattr(value, name):
+            _value(getattr(value, name), parts, seen)
+
+
+def _value(value: Any, parts: Parts, seen: dict[int, int]) -> None:
+    """Add a value that numba may compile in."""
+    if is_jitted(value):
+        _kernel(value, parts, seen)
+    elif isinstance(value, enum.Enum):
+        parts.append((type(value).__qualname__, value.name, value.value))
+    elif isinstance(value, type) and issubclass(value, enum.Enum):
+        parts.append((value.__qualname__, [(member.name, member.value) for member in value]))
+    elif isinstance(value, np.ndarray):
+        parts.append(("array", value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()))
+    elif isinstance(value, tuple):
+        parts.append(("tuple", type(value).__qualname__, len(value)))
+        for item in value:
+            _value(item, parts, seen)
+    else:
+        parts.append(_plain(value))
+
+
+def _plain(value: Any) -> object:
+    """What tells a value apart in every process: no address, no order of a set."""
+    if value is None or isinstance(value, int | float | complex | str | bytes | np.generic):
+        return type(value).__name__, repr(value)
+    if isinstance(value, set | frozenset):
+        return "set", sorted(map(repr, value))
+    named = getattr(value, "__module__", ""), getattr(value, "__qualname__", getattr(value, "__name__", ""))
+    return type(value).__qualname__, *named, *getattr(value, "_fields", ())

@@ -1,0 +1,101 @@
+"""How large an amplitude may be for double precision to prove where a ball lands.
+
+A flight from rest lasts at most ``T = 2 gamma N`` (in 1/w), ``N = sum n_j b_j``, because the plate throws no faster
+than ``gamma N``. Its height is computed with an error of at most `stage.ROUNDING` times the sizes of its terms,
+``gamma N T + T^2 = 6 (gamma N)^2``. Divided by an impact speed of ``gamma N`` that leaves the landing phase uncertain
+by ``6 ROUNDING gamma N``; `docs/results/kernels.md` has the errors measured against 60 digits.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.stage import ROUNDING
+from model.tones import Forcing
+
+PROVEN_PHASE = 1e-9
+"""Largest uncertainty of a landing phase, radians: the last digit that is printed."""
+LARGEST_ANGLE = 1e6
+"""Up to which `model.compiled.sincos` is proven; a phase of the n-th harmonic goes up to ``4 pi n``."""
+MOST_ELASTIC = 0.99
+"""Restitution beyond which speeds are taken to grow no further."""
+MOST_WINDOWS = 20_000
+"""Take-off windows that one flight may pass over: a few milliseconds."""
+
+
+def check_harmonics(forcing: Forcing) -> None:
+    """Refuse tones whose phases are beyond the proven sine.
+
+    Raises
+    ------
+    ValueError
+        With the largest harmonic that is proven.
+    """
+    most = math.floor(LARGEST_ANGLE / (4.0 * math.pi))
+    if max(forcing.harmonic, default=0.0) > most:
+        raise ValueError(
+            f"c = {max(forcing.harmonic):g} is beyond what double precision proves: the sine of a phase is proven up "
+            f"to {LARGEST_ANGLE:g} rad, which is c = {most}"
+        )
+
+
+@lru_cache(maxsize=64)
+def largest_gamma(forcing: Forcing) -> float:
+    """The largest gamma at which landings are proven, and flights short enough to be walked through."""
+    if not forcing.moves:
+        return math.inf
+    speed = sum(n * abs(b) for n, b in zip(forcing.harmonic, forcing.amplitude, strict=True))
+    proven = PROVEN_PHASE / (6.0 * ROUNDING * speed)
+    return min(proven, _walked(forcing, speed))
+
+
+def _walked(forcing: Forcing, speed: float) -> float:
+    """The gamma at which a flight passes `MOST_WINDOWS` windows, at most one for each cycle of the fastest tone."""
+    return MOST_WINDOWS * math.pi / (speed * max(1.0, *forcing.harmonic))
+
+
+def check_gamma(forcing: Forcing, gamma: ArrayLike, lengthening: ArrayLike = 1.0) -> None:
+    """Refuse amplitudes without meaning, or beyond `largest_gamma`.
+
+    Parameters
+    ----------
+    forcing, gamma
+        The plate; any number of amplitudes.
+    lengthening
+        How much longer than the ideal ball's the flights can be (`lengthened`), one number or as ``gamma``.
+
+    Raises
+    ------
+    ValueError
+        For a gamma that is negative, not finite or too large.
+    """
+    if not (np.all(np.isfinite(gamma)) and np.all(np.asarray(gamma) >= 0)):
+        raise ValueError(f"gamma must be finite and not negative, not {gamma!r}")
+    check_harmonics(forcing)
+    most = largest_gamma(forcing) / float(np.max(lengthening, initial=1.0))
+    largest = float(np.max(gamma, initial=0.0))
+    if largest > most:
+        speed = sum(n * abs(b) for n, b in zip(forcing.harmonic, forcing.amplitude, strict=True))
+        why = (
+            f"a flight would pass more than {MOST_WINDOWS} take-off windows"
+            if _walked(forcing, speed) == largest_gamma(forcing)
+            else f"rounding would leave the landing phase uncertain by more than {PROVEN_PHASE:g} rad"
+        )
+        raise ValueError(
+            f"gamma = {largest:g} is beyond what double precision proves on this plate: {why}; the largest is "
+            f"{most:.4g}"
+        )
+
+
+def lengthened(mu_down: ArrayLike, e0: ArrayLike) -> NDArray[np.float64]:
+    """How much longer flights get by friction on the way down, and by bounces that add to one another.
+
+    Friction leaves a pull of ``1 - mu_down``. With restitution ``e`` a launch is at most ``e v + (1 + e) gamma N``
+    after an impact at ``v``, so speeds stay below ``(1 + e) / (1 - e)`` times the plate's.
+    """
+    e = np.clip(np.asarray(e0, dtype=np.float64), 0.0, MOST_ELASTIC)
+    return np.asarray((1.0 + e) / ((1.0 - e) * (1.0 - np.asarray(mu_down, dtype=np.float64))))

@@ -1,0 +1,143 @@
+"""Kept kernels: an edit of anything a kernel reaches is seen; a folder that cannot be written is no obstacle."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from kernels import folder, njit
+from kernels.fingerprint import fingerprint
+
+ROOT = Path(__file__).resolve().parents[2]
+CALLER = """
+from callee import inner
+from kernels import njit
+
+
+@njit()
+def outer(x):
+    return inner(x) + 1.0
+
+
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def write_callee(place: Path, factor: float) -> None:
+    """A module with a kernel that another module's kernel calls."""
+    text = f"from kernels import njit\nFACTOR = {factor}\n\n\n@njit()\ndef inner(x):\n    return FACTOR * x\n"
+    (place / "callee.py").write_text(text, encoding="utf-8")
+
+
+def start(place: Path) -> subprocess.Popen[str]:
+    """A process that prints the kernel's answer, and how often it was taken from the folder."""
+    (place / "caller.py").write_text(CALLER, encoding="utf-8")
+    env = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(place / "cache"),
+        "PYTHONPATH": str(ROOT),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    return subprocess.Popen([sys.executable, "caller.py"], cwd=place, env=env, stdout=subprocess.PIPE, text=True)
+
+
+def answers(*started: subprocess.Popen[str]) -> list[list[float]]:
+    """What the processes printed, as numbers."""
+    return [[float(word) for word in process.communicate(timeout=200)[0].split()] for process in started]
+
+
+def test_an_edit_of_a_called_file_is_seen_and_two_processes_share_the_folder(tmp_path: Path) -> None:
+    """Two processes at once compile and agree, a third takes what they kept, and one after an edit compiles anew."""
+    write_callee(tmp_path, 2.0)
+    assert [value for value, _ in answers(start(tmp_path), start(tmp_path))] == [3.0, 3.0]
+    assert answers(start(tmp_path)) == [[3.0, 1.0]]
+    assert not list(tmp_path.rglob("*.part"))
+    write_callee(tmp_path, 5.0)
+    assert answers(start(tmp_path)) == [[6.0, 0.0]]
+
+
+def compiled_with(factor: float, inner_options: dict[str, bool]) -> Callable[[float], float]:
+    """A kernel that calls another one with a constant and options of its own."""
+    names = {"FACTOR": factor, "TABLE": np.arange(3.0)}
+    exec("def inner(x):\n    return FACTOR * x + TABLE[1]\ndef outer(x):\n    return inner(x)\n", names)
+    names["inner"] = njit(**inner_options)(names["inner"])
+    return njit()(names["outer"])
+
+
+def test_the_hash_holds_constants_and_options_of_what_is_called() -> None:
+    """Equal sources hash alike; another constant, or another option, of a called function does not."""
+    one = fingerprint(compiled_with(2.0, {}))
+    assert fingerprint(compiled_with(2.0, {})) == one
+    assert fingerprint(compiled_with(2.0, {"fastmath": True})) != one
+    assert fingerprint(compiled_with(2.5, {})) != one
+
+
+@pytest.fixture
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Two folders in place of the user's; tests may spoil the first."""
+    found = [tmp_path / "own" / "kernels" / "versions", tmp_path / "temporary" / "kernels" / "versions"]
+    monkeypatch.setattr(folder, "places", lambda: tuple(found))
+    monkeypatch.setattr(folder, "_given_up", [])
+    folder._make.cache_clear()
+    return found
+
+
+def test_without_a_writable_place_a_temporary_one_serves_and_is_named_once(places, tmp_path: Path, caplog) -> None:
+    """Where a file stands in the folder's way, kernels go to the next and are read from there; one line says so."""
+    (tmp_path / "own").write_text("in the way", encoding="utf-8")
+    folder.write("one", b"code")
+    folder.write("two", b"more")
+    assert (folder.read("one"), folder.read("two")) == (b"code", b"more")
+    (said,) = caplog.messages
+    assert str(places[0]) in said
+    assert str(places[1]) in said
+
+
+def test_without_any_place_kernels_compile_all_the_same(places, tmp_path: Path, caplog) -> None:
+    """With no folder to write at all a kernel still runs, and one line says that nothing is kept."""
+    for name in ("own", "temporary"):
+        (tmp_path / name).write_text("in the way", encoding="utf-8")
+    assert compiled_with(3.0, {})(2.0) == 7.0
+    assert "every run compiles them anew" in caplog.messages[-1]
+
+
+def test_a_damaged_file_is_compiled_anew(places) -> None:
+    """A kept kernel cut short is not loaded; the right one is written over it."""
+    assert compiled_with(3.0, {})(2.0) == 7.0
+    (kept,) = places[0].glob("*outer*.bin")
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[: len(whole) // 2])
+    again = compiled_with(3.0, {})
+    assert again(2.0) == 7.0
+    assert not again.stats.cache_hits
+    assert len(kept.read_bytes()) >= len(whole) // 2 + 1
+
+
+def test_what_is_long_unused_is_removed(places) -> None:
+    """Kernels of other versions, and of sources since edited, go after a month without use; those in use stay."""
+    old = time.time() - (folder.UNUSED_DAYS + 1.0) * folder.DAY_S
+    other, fresh = places[0].parent / "older", places[0].parent / "other"
+    for place in (other, fresh, places[0]):
+        place.mkdir(parents=True)
+        (place / "kernel.bin").write_bytes(b"code")
+    for path in (other / "kernel.bin", other, places[0] / "kernel.bin"):
+        os.utime(path, (old, old))
+    folder.write("new", b"code")
+    assert not other.exists()
+    assert fresh.exists()
+    assert [path.name for path in places[0].iterdir()] == ["new.bin"]
+
+
+def test_the_folder_is_keyed_by_the_versions() -> None:
+    """The folder's name holds numba's version and Python's."""
+    name = folder.places()[0].name
+    assert f"numba-{numba.__version__}" in name
+    assert sys.implementation.cache_tag in name
