@@ -173,6 +173,8 @@ def close_loop(
 
 def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limits: Thresholds) -> Attribution:
     """What was found, less the last causes where the reserved steps speak against a gain that was small."""
+    if found.best is found.before:
+        return found
     chain = [*(found.earlier or (found.before,)), found.best]
     while len(chain) > 1:
         worse, better = (_all_steps(world, x, train) for x in chain[-2:])

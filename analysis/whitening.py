@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 
 CLIP = 6.0  # a residual beyond so many sigmas, tones included, does not speak for what its step has in common
 STRAIGHT = 0.1  # of what a step shares: by how much a graze bends what is taken for linear
-ENOUGH_EVENTS = 8  # of a kind, for an excess of its own
+RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
 LOST = 20.0  # excess over uncertainty beyond which events are lost: behaviours are searched, not fitted
+BEYOND = 2.0  # excess over uncertainty that is no matter of errors shared by a step
 REACH, COARSE, FINE = 1.4, 0.7, 0.05  # of the search for it, in its logarithm: beyond a first guess, steps, precision
 
 
@@ -84,9 +85,9 @@ class Whitener:
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
         blocks = _Blocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
-        lost = tuple(x > LOST * float(np.median(total)) for x in excess)
+        lost = excess[1] > LOST * float(np.median(total))
         if not lean:
-            excess = blocks.likeliest(excess, lost)
+            excess = blocks.likeliest(excess, tuple(x > BEYOND * float(np.median(total)) for x in excess))
         sd, shared, shrink, cap, logs = blocks.parts(excess)
         sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
@@ -107,7 +108,7 @@ class Whitener:
             log,
             excess,
             total,
-            lost[1],
+            lost,
         )
 
     def near(self, other: Whitener) -> bool:
@@ -184,26 +185,49 @@ class _Blocks:
         shared, shrink, logs = _shared(relative, self.bounds)
         return sd, shared, shrink, CLIP * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
 
-    def loss(self, excess: tuple[float, float]) -> float:
-        """Negative log likelihood at an excess."""
+    def unit(self, excess: tuple[float, float]) -> tuple[Array, Array]:
+        """Whitened residuals at an excess, and the logarithm of what each was divided by."""
         sd, shared, shrink, cap, logs = self.parts(excess)
         unit = self.bare / sd
         z = unit[:, None].copy()
         _unshare(z, np.clip(unit, -cap, cap)[:, None], self.bounds, shared, shrink)
-        return float(np.sum(robust_loss(z[:, 0], log_odds(np.exp(logs), self.period_s)) + logs))
+        return z[:, 0], logs
 
-    def likeliest(self, guess: tuple[float, float], lost: Sequence[bool]) -> tuple[float, float]:
+    def loss(self, excess: tuple[float, float]) -> float:
+        """Negative log likelihood at an excess."""
+        z, logs = self.unit(excess)
+        return float(np.sum(robust_loss(z, log_odds(np.exp(logs), self.period_s)) + logs))
+
+    def likeliest(self, guess: tuple[float, float], beyond: Sequence[bool]) -> tuple[float, float]:
         """Excess of openings and of landings by maximum likelihood, errors that a step shares told from scatter.
 
-        Explanations are compared at this likelihood: an excess off its maximum would let mere weights gain. Where
-        events are lost, the guess stays: weights that are sharp for the few that are not would find no other.
+        Explanations are compared at this likelihood: an excess off its maximum would let mere weights gain. Where the
+        guess is ``beyond`` anything that a step shares, it is at most raised: weights sharp for the few events that
+        fit would hold the others for astray, and lead nowhere.
         """
         opening, landing = guess
-        if not lost[1] and np.sum(~self.opening) >= ENOUGH_EVENTS:
+        if beyond[1]:
+            landing = self._raised(~self.opening, lambda x: (opening, x), landing)
+        elif np.sum(~self.opening) >= ENOUGH_EVENTS:
             landing = _lowest(lambda x: self.loss((opening, x)), landing)
-        if not lost[0] and np.sum(self.opening) >= ENOUGH_EVENTS:
+        if beyond[0]:
+            opening = self._raised(self.opening, lambda x: (x, landing), opening)
+        elif np.sum(self.opening) >= ENOUGH_EVENTS:
             opening = _lowest(lambda x: self.loss((x, landing)), opening)
         return opening, landing
+
+    def _raised(
+        self, rows: NDArray[np.bool_], both: Callable[[float], tuple[float, float]], excess: float
+    ) -> float:
+        """The excess raised while residuals scatter by more than a unit once what a step shares is taken out."""
+        for _ in range(RAISES):
+            z, _ = self.unit(both(excess))
+            scale = 1.4826 * float(np.median(np.abs(z[rows]))) if rows.sum() >= ENOUGH_EVENTS else 0.0
+            if scale <= RAISED_FROM:
+                break
+            typical = float(np.median(np.hypot(self.edges[rows], excess)))
+            excess = math.sqrt(excess**2 + (scale**2 - 1.0) * typical**2)
+        return excess
 
 
 def _lowest(loss: Callable[[float], float], guess: float) -> float:

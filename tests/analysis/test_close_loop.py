@@ -143,3 +143,10 @@ def test_the_rejected_candidate_is_part_of_the_json() -> None:
         "names": ["restitution"], "gain_nats": 1729.0, "standard_error": None,
         "reason": "the plate data fit worse with it",
     }
+
+
+def test_where_nothing_was_found_nothing_is_withdrawn() -> None:
+    """The declared model stands: no word of reserved steps, and no rejected candidate without a name."""
+    nothing: Any = SimpleNamespace(names=())
+    found = Attribution(nothing, nothing, (), (), ("round 1: nothing more gains beyond doubt",))
+    assert close_loop._borne_out(nothing, found, np.ones(4, dtype=bool), FROZEN) is found

@@ -38,6 +38,6 @@ def test_a_scatter_of_its_own_is_found_below_a_larger_shared_error(seed: int) ->
     assert 0.9e-6 < found < 1.3e-6  # the scale of Student's t, 0.87 of a normal deviation
 
 
-def test_lost_events_keep_soft_weights() -> None:
-    """Where events are lost, the first guess of their excess stays: sharp weights would find no other behaviour."""
+def test_events_far_beyond_shared_errors_keep_soft_weights() -> None:
+    """Where more is missing than tones may err by, the first guess of the excess stays: sharp weights lead nowhere."""
     assert blocks(0.0, 0).likeliest((LEAST_EXCESS_S, 1e-4), (False, True))[1] == 1e-4
