@@ -54,7 +54,7 @@ def command(
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
-        fail(f"{out}: {error}")
+        fail(f"{out}: {error.strerror or error}")
     payload = _payload(summary)
     if json_out != "-":
         _print(payload)
