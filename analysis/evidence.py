@@ -20,6 +20,7 @@ from analysis.jitter import with_jitter
 from analysis.modulation import Swells
 from analysis.plate import StepPlate
 from analysis.platedata import PlateData, plate_data
+from daq.identity import refuse_repeated
 from daq.recording import Recording, open_recording
 from daq.setup import Setup
 from model.roll import Measured, PlateSteps
@@ -146,8 +147,9 @@ def evidence_of(
     Raises
     ------
     InputError
-        Where a file is no recording or holds no flights and no plate motion.
+        Where a file is no recording or holds no flights and no plate motion, or two hold the same samples.
     """
+    refuse_repeated(paths)
     parts = []
     for path in paths:
         with open_recording(path) as recording:
