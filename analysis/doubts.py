@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.plate import PlateMotion
-from daq.import_remarks import plate_doubts
+from daq.import_remarks import GAMMAS, plate_doubts
 from daq.recording import Recording
 
 UNEVEN_SAMPLES = 1.0
@@ -25,6 +25,6 @@ def doubts(recording: Recording, plate: PlateMotion) -> list[str]:
         )
     steps = [s for s in plate.steps if s is not None]
     if "drive" in recording.channels and steps:
-        table = np.array([(s.gamma_drive, s.gamma, s.gamma_uncertainty) for s in steps], np.float64)
-        said += plate_doubts(table[:, 0], table[:, 1], table[:, 2], recording.setup)
+        rows = [(s.gamma_drive, s.gamma, s.gamma_uncertainty) for s in steps]
+        said += plate_doubts(np.array(rows, [(name, np.float64) for name in GAMMAS]), recording.setup)
     return said

@@ -38,7 +38,8 @@ def powers_of_five() -> NDArray[np.uint64]:
 
 
 def parse_rows(
-    block: NDArray[np.uint8], delimiter: str | None, decimal: str, width: int, role_of: NDArray[np.int64], n_columns: int
+    block: NDArray[np.uint8], delimiter: str | None, decimal: str, width: int, role_of: NDArray[np.int64],
+    n_columns: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], int]:
     """Numbers of a block of whole lines.
 
@@ -144,9 +145,9 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
         minus = block[at] == 45
         if minus or block[at] == 43:
             at += 1
-        exponent, first = 0, at
+        exponent, first = np.int64(0), at
         while 48 <= block[at] <= 57 and exponent < 10000:
-            exponent = exponent * 10 + np.int64(block[at]) - 48
+            exponent = exponent * 10 + (np.int64(block[at]) - 48)
             at += 1
         sure = sure and at > first
         power += -exponent if minus else exponent

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -211,7 +212,7 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     InputError
         When the file is missing, of an unknown kind, or does not read.
     """
-    from daq.foreign_arrays import Hdf5Source, MatSource, NpzSource, WavSource
+    from daq.foreign_arrays import Hdf5Source, Mat73Source, MatSource, NpzSource, WavSource
     from daq.foreign_csv import CsvSource
 
     if not path.is_file():
@@ -221,7 +222,8 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
         return CsvSource(path, select or {}, select_column)
     if select:
         raise InputError(f"{path}: --channel is for long tables in text files (CSV); here use --map.")
-    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": MatSource}
+    matlab = Mat73Source if ending == ".mat" and h5py.is_hdf5(path) else MatSource
+    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": matlab}
     kinds |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Hdf5Source)
     if ending not in kinds:
         raise InputError(f"{path}: wanted a file that ends in .csv .txt .tsv .dat (or .gz of these) {' '.join(kinds)}.")

@@ -13,7 +13,7 @@ import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +108,7 @@ class CsvSource:
         else:
             yield from self._pivoted(names)
 
-    def _open(self) -> BinaryIO:
+    def _open(self) -> Any:
         """The text as UTF-8 without byte-order mark, its lines ending in a newline."""
         raw: Any = (gzip.open if self.path.suffix.lower() == ".gz" else open)(self.path, "rb")
         head = raw.read(_LONGEST_LINE)
@@ -117,7 +117,7 @@ class CsvSource:
         if encoding or (b"\r" in head and b"\n" not in head):
             return _Recoded(raw, encoding or "utf-8")
         raw.read(3 if head.startswith(codecs.BOM_UTF8) else 0)
-        return raw  # type: ignore[no-any-return]
+        return raw
 
     def _sniff(self) -> None:
         """Find delimiter, decimal sign, header and the first line of numbers."""
@@ -155,7 +155,7 @@ class CsvSource:
             raise InputError(f"{self.path}: the header names {twice!r} twice; give each column its own name.")
         self.names = self._base = tuple(names)
 
-    def _line(self, file: BinaryIO, number: int) -> bytes:
+    def _line(self, file: Any, number: int) -> bytes:
         """The next line, or what is left of one."""
         line = file.readline(_LONGEST_LINE)
         if len(line) >= _LONGEST_LINE:
@@ -229,7 +229,7 @@ class CsvSource:
     def _explain(self, line: str, number: int) -> NoReturn:
         """Say why a line cannot be used."""
         got = len(_fields(line, self._delimiter))
-        said = f"wanted {self._width} columns ({listed(self._base)}), got {got}; is the file cut off, or a value missing?"
+        said = f"wanted {self._width} columns ({listed(self._base)}), got {got}; is the file cut off, or a value gone?"
         if got == self._width:
             said = "a carriage return stands within the line; save the file with one kind of line end"
         raise InputError(f"{self.path}: line {number}: {said}")

@@ -16,6 +16,7 @@ from daq.timebase import JITTER_SHARE, Timebase
 
 Floats = NDArray[np.float64]
 CONTACT_MOVES = 0.1  # of the declared swing of the contact circuit, below which it does not move at all
+GAMMAS = ("gamma", "achieved_gamma", "achieved_gamma_uncertainty")
 FEW = 5  # pauses that are told one by one
 OTHER_RATE = 0.02
 OVER_RANGE = 1.05
@@ -47,7 +48,7 @@ def remarks(base: Timebase, steps: NDArray[np.void], channels: list[str], from_d
 def _pauses(base: Timebase) -> list[str]:
     """A few pauses one by one; many in one sentence."""
     if len(base.gaps) <= FEW:
-        return [f"a pause before sample {first}: {lost} samples missing (+-{sigma})" for first, lost, sigma in base.gaps]
+        return [f"a pause before sample {at}: {lost} samples missing (+-{sigma})" for at, lost, sigma in base.gaps]
     first, longest = base.gaps[0], base.gaps[np.argmax(base.gaps[:, 1])]
     return [
         f"{len(base.gaps)} pauses, {base.gaps[:, 1].sum()} samples missing in all; the first before sample {first[0]}, "
@@ -60,7 +61,9 @@ def rate_doubts(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[s
     said = []
     expected = setup.sampling.rate_hz
     if setup.sampling.stated and abs(rate_hz / expected - 1.0) > OTHER_RATE:
-        said.append(f"{rate_hz:.6g} samples/s, where profile {setup.name!r} says {expected:.6g}: is the unit of time right?")
+        said.append(
+            f"{rate_hz:.6g} samples/s, where profile {setup.name!r} says {expected:.6g}: is the unit of time right?"
+        )
     forcing_hz = setup.forcing.frequency_hz
     if rate_hz < 4.0 * forcing_hz * setup.forcing.ratio:
         said.append(
@@ -79,7 +82,7 @@ def range_doubts(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
     for role, peak in peak_v.items():
         range_v = getattr(setup.channels, role).range_v
         if peak > OVER_RANGE * range_v:
-            said.append(f"the {role} reads up to {peak:.4g} V, beyond its range_v = {range_v:g} of profile {setup.name!r}")
+            said.append(f"the {role} reads up to {peak:.4g} V; profile {setup.name!r} says range_v = {range_v:g}")
     return said
 
 
@@ -88,16 +91,18 @@ def is_dead(achieved: Floats, sigma: Floats) -> bool:
     return bool(len(achieved) and np.median(achieved - NOISE_SIGMAS * sigma) <= 0.0)
 
 
-def plate_doubts(asked: Floats, achieved: Floats, sigma: Floats, setup: Setup) -> list[str]:
+def plate_doubts(steps: NDArray[np.void], setup: Setup) -> list[str]:
     """Where the plate does not do what the drive asks: a dead accelerometer, exchanged channels, a wrong scale.
 
     Parameters
     ----------
-    asked, achieved, sigma
-        Gamma of each step by drive and by accelerometer, and the latter's uncertainty; NaN where unknown.
+    steps
+        With the fields gamma (by the drive), achieved_gamma and achieved_gamma_uncertainty (by the accelerometer); NaN
+        where unknown.
     setup
         Its scales tell exchanged channels from a wrong one.
     """
+    asked, achieved, sigma = (steps[name] for name in GAMMAS)
     measured = np.isfinite(achieved) & np.isfinite(sigma)
     if is_dead(achieved[measured], sigma[measured]):
         return ["the accelerometer shows nothing of the drive's motion: it is dead, unplugged, or another column"]

@@ -43,7 +43,6 @@ from daq.writer import now_utc, root_attributes
 Floats = NDArray[np.float64]
 
 MOST_HZ = 1e9  # times are kept in nanoseconds
-GAMMAS = ("gamma", "achieved_gamma", "achieved_gamma_uncertainty")
 EPOCH_S = 1e9  # a larger first time is seconds since 1970
 MOST_OF = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
 SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
@@ -116,7 +115,7 @@ def import_recording(
         base = _timebase(source, writer, intake, columns.get("time"), setup, rate)
         steps, from_drive = _find(writer, scales, setup, base, intake, progress)
         doubts = [*rate_doubts(base.rate_hz, setup, steps), *range_doubts(intake.peak_v, setup)]
-        doubts += plate_doubts(*(steps[name] for name in GAMMAS), setup) if from_drive else []
+        doubts += plate_doubts(steps, setup) if from_drive else []
         if "continuity" in scales:
             doubts += contact_doubts(_volts(writer, scales, "continuity"), setup, steps)
         setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
@@ -176,8 +175,8 @@ def _timebase(
     if time is None:
         base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
     else:
-        def times(a: int, b: int) -> Floats:
-            return np.asarray(writer.read("timestamp", a, b) * 1e-9, np.float64)
+        def times(start: int, stop: int) -> Floats:
+            return np.asarray(writer.read("timestamp", start, stop) * 1e-9, np.float64)
 
         refuse_mixed_rates(source.path, times, writer.n_samples, intake.rounding_s)
         base = timebase_of(times, writer.n_samples, intake.rounding_s)

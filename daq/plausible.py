@@ -6,6 +6,7 @@ remark (`daq.import_remarks`).
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
     if parts < 2:
         return
     edges = np.linspace(0, n, parts + 1).astype(np.int64)
-    steps = np.array([_step(times, int(a), int(b), quantum_s) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    steps = np.array([_step(times, a, b, quantum_s) for a, b in pairwise(edges.tolist())])
     slowest, fastest = float(steps.max()), float(steps.min())
     if fastest <= 0.0 or slowest < MIXED * fastest:
         return

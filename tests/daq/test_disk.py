@@ -59,7 +59,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(
 
     monkeypatch.setattr(DiskFile, "__init__", small)
     noise = np.random.default_rng(1).normal(size=50_000)
-    with pytest.raises(OSError, match="disk refuses to take more .No space left"):
+    with pytest.raises(OSError, match=r"disk refuses to take more .No space left"):
         write(tmp_path / "a.h5", setup, noise)
     assert list(tmp_path.iterdir()) == []
 
