@@ -226,7 +226,7 @@ class NpzSource(_ArraySource):
         try:
             self._archive = zipfile.ZipFile(path)
             if len(self._archive.namelist()) > _MOST_OBJECTS:
-                raise InputError(f"{path}: holds more than {_MOST_OBJECTS} arrays; put the columns into one of their own.")
+                raise InputError(f"{path}: holds more than {_MOST_OBJECTS} arrays; keep the columns alone.")
             for member in self._archive.namelist():
                 with self._archive.open(member) as stream:
                     shape, order, dtype = _npy_header(stream)

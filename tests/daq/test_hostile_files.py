@@ -105,7 +105,7 @@ def test_npz_claims_are_not_believed(tmp_path: Path, setup: Setup, header: str) 
 
 
 def test_zeros_packed_a_thousandfold(tmp_path: Path, setup: Setup) -> None:
-    """An archive that unpacks to far more than any measurement would is refused before it is unpacked."""
+    """An archive that unpacks to far more than it weighs is unpacked piece by piece, in little memory."""
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         for name in NAMES:
             with archive.open(f"{name}.npy", "w") as file:
