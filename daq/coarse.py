@@ -62,6 +62,8 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
         return []
     top = max(m for m, _ in tones)
     reduce = max(1, int(rate_hz / (_POINTS_A_CYCLE * SPAN * hint_hz * top)))
+    if window // reduce < 8:  # far less than a cycle
+        return []
     starts = np.arange(start, stop - window + 1, hop)
     found = np.array([_look(read(int(s), int(s) + window), rate_hz, reduce, tones, hint_hz) for s in starts])
     frequency, amplitude, share = found.T

@@ -69,7 +69,9 @@ class _ArraySource:
     def dtype(self, name: str) -> np.dtype[Any]:
         """Type of the column in little-endian order."""
         dtype = self._types[name]
-        return np.dtype("i1") if dtype.kind == "b" else dtype.newbyteorder("<")
+        if dtype.kind == "b":
+            return np.dtype("i1")
+        return np.dtype("<f8") if dtype.kind == "f" and dtype.itemsize > 8 else dtype.newbyteorder("<")
 
     def _length(self, names: Sequence[str]) -> int:
         lengths = {name: self._lengths[name] for name in names}
@@ -352,8 +354,10 @@ class WavSource(_HeldSource):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks of other programs
                 rate, data = self._load(wavfile, path)
-        except (ValueError, OSError) as error:
+        except (*_READ_ERRORS, ZeroDivisionError) as error:
             raise InputError(f"{path}: cannot be read as WAV ({error}).") from error
+        if not rate or not data.size:
+            raise InputError(f"{path}: holds {data.size} numbers at {rate} samples/s; wanted a recording.")
         columns = data.reshape(len(data), -1)
         names = [str(i + 1) for i in range(columns.shape[1])]
         if len(names) == 3:

@@ -42,7 +42,8 @@ from daq.writer import now_utc, root_attributes
 
 Floats = NDArray[np.float64]
 
-MOST_HZ = 1e9  # times are kept in nanoseconds
+LEAST_HZ, MOST_HZ = 0.01, 1e8  # times are kept in nanoseconds, in 64 bits
+YEAR_9999_S = 2.5e11
 EPOCH_S = 1e9  # a larger first time is seconds since 1970
 MOST_OF = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
 SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
@@ -96,8 +97,8 @@ def import_recording(
     InputError
         Naming file and row of what cannot be used; nothing is left behind.
     """
-    if rate_hz is not None and not 0.0 < rate_hz < MOST_HZ:
-        raise InputError(f"--rate {rate_hz:g}: wanted samples a second, more than 0 and less than {MOST_HZ:g}.")
+    if rate_hz is not None and not LEAST_HZ <= rate_hz <= MOST_HZ:
+        raise InputError(f"--rate {rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
     columns = assign(source, mapping or {})
     channels = [role for role in CHANNEL_ROLES if role in columns]
     rate = rate_hz or source.rate_hz
@@ -237,6 +238,11 @@ def _found(
     near_hz = setup.forcing.frequency_hz
     for a, b in pairwise(cuts):
         near_hz = set_hz.get(a, near_hz)
+        if near_hz > 0.5 * base.rate_hz and set_hz:
+            raise InputError(
+                f"set frequency {near_hz:.6g} from sample {a} on: wanted less than half the sample rate, "
+                f"{0.5 * base.rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
+            )
         if intake.set_values:
             found += given_step(read, a, b, base.rate_hz, setup.forcing, near_hz)
         else:
@@ -273,7 +279,7 @@ def _late_attributes(
     extra: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     started = ""
-    if intake.origin_s > EPOCH_S:
+    if EPOCH_S < intake.origin_s < YEAR_9999_S:
         when = datetime.datetime.fromtimestamp(intake.origin_s, datetime.UTC)
         started = when.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
     return {

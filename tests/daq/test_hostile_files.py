@@ -231,3 +231,16 @@ def test_a_formula_is_no_name_in_an_exported_table(tmp_path: Path, setup: Setup)
         recording._scales["drive"] = [1.0, 0.0]
         export(recording, tmp_path / "b.csv", "csv")
     assert (tmp_path / "b.csv").read_text().splitlines()[0] == "time_s,\"'=cmd|\"\"/c calc\"\"!A1_v\",drive_v"
+
+
+@pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "hdf5", "mat", "wav"])
+@pytest.mark.parametrize("start", [b"", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"RIFF\x24\x00\x00\x00WAVEfmt \x10\x00\x00\x00"])
+def test_noise_is_no_recording(tmp_path: Path, setup: Setup, ending: str, start: bytes) -> None:
+    """Random bytes under any ending, behind any beginning, are an error in words."""
+    raw = tmp_path / f"a.{ending}"
+    raw.write_bytes(start + np.random.default_rng(1).bytes(20_000))
+    with pytest.raises(InputError):
+        bring_in(raw, setup)
+    raw.write_bytes(start + bytes(4000))
+    with pytest.raises(InputError):
+        bring_in(raw, setup)

@@ -17,7 +17,8 @@ from daq.foreign import open_source, parse_map
 from daq.identity import refuse_repeated
 from daq.importing import ImportSummary, import_recording
 from daq.recording import open_recording
-from daq.setup import Setup
+from daq.setup import Forcing, Frozen, Setup
+from daq.strict_toml import load_toml
 
 RATE_HZ = 2000.0
 LEVELS = [0.2, 0.5, 0.3]
@@ -51,7 +52,7 @@ def bring_in(raw: Path, setup: Setup, maps: tuple[str, ...] = (), **options: flo
     return import_recording(open_source(raw), out, setup, "", mapping=parse_map(maps), **options)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("rate_hz", [-5.0, 0.0, float("nan"), float("inf"), 1e12])
+@pytest.mark.parametrize("rate_hz", [-5.0, 0.0, float("nan"), float("inf"), 1e12, 1e-300])
 def test_a_rate_that_is_none(tmp_path: Path, setup: Setup, columns: Columns, rate_hz: float) -> None:
     """A sample rate must be a number of samples a second; nothing is written otherwise."""
     del columns["time_s"]
@@ -225,3 +226,38 @@ def test_a_run_counts_once(tmp_path: Path, setup: Setup, columns: Columns) -> No
     write_csv(tmp_path / "c.csv", columns)
     bring_in(tmp_path / "c.csv", setup)
     refuse_repeated([one, tmp_path / "c.h5"])
+
+
+def test_odd_numbers_of_an_archive(tmp_path: Path, setup: Setup, columns: Columns) -> None:
+    """Long doubles, half floats and unsigned times beyond a calendar's end come in as numbers."""
+    given = {k: np.asarray(v, np.longdouble) for k, v in columns.items()}
+    np.savez(tmp_path / "a.npz", **given)
+    assert bring_in(tmp_path / "a.npz", setup).timebase.rate_hz == pytest.approx(RATE_HZ)
+    given = {k: np.asarray(v, np.float16) for k, v in columns.items()}
+    given["time_s"] = np.rint(columns["time_s"] * 1e6).astype(np.uint64) + np.uint64(1 << 62)
+    np.savez(tmp_path / "b.npz", **given)
+    assert bring_in(tmp_path / "b.npz", setup, ("time=time_s:us",)).timebase.rate_hz == pytest.approx(RATE_HZ)
+
+
+def test_a_set_frequency_that_cannot_be(tmp_path: Path, setup: Setup, columns: Columns) -> None:
+    """A set frequency above half the sample rate is refused, and a rate that leaves no cycle finds no step."""
+    columns["set_hz"] = np.where(columns["time_s"] < 1.0, 25.0, 1e308)
+    raw = write_csv(tmp_path / "a.csv", columns)
+    with pytest.raises(InputError, match="set frequency 1e.308 from sample 2000 on"):
+        bring_in(raw, setup, ("frequency=set_hz",))
+    del columns["time_s"]
+    assert not len(bring_in(write_csv(raw, columns), setup, rate_hz=1e7).steps)
+
+
+def test_profiles_from_every_editor(tmp_path: Path) -> None:
+    """A profile with a byte-order mark, or in UTF-16, is the same profile."""
+    text = '[forcing]\nfrequency_hz = 25.0\n'
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        (tmp_path / "p.toml").write_text(text, encoding=encoding, newline="\r\n")
+        assert load_toml(tmp_path / "p.toml", Outer)[0].forcing.frequency_hz == 25.0
+
+
+class Outer(Frozen):
+    """A profile with nothing but the forcing."""
+
+    forcing: Forcing
