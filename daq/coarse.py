@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ class Region:
     frequency_hz: float
 
 
+@lru_cache(maxsize=16)
 def weights(forcing: Forcing) -> tuple[tuple[int, float], ...]:
     """Expected relative acceleration of the tones, ``(multiple, amplitude)``: displacement times multiple squared."""
     return tuple((m, m * m * abs(z)) for m, z in forcing.displacement_tones() if abs(z) > 1e-12)

@@ -39,7 +39,7 @@ def powers_of_five() -> NDArray[np.uint64]:
 
 def parse_rows(
     block: NDArray[np.uint8], delimiter: str | None, decimal: str, width: int, role_of: NDArray[np.int64],
-    n_columns: int,
+    shape: tuple[int, int],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], int]:
     """Numbers of a block of whole lines.
 
@@ -53,8 +53,8 @@ def parse_rows(
         Columns that each line must have.
     role_of
         For each of them the place in the table, -1 where nobody wants it, shape (width,).
-    n_columns
-        Columns of the table.
+    shape
+        Columns of the table, and the lines of the block.
 
     Returns
     -------
@@ -67,9 +67,8 @@ def parse_rows(
     wrong
         Line, from 0, of another width; -1 where there is none.
     """
-    rows = int(np.count_nonzero(block == 10))
-    table = np.empty((n_columns, rows))
-    lines, left = np.empty(rows, np.int64), np.empty((rows * n_columns, 4), np.int64)
+    table = np.empty(shape)
+    lines, left = np.empty(shape[1], np.int64), np.empty((table.size, 4), np.int64)
     limit = ord(delimiter) if delimiter is not None else 0
     n, m, wrong = _parse(block, limit, ord(decimal), width, role_of, powers_of_five(), table, lines, left)
     return table[:, :n], lines[:n], left[:m], wrong

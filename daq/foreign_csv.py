@@ -95,8 +95,8 @@ class CsvSource:
             Naming the file and line of what is not a number, missing, or too much.
         """
         if not self._select:
-            for first, block in self._blocks():
-                columns, rows = self._parsed(block, names, range(first, first + block.count(b"\n")))
+            for first, n, block in self._blocks():
+                columns, rows = self._parsed(block, names, range(first, first + n))
                 if len(rows):
                     yield Piece(columns, rows, "line")
         elif "" in self._select:
@@ -157,7 +157,7 @@ class CsvSource:
 
     def _line(self, file: Any, number: int) -> bytes:
         """The next line, or what is left of one."""
-        line = file.readline(_LONGEST_LINE)
+        line: bytes = file.readline(_LONGEST_LINE)
         if len(line) >= _LONGEST_LINE:
             raise InputError(
                 f"{self.path}: line {number} or one near it is longer than {_LONGEST_LINE} characters; wanted a table "
@@ -174,8 +174,8 @@ class CsvSource:
             f"{self.path}: --channel needs a column called {' or '.join(wanted)}; it has {listed(self.names)}."
         )
 
-    def _blocks(self) -> Iterator[tuple[int, bytes]]:
-        """Whole lines of text, some at a time, each with the number (from 1) of its first line."""
+    def _blocks(self) -> Iterator[tuple[int, int, bytes]]:
+        """Whole lines of text, some at a time, each with the number (from 1) of its first line, and how many."""
         with self._open() as file:
             for i in range(self._first_line):
                 self._line(file, i + 1)
@@ -183,20 +183,22 @@ class CsvSource:
             while True:
                 try:
                     block = file.read(_BLOCK_BYTES)
-                    block += self._line(file, first + block.count(b"\n"))
+                    n = block.count(b"\n")
+                    rest = self._line(file, first + n)
                 except (OSError, EOFError, zlib.error) as error:
                     raise InputError(f"{self.path}: breaks off: {error}.") from error
                 if not block:
                     return
-                block = block if block.endswith(b"\n") else block + b"\n"
+                if rest or not block.endswith(b"\n"):
+                    block, n = block + rest.removesuffix(b"\n") + b"\n", n + 1
                 if not self._decimal and self._delimiter:
                     self._decimal = _decimal_of(block.decode(errors="replace"), self._delimiter)
-                yield first, block
-                first += block.count(b"\n")
+                yield first, n, block
+                first += n
 
     def _lines(self) -> Iterator[tuple[list[int], list[str]]]:
         """Numbers and text of the lines that are neither blank nor a comment, some at a time."""
-        for first, block in self._blocks():
+        for first, _, block in self._blocks():
             lines = block.decode(errors="replace").split("\n")
             kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
             yield [first + i for i in kept], [lines[i].rstrip("\r") for i in kept]
@@ -210,7 +212,7 @@ class CsvSource:
         place[[self._base.index(n) for n in columns]] = np.arange(len(columns))
         text = np.frombuffer(block, np.uint8)
         table, lines, left, wrong = parse_rows(
-            text, self._delimiter, self._decimal or ".", self._width, place, len(columns)
+            text, self._delimiter, self._decimal or ".", self._width, place, (len(columns), len(numbers))
         )
         for row, column, start, stop in left.tolist():
             field = block[start:stop].decode(errors="replace")
@@ -223,7 +225,7 @@ class CsvSource:
             table[column, row] = value
         if wrong >= 0:
             self._explain(block.split(b"\n")[wrong].decode(errors="replace"), numbers[wrong])
-        where = np.asarray(numbers)[lines] if len(numbers) else lines
+        where = lines + numbers.start if isinstance(numbers, range) else np.asarray(numbers, np.int64)[lines]
         return {name: table[i] for i, name in enumerate(columns)}, where
 
     def _explain(self, line: str, number: int) -> NoReturn:

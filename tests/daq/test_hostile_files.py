@@ -234,7 +234,7 @@ def test_a_formula_is_no_name_in_an_exported_table(tmp_path: Path, setup: Setup)
 
 
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "hdf5", "mat", "wav"])
-@pytest.mark.parametrize("start", [b"", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"RIFF\x24\x00\x00\x00WAVEfmt \x10\x00\x00\x00"])
+@pytest.mark.parametrize("start", [b"", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"RIFF\x24\x00\x00\x00WAVEfmt \x10\0\0\0"])
 def test_noise_is_no_recording(tmp_path: Path, setup: Setup, ending: str, start: bytes) -> None:
     """Random bytes under any ending, behind any beginning, are an error in words."""
     raw = tmp_path / f"a.{ending}"

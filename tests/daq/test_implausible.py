@@ -196,13 +196,14 @@ def test_numbers_are_read_to_the_last_bit() -> None:
     words += [f"{m}e{e}" for m, e in zip(odd_ones.tolist(), rng.integers(-30, 30, 3000).tolist(), strict=True)]
     words += ["0", "-0.0", ".5", "5.", "00000000000000000000001.5", "0.000000000000000000000123", "1E-5"]
     table, lines, left, wrong = parse_rows(
-        np.frombuffer("".join(f"7,{w},8\n" for w in words).encode(), np.uint8), ",", ".", 3, np.array([0, 1, 2]), 3
+        np.frombuffer("".join(f"7,{w},8\n" for w in words).encode(), np.uint8), ",", ".", 3, np.array([0, 1, 2]),
+        (3, len(words)),
     )
     assert wrong == -1 and len(left) == 0 and lines.tolist() == list(range(len(words)))
     np.testing.assert_array_equal(table[1].view(np.int64), np.array([float(w) for w in words]).view(np.int64))
     odd = ["", "-", ".", "1e", "e5", "1_0", "nan", "1.2.3", "1 2", "0x10", "1e400", "12345678901234567890123", "\u0663"]
     text = "".join(f"7,{w},8\n" for w in odd)
-    _, _, left, _ = parse_rows(np.frombuffer(text.encode(), np.uint8), ",", ".", 3, np.array([0, 1, 2]), 3)
+    _, _, left, _ = parse_rows(np.frombuffer(text.encode(), np.uint8), ",", ".", 3, np.arange(3), (3, len(odd)))
     assert left[:, 0].tolist() == list(range(len(odd)))
 
 
@@ -243,7 +244,7 @@ def test_a_set_frequency_that_cannot_be(tmp_path: Path, setup: Setup, columns: C
     """A set frequency above half the sample rate is refused, and a rate that leaves no cycle finds no step."""
     columns["set_hz"] = np.where(columns["time_s"] < 1.0, 25.0, 1e308)
     raw = write_csv(tmp_path / "a.csv", columns)
-    with pytest.raises(InputError, match="set frequency 1e.308 from sample 2000 on"):
+    with pytest.raises(InputError, match=r"set frequency 1e.308 from sample 2000 on"):
         bring_in(raw, setup, ("frequency=set_hz",))
     del columns["time_s"]
     assert not len(bring_in(write_csv(raw, columns), setup, rate_hz=1e7).steps)
