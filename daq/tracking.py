@@ -21,7 +21,8 @@ Floats = NDArray[np.float64]
 
 SHORTEST_WINDOWS = 4  # a shorter stillness is part of a fade
 PIECE_WINDOWS = 20  # of a sweep that never rests
-RESTS = 0.1  # share of the loud windows below which what holds still is chance, and the whole a sweep
+LEAST_SWEEP = 12  # windows; what is shorter may be a fade, what is longer and holds still is a step
+RESTS = 0.3  # share of the loud windows below which what holds still is chance, and the whole a sweep
 QUIET = 2e-3  # of the largest amplitude
 STEADY = 3e-4  # relative change of amplitude from cycle to cycle that nobody calls a step
 SAME_LEVEL = 1e-3
@@ -146,7 +147,7 @@ def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) ->
     parts = segments(values, sigma, same, PENALTY)
     steady = np.array([_steady(track, a, b, sigma) for a, b in parts]) & ~_on_the_way(track.amplitude, parts)
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
-    if covered < RESTS * track.loud.sum() and track.loud.sum() >= 2 * PIECE_WINDOWS:
+    if covered < RESTS * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
         parts, steady = _in_pieces(track.loud)
     found: list[Still] = []
     fade_from = None
@@ -285,7 +286,7 @@ def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
 
 
 def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Whether each part belongs to a fade: it moves as fast as the path from the part before to the one after.
+    """Whether each short part belongs to a fade: it moves as fast as the path from the part before to the one after.
 
     A step between two others stands still while the path does not; a fade that was cut in pieces moves with it.
     """
@@ -295,7 +296,7 @@ def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> NDArray[np.b
     for i, (a, b) in enumerate(parts):
         before, after = max(i - 1, 0), min(i + 1, len(parts) - 1)
         x = np.arange(a, b) - middle[i]
-        if before == after or not x.any():
+        if before == after or not x.any() or b - a > LEAST_SWEEP:
             continue
         own = x @ amplitude[a:b] / (x @ x)
         path = (mean[after] - mean[before]) / (middle[after] - middle[before])
