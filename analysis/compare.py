@@ -197,8 +197,8 @@ def compare(
             continue
         ball, forcing, gamma = ball_on(plate, setup, declared)
         found = attractor(ball, gamma, last, FLIGHTS)
-        around = [attractor(ball, gamma + d * plate.gamma_uncertainty, last, FLIGHTS) for d in (-1.0, 1.0)]
-        settled = steps_table["settle_cycles"][plate.step] if steps_table is not None else np.nan
+        around = [attractor(ball, max(gamma + d * plate.gamma_uncertainty, 0.0), last, FLIGHTS) for d in (-1.0, 1.0)]
+        settled = steps_table["settle_cycles"][plate.step] if steps_table is not None and len(steps_table) else np.nan
         last = found.last
         doubt = _doubt(found, around, 1.0 / (3.0 * flights.plate.rate_hz) * plate.omega_radps, float(settled))
         steps.append(_step(flights, plate, own, found, forcing, doubt))

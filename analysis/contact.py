@@ -65,6 +65,8 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
         plateau = volts[:0]
         for before in (16, 4):
             length = before + 5  # and four more on this side
+            if volts.size < length:
+                continue
             inside = np.convolve(side == wanted, np.ones(length))[length - 1 :] > length - 0.5
             if plateau.size < 50:
                 plateau = volts[before : before + inside.size][inside[: volts.size - before]]

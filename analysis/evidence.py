@@ -21,6 +21,7 @@ from analysis.modulation import Swells
 from analysis.plate import StepPlate
 from analysis.platedata import PlateData, plate_data
 from daq.errors import InputError
+from daq.identity import refuse_repeated
 from daq.recording import Recording, open_recording
 from daq.setup import Setup
 from model.roll import Measured, PlateSteps
@@ -147,8 +148,9 @@ def evidence_of(
     Raises
     ------
     InputError
-        Where a file is no recording or holds no flights and no plate motion, or two have another c.
+        Where a file is no recording or holds no flights and no plate motion, two hold the same samples or another c.
     """
+    refuse_repeated(paths)
     _check_alike(paths)
     parts = []
     for path in paths:

@@ -119,7 +119,7 @@ def moved(
         if not abs(middle.amplitudes[place]) > STANDS_OUT * middle.amplitude_sigma()[place]:
             return line
         left, right = fit_at(hz - h), fit_at(hz + h)
-        misfit = [_misfit(f) / middle.rms**2 for f in (left, middle, right)]
+        misfit = [_misfit(f) / max(middle.rms**2, 1e-300) for f in (left, middle, right)]
         bend = max((misfit[0] - 2.0 * misfit[1] + misfit[2]) / h**2, 0.0) + 2.0 / line.sigma_hz**2
         slope = (misfit[2] - misfit[0]) / (2.0 * h) + 2.0 * (hz - line.hz) / line.sigma_hz**2
         step = float(np.clip(-slope / bend, -2.0 * h, 2.0 * h))

@@ -23,10 +23,12 @@ from analysis.waveform import Waveform, white_noise
 from daq.block import STEP_DTYPE, BlockFlag
 from daq.errors import InputError
 from daq.recording import Recording
+from daq.setup import FAR_OUTSIDE
 
 Ints = npt.NDArray[np.int64]
 Progress = Callable[[float], None]  # part done, 0 to 1
 
+LEAST_SAMPLES = 32  # of a recording that is analysed
 DEFAULT_MASK_S = 2e-3  # left out after an impact where the accelerometer does not show how long it rings
 
 
@@ -88,7 +90,14 @@ def _channels(recording: Recording) -> tuple[str, ...]:
 def survey(recording: Recording) -> Survey:
     """Levels, noise and the impact's waveform from a few pieces."""
     channels = tuple(name for name in _channels(recording) if name != "drive")
+    cycle = max(round(recording.rate_hz / recording.setup.forcing.frequency_hz), LEAST_SAMPLES)
+    if recording.n_samples < cycle:
+        raise InputError(
+            f"{recording.path}: wanted at least {cycle} samples (a cycle of the forcing at "
+            f"{recording.setup.forcing.frequency_hz:g} Hz), got {recording.n_samples}; name a longer recording"
+        )
     looked = list(survey_pieces(recording, channels))
+    _refuse_far_outside(recording, looked, channels)
     noise = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in looked]))
     waveform = learn(looked, noise, resolved_steps(recording), recording.rate_hz)
     contact = recording.setup.channels.continuity
@@ -100,6 +109,18 @@ def survey(recording: Recording) -> Survey:
         return Survey(coupling.levels, noise, waveform, coupling)
     sample = np.concatenate(volts)
     return Survey(measure_levels(sample, contact.closed_v.value, contact.open_v.value), noise, waveform)
+
+
+def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tuple[str, ...]) -> None:
+    """Refuse volts that no channel of this profile can have read."""
+    for name in channels:
+        described = getattr(recording.setup.channels, name)
+        peak = max(float(np.abs(piece.own(name)).max()) for piece in looked)
+        if described is not None and not peak <= FAR_OUTSIDE * described.range_v:
+            raise InputError(
+                f"{recording.path}: {name} reads {peak:.4g} V, far outside its range_v = {described.range_v:g}; import "
+                f"the file again with its unit (--map {name}=COLUMN:mV), or correct range_v in the profile"
+            )
 
 
 def _fraction(piece: Piece, levels: Levels) -> npt.NDArray[np.float32]:

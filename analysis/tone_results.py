@@ -206,6 +206,8 @@ def _without_swell(fit: ToneFit, windows: Windows, tones: Complexes, quiet: floa
     value, sigma = windows.swell(tones)
     swelling = 0.5 * float(np.sum(np.abs(tones) ** 2)) * max(float(np.mean(value**2) - np.mean(sigma**2)), 0.0)
     rms = float(np.sqrt(quiet**2 + max(fit.rms**2 - quiet**2 - (1.0 + SWELL_KNOWN) * swelling, 0.0)))
+    if fit.rms == 0.0:  # nothing is left over, and nothing to share out
+        return fit
     return replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ class Region:
     frequency_hz: float
 
 
+@lru_cache(maxsize=16)
 def weights(forcing: Forcing) -> tuple[tuple[int, float], ...]:
     """Expected relative acceleration of the tones, ``(multiple, amplitude)``: displacement times multiple squared."""
     return tuple((m, m * m * abs(z)) for m, z in forcing.displacement_tones() if abs(z) > 1e-12)
@@ -62,6 +64,8 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
         return []
     top = max(m for m, _ in tones)
     reduce = max(1, int(rate_hz / (_POINTS_A_CYCLE * SPAN * hint_hz * top)))
+    if window // reduce < 8:  # far less than a cycle
+        return []
     starts = np.arange(start, stop - window + 1, hop)
     found = np.array([_look(read(int(s), int(s) + window), rate_hz, reduce, tones, hint_hz) for s in starts])
     frequency, amplitude, share = found.T

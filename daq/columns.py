@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.block import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.disk import DiskFile
 from daq.errors import InputError
 from daq.setup import Setup
 
@@ -88,7 +89,8 @@ class ColumnWriter:
             dict(hdf5plugin.Bitshuffle(nelems=SHUFFLED_SAMPLES, cname="lz4")) if compression == "lz4"
             else {"compression": "gzip", "compression_opts": 4, "shuffle": True}
         )
-        self._file = h5py.File(self.part, "w", libver=("v110", "v110"))
+        self._disk = DiskFile(self.part)
+        self._file = h5py.File(self._disk, "w", libver=("v110", "v110"))
         self._attributes = dict(attributes)
         self._sets = {"timestamp": self._dataset("timestamp", np.dtype("<i8"))}
         for name, dtype in dtypes.items():
@@ -134,6 +136,7 @@ class ColumnWriter:
             dataset[self.n_samples :] = held[:n]
             self._crc[name] = crc32(held[:n], self._crc[name])
             self._held[name] = [held[n:].copy()]
+        self._disk.check()
         self.n_samples += n
         self._n_held -= n
 
@@ -141,6 +144,8 @@ class ColumnWriter:
         """Write what is held back, so that `read` sees every sample."""
         if self._n_held:
             self._write(self._n_held)
+        self._file.flush()
+        self._disk.check()
 
     def read(self, name: str, start: int, stop: int) -> NDArray[Any]:
         """Samples of a column as stored, ``(stop - start,)``, after `flush`."""
@@ -154,6 +159,7 @@ class ColumnWriter:
             piece = stamps(start, min(start + CHUNK_SAMPLES, self.n_samples))
             self._sets["timestamp"][start : start + len(piece)] = piece
             self._crc["timestamp"] = crc32(np.asarray(piece, "<i8"), self._crc["timestamp"])
+        self._disk.check()
 
     def check(
         self,
@@ -188,6 +194,8 @@ class ColumnWriter:
         self._attributes |= late
         self._finish_attributes()
         self._file.close()
+        self._disk.check()
+        self._disk.close()
         with h5py.File(self.part, "r") as written:
             faults = check_columns(written)
         if faults:
@@ -216,6 +224,7 @@ class ColumnWriter:
         """Close and remove the unfinished file."""
         if self._file.id.valid:
             self._file.close()
+        self._disk.close()
         self.part.unlink(missing_ok=True)
 
 

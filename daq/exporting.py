@@ -92,11 +92,17 @@ def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *,
     names = recording.channels
     line = ",".join(["%.9f", *(_digits(recording, name) for name in names)]) + "\n"
     with (gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n")) as file:
-        file.write(",".join(["time_s", *(f"{name}_v" for name in names)]) + "\n")
+        file.write(",".join(["time_s", *(_plain_text(f"{name}_v") for name in names)]) + "\n")
         for a, b in _pieces(recording.n_samples, _ROWS):
             columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(name, a, b) for name in names)]
             file.write(line * (b - a) % tuple(np.column_stack(columns).ravel().tolist()))
             tell(b)
+
+
+def _plain_text(name: str) -> str:
+    """A name as a field of a CSV that no spreadsheet takes for a formula."""
+    text = f"'{name}" if name[:1] in ("=", "+", "-", "@", "\t", "\r") else name
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
 
 def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +22,7 @@ ROLES = ("time", "continuity", "accelerometer", "drive", "frequency", "level")
 SET_ROLES = ("frequency", "level")
 CHANNEL_ROLES = ("continuity", "accelerometer", "drive")
 PIECE_ROWS = 65536
+_SHOWN, _SHOWN_CHARACTERS = 24, 80
 
 _ALIASES = {
     "time": {"time", "t", "times", "timestamp", "timestamps", "elapsed", "elapsedtime", "seconds", "zeit"},
@@ -70,6 +72,13 @@ class Source(Protocol):
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for an error: the first few, without what would steer a terminal."""
+    few = ["".join(c if c.isprintable() else "?" for c in name[:_SHOWN_CHARACTERS]) for name in names[:_SHOWN]]
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(few) + more
 
 
 def parse_map(items: Sequence[str]) -> dict[str, Column]:
@@ -146,12 +155,12 @@ def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
         if len(exact) == 1:
             found = exact
         if len(found) > 1:
-            raise InputError(f"{source.path}: columns {', '.join(found)} could all be {role}; say --map {role}=COLUMN.")
+            raise InputError(f"{source.path}: columns {listed(found)} could all be {role}; say --map {role}=COLUMN.")
         if found:
             chosen[role] = Column(found[0], split_name(found[0])[1])
     if "accelerometer" not in chosen:
         raise InputError(
-            f"{source.path}: no column for the accelerometer among {', '.join(source.names)}; wanted accelerometer_v, "
+            f"{source.path}: no column for the accelerometer among {listed(source.names)}; wanted accelerometer_v, "
             "or say --map accelerometer=COLUMN."
         )
     return chosen
@@ -181,7 +190,7 @@ def _mapped(source: Source, role: str, column: Column) -> Column:
             match = source.names[int(column.name) - 1]
         else:
             raise InputError(
-                f"{source.path}: --map {role}={column.name}: no such column; it has {', '.join(source.names)}."
+                f"{source.path}: --map {role}={column.name}: no such column; it has {listed(source.names)}."
             )
     unit = column.unit or split_name(match)[1]
     return Column(match, unit if _unit_fits(role, unit) else "")
@@ -203,7 +212,7 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     InputError
         When the file is missing, of an unknown kind, or does not read.
     """
-    from daq.foreign_arrays import Hdf5Source, MatSource, NpzSource, WavSource
+    from daq.foreign_arrays import Hdf5Source, Mat73Source, MatSource, NpzSource, WavSource
     from daq.foreign_csv import CsvSource
 
     if not path.is_file():
@@ -213,7 +222,8 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
         return CsvSource(path, select or {}, select_column)
     if select:
         raise InputError(f"{path}: --channel is for long tables in text files (CSV); here use --map.")
-    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": MatSource}
+    matlab = Mat73Source if ending == ".mat" and h5py.is_hdf5(path) else MatSource
+    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": matlab}
     kinds |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Hdf5Source)
     if ending not in kinds:
         raise InputError(f"{path}: wanted a file that ends in .csv .txt .tsv .dat (or .gz of these) {' '.join(kinds)}.")

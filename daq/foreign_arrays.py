@@ -6,11 +6,13 @@ scale) is stored beside them, never applied to them.
 
 from __future__ import annotations
 
+import math
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
@@ -18,9 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.foreign import PIECE_ROWS, RATE_NAMES, Piece, split_name
+from daq.foreign import PIECE_ROWS, RATE_NAMES, Piece, listed, split_name
 
 _MOST_COLUMNS = 64
+_MOST_OBJECTS = 10_000  # of one file
+_MOST_ROW_BYTES = 4096  # of one row of a table
+_MOST_CHUNK_BYTES = 1 << 28  # unpacked at once
+_MOST_PACKED = 2000  # times smaller than its content, no measurement is
+_SMALL_BYTES = 1 << 24
+_READ_ERRORS = (OSError, ValueError, EOFError, RuntimeError, NotImplementedError, KeyError, TypeError, zlib.error,
+                zipfile.BadZipFile)
 
 
 class _ArraySource:
@@ -60,7 +69,9 @@ class _ArraySource:
     def dtype(self, name: str) -> np.dtype[Any]:
         """Type of the column in little-endian order."""
         dtype = self._types[name]
-        return np.dtype("i1") if dtype.kind == "b" else dtype.newbyteorder("<")
+        if dtype.kind == "b":
+            return np.dtype("i1")
+        return np.dtype("<f8") if dtype.kind == "f" and dtype.itemsize > 8 else dtype.newbyteorder("<")
 
     def _length(self, names: Sequence[str]) -> int:
         lengths = {name: self._lengths[name] for name in names}
@@ -76,15 +87,31 @@ class _ArraySource:
     def _read(self, name: str, start: int, stop: int) -> NDArray[Any]:
         raise NotImplementedError
 
+    def _refuse_claims(self, name: str) -> None:
+        """Refuse a column that says it is larger than the file can hold; here nothing is known of that."""
+
+    def _refuse_size(self, name: str, claimed: int, stored: int) -> None:
+        """Refuse ``claimed`` bytes of content in ``stored`` bytes of file."""
+        if claimed > max(_MOST_PACKED * stored, _SMALL_BYTES):
+            raise InputError(
+                f"{self.path}: {listed([name])} claims {claimed} bytes of numbers in {stored} bytes of file; it is "
+                "damaged or made up."
+            )
+
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time; rows are numbered from 1."""
         length = self._length(names)
+        for name in names:
+            self._refuse_claims(name)
         for start in range(0, length, PIECE_ROWS):
             stop = min(start + PIECE_ROWS, length)
             try:
                 columns = {n: self._read(n, start, stop).astype(self.dtype(n), copy=False) for n in names}
-            except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            except _READ_ERRORS as error:
                 raise InputError(f"{self.path}: rows {start + 1} to {stop} do not read: {error}") from error
+            short = [n for n in names if len(columns[n]) != stop - start]
+            if short:
+                raise InputError(f"{self.path}: {listed(short)}: breaks off within rows {start + 1} to {stop}.")
             yield Piece(columns, range(start + 1, stop + 1))
 
 
@@ -101,17 +128,29 @@ class Hdf5Source(_ArraySource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
+        self._fields: dict[str, tuple[str, str]] = {}
+        self._n_objects = 0
         try:
             self._file = h5py.File(path, "r")
-        except OSError as error:
+            for key in self._file.attrs:
+                if split_name(key)[0] in RATE_NAMES and self._file.attrs.get_id(key).shape in ((), (1,)):
+                    self._offer_rate(key, self._file.attrs[key])
+            self._file.visititems(self._visit)  # follows no soft or external link, and each object once
+        except _READ_ERRORS as error:
+            if isinstance(error, InputError):
+                raise
             raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
-        self._fields: dict[str, tuple[str, str]] = {}
-        for key, value in self._file.attrs.items():
-            self._offer_rate(key, value)
-        self._file.visititems(self._visit)
 
     def _visit(self, name: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset):
+        self._n_objects += 1
+        if self._n_objects > _MOST_OBJECTS:
+            raise InputError(
+                f"{self.path}: holds more than {_MOST_OBJECTS} datasets and groups; put the columns into a file of "
+                "their own."
+            )
+        if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
+            return  # what lies in another file is not this file's to give
+        if item.dtype.itemsize > _MOST_ROW_BYTES:
             return
         if item.dtype.names:
             for field in item.dtype.names:
@@ -119,14 +158,26 @@ class Hdf5Source(_ArraySource):
                 self._offer(key, item.shape, item.dtype[field])
                 self._fields[key] = (name, field)
             return
-        if item.shape in ((), (1,)):
+        if item.shape in ((), (1,)) and split_name(name)[0] in RATE_NAMES:
             self._offer_rate(name, item[()])
         self._offer(name, item.shape, item.dtype)
-        if "scale_factor" in item.attrs:
-            self._scales[name] = (float(item.attrs["scale_factor"]), float(item.attrs.get("add_offset", 0.0)))
-        units = item.attrs.get("units")
+        numbers = [_small_attribute(item, key) for key in ("scale_factor", "add_offset")]
+        if isinstance(numbers[0], float):
+            self._scales[name] = (numbers[0], numbers[1] if isinstance(numbers[1], float) else 0.0)
+        units = _small_attribute(item, "units")
         if split_name(name)[0] in ("timestamp", "timestamps") and isinstance(units, str):
             self.time_unit = {"n": "ns", "1": "ns", "u": "us", "m": "ms", "s": "s"}.get(units[:1], "")
+
+    def _refuse_claims(self, name: str) -> None:
+        stem = self._fields[name][0] if name in self._fields else name if name in self._file else _split_index(name)[0]
+        item = self._file[stem]
+        self._refuse_size(name, item.size * item.dtype.itemsize, item.id.get_storage_size())
+        chunk = int(np.prod(item.chunks or (0,), dtype=np.float64)) * item.dtype.itemsize
+        if chunk > _MOST_CHUNK_BYTES:
+            raise InputError(
+                f"{self.path}: {listed([name])} is stored in pieces of {chunk} bytes; wanted at most "
+                f"{_MOST_CHUNK_BYTES}: write it again in smaller chunks."
+            )
 
     time_unit = ""
 
@@ -141,15 +192,43 @@ class Hdf5Source(_ArraySource):
         return np.asarray(self._file[stem][start:stop, column])
 
 
+def _small_attribute(item: Any, key: str) -> float | str | None:
+    """A number or a text of an HDF5 dataset; None where it is absent or something else."""
+    if key not in item.attrs or item.attrs.get_id(key).shape not in ((), (1,)):
+        return None
+    value = np.asarray(item.attrs[key]).reshape(-1)[0]
+    if isinstance(value, str):
+        return value
+    return float(value) if np.issubdtype(type(value), np.number) and not np.iscomplexobj(value) else None
+
+
+class Mat73Source(Hdf5Source):
+    """Variables of a MATLAB file from version 7.3 on: HDF5, its matrices lying column by column."""
+
+    def _offer(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        if not name.startswith("#") and self._file[name].attrs.get("MATLAB_class", b"") != b"char":
+            super()._offer(name, shape[::-1], dtype)
+
+    def _read(self, name: str, start: int, stop: int) -> NDArray[Any]:
+        stem, column = (name, None) if name in self._file else _split_index(name)
+        item = self._file[stem]
+        if column is None:
+            return np.asarray(item[start:stop] if item.shape[0] > 1 else item[0, start:stop]).ravel()
+        return np.asarray(item[column, start:stop])
+
+
 class NpzSource(_ArraySource):
     """Arrays of an NPZ file, read piece by piece from the archive."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._shapes: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
+        self._members: dict[str, str] = {}
         self._open: dict[str, tuple[Any, int]] = {}
         try:
             self._archive = zipfile.ZipFile(path)
+            if len(self._archive.namelist()) > _MOST_OBJECTS:
+                raise InputError(f"{path}: holds more than {_MOST_OBJECTS} arrays; keep the columns alone.")
             for member in self._archive.namelist():
                 with self._archive.open(member) as stream:
                     shape, order, dtype = _npy_header(stream)
@@ -159,9 +238,24 @@ class NpzSource(_ArraySource):
                 if len(shape) == 2 and 1 not in shape and order:
                     continue  # column-major matrices cannot be read row by row; nobody needs them here
                 self._shapes[name] = (shape, dtype)
+                self._members[name] = member
                 self._offer(name, shape, dtype)
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+        except _READ_ERRORS as error:
+            if isinstance(error, InputError):
+                raise
             raise InputError(f"{path}: cannot be read as NPZ ({error}).") from error
+
+    def _refuse_claims(self, name: str) -> None:
+        stem = name if name in self._shapes else _split_index(name)[0]
+        shape, dtype = self._shapes[stem]
+        member = self._archive.getinfo(self._members[stem])
+        claimed = math.prod(shape) * dtype.itemsize
+        if claimed > member.file_size:
+            raise InputError(
+                f"{self.path}: {listed([name])} claims {claimed} bytes of numbers, its part of the archive holds "
+                f"{member.file_size}; it is damaged or cut off."
+            )
+        self._refuse_size(name, claimed, member.compress_size)
 
     def _read(self, name: str, start: int, stop: int) -> NDArray[Any]:
         """Columns are read in order, so each keeps its place in the archive."""
@@ -170,7 +264,7 @@ class NpzSource(_ArraySource):
         width = shape[1] if column is not None else 1
         stream, at = self._open.get(name, (None, -1))
         if at != start:
-            stream = self._archive.open(stem + ".npy")
+            stream = self._archive.open(self._members[stem])
             _npy_header(stream)
             stream.seek(stream.tell() + start * width * dtype.itemsize)
         data = stream.read((stop - start) * width * dtype.itemsize)
@@ -204,17 +298,45 @@ class _HeldSource(_ArraySource):
         return np.asarray(self._arrays[stem][start:stop, column])
 
 
+_MAT_PACKED = 20  # MATLAB's files are held in memory whole, so less compression is believed: a hundredfold
+_MAT_COMPRESSED = 15  # type of a packed element
+
+
+def _unpacked_bytes(path: Path) -> int:
+    """Bytes of all variables of a MATLAB 5 file, unpacked piece by piece; no more than is believed is unpacked."""
+    total, most = 0, _MOST_PACKED * (path.stat().st_size // _MAT_PACKED) + _SMALL_BYTES
+    with path.open("rb") as file:
+        header = file.read(128)
+        order: Literal["little", "big"] = "big" if header[126:128] == b"MI" else "little"
+        while total <= most and len(tag := file.read(8)) == 8:
+            kind, left = (int.from_bytes(tag[i : i + 4], order) for i in (0, 4))
+            if kind != _MAT_COMPRESSED:
+                total += left
+                file.seek(left, 1)
+                continue
+            packed = zlib.decompressobj()
+            while left > 0 and total <= most and (piece := file.read(min(left, 4096))):
+                left -= len(piece)
+                total += len(packed.decompress(piece))
+            file.seek(left, 1)
+    return total
+
+
 class MatSource(_HeldSource):
-    """Variables of a MATLAB file up to version 7.2 (7.3 is HDF5: give it the ending .h5)."""
+    """Variables of a MATLAB file up to version 7.2 (7.3 is HDF5: `Mat73Source`)."""
 
     def __init__(self, path: Path) -> None:
         from scipy.io import loadmat
+        from scipy.io.matlab import MatReadError
 
         super().__init__(path)
         try:
+            self._refuse_size("a variable", _unpacked_bytes(path), path.stat().st_size // _MAT_PACKED)
             variables = loadmat(str(path))
-        except (ValueError, NotImplementedError, OSError) as error:
-            raise InputError(f"{path}: cannot be read as MAT ({error}); end a version 7.3 file in .h5.") from error
+        except (*_READ_ERRORS, MatReadError, MemoryError, IndexError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path}: cannot be read as MAT ({error}).") from error
         self._hold({k: v for k, v in variables.items() if isinstance(v, np.ndarray) and not k.startswith("__")})
 
 
@@ -232,8 +354,10 @@ class WavSource(_HeldSource):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks of other programs
                 rate, data = self._load(wavfile, path)
-        except (ValueError, OSError) as error:
+        except (*_READ_ERRORS, ZeroDivisionError) as error:
             raise InputError(f"{path}: cannot be read as WAV ({error}).") from error
+        if not rate or not data.size:
+            raise InputError(f"{path}: holds {data.size} numbers at {rate} samples/s; wanted a recording.")
         columns = data.reshape(len(data), -1)
         names = [str(i + 1) for i in range(columns.shape[1])]
         if len(names) == 3:

@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,26 +25,27 @@ from daq.errors import InputError
 from daq.foreign import (
     ACCELERATION_UNITS,
     CHANNEL_ROLES,
-    SET_ROLES,
-    TIME_UNITS_S,
     VOLT_UNITS,
     Column,
-    Piece,
     Source,
     assign,
 )
-from daq.import_remarks import contact_doubts, remarks
+from daq.import_remarks import contact_doubts, plate_doubts, range_doubts, rate_doubts, remarks
+from daq.intake import Intake, Progress, take_in
+from daq.plausible import refuse_mixed_rates, refuse_other_unit
 from daq.reader import timestamps_ns
 from daq.setup import Setup
 from daq.steps import FoundStep, find_steps, gamma_of, given_step, step_table
-from daq.timebase import Timebase, quantum_of, timebase_of
+from daq.timebase import Timebase, timebase_of
 from daq.tracking import fit
 from daq.writer import now_utc, root_attributes
 
 Floats = NDArray[np.float64]
-Progress = Callable[[str, int], None]
 
+LEAST_HZ, MOST_HZ = 0.01, 1e8  # times are kept in nanoseconds, in 64 bits
+YEAR_9999_S = 2.5e11
 EPOCH_S = 1e9  # a larger first time is seconds since 1970
+MOST_OF = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
 SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
 
 
@@ -58,25 +59,6 @@ class ImportSummary:
     steps: NDArray[np.void]
     columns: dict[str, str]
     remarks: list[str]
-
-
-@dataclass
-class _Intake:
-    """What is learned while the rows go by."""
-
-    origin: Any = 0
-    origin_s: float = 0.0
-    last_s: float = -np.inf
-    n_rows: int = 0
-    quantum_s: float = np.inf  # rounding step of the time column
-    spacing_s: float = 0.0  # coarsest step of its floating-point type
-    repeated: str = ""  # the first row whose time equals the one before
-    set_values: dict[str, list[tuple[int, float]]] = field(default_factory=dict)  # by role: from which row on
-
-    @property
-    def rounding_s(self) -> float:
-        """How coarse the time column is, seconds."""
-        return max(self.quantum_s if np.isfinite(self.quantum_s) else 0.0, self.spacing_s, 1e-9)
 
 
 def import_recording(
@@ -115,6 +97,8 @@ def import_recording(
     InputError
         Naming file and row of what cannot be used; nothing is left behind.
     """
+    if rate_hz is not None and not LEAST_HZ <= rate_hz <= MOST_HZ:
+        raise InputError(f"--rate {rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
     columns = assign(source, mapping or {})
     channels = [role for role in CHANNEL_ROLES if role in columns]
     rate = rate_hz or source.rate_hz
@@ -128,11 +112,14 @@ def import_recording(
     scales = {role: _scale(source, columns[role], role, setup) for role in channels}
     writer = _begun(source, columns, out, setup, scales, attributes)
     try:
-        intake = _take_in(source, columns, channels, writer, progress)
-        base = _timebase(source, writer, intake, "time" in columns, rate)
-        setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
+        intake = take_in(source, columns, scales, setup, writer, progress)
+        base = _timebase(source, writer, intake, columns.get("time"), setup, rate)
         steps, from_drive = _find(writer, scales, setup, base, intake, progress)
-        doubts = contact_doubts(_volts(writer, scales, "continuity"), setup, steps) if "continuity" in scales else []
+        doubts = [*rate_doubts(base.rate_hz, setup, steps), *range_doubts(intake.peak_v, setup)]
+        doubts += plate_doubts(steps, setup) if from_drive else []
+        if "continuity" in scales:
+            doubts += contact_doubts(_volts(writer, scales, "continuity"), setup, steps)
+        setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
         late = _late_attributes(source, columns, setup, base, intake, extra)
         writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
@@ -177,88 +164,23 @@ def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -
         source = f"column {columns['accelerometer'].name} is in {unit}"
         sensitivity = old.sensitivity.model_copy(update={"value": 1.0, "uncertainty": relative, "source": source})
         changed["accelerometer"] = old.model_copy(
-            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit]}
+            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit], "range_v": MOST_OF[unit]}
         )
     return setup.model_copy(update={"channels": setup.channels.model_copy(update=changed)})
 
 
-def _take_in(
-    source: Source, columns: Mapping[str, Column], channels: list[str], writer: ColumnWriter, progress: Progress | None
-) -> _Intake:
-    """Stream every row into the writer, checking as it goes."""
-    intake = _Intake(set_values={role: [] for role in SET_ROLES if role in columns})
-    wanted = list(dict.fromkeys(column.name for column in columns.values()))
-    for piece in source.pieces(wanted):
-        for column in columns.values():
-            _refuse_not_finite(source, piece, column.name)
-        n = len(piece.rows)
-        if "time" in columns:
-            stamps = _times_ns(source, piece, columns["time"], intake)
-        else:
-            stamps = np.arange(intake.n_rows, intake.n_rows + n, dtype=np.int64)
-        for role, changes in intake.set_values.items():
-            _note_changes(piece.columns[columns[role].name], intake.n_rows, changes)
-        writer.append(stamps, {role: piece.columns[columns[role].name] for role in channels})
-        intake.n_rows += n
-        if progress is not None:
-            progress("reading", intake.n_rows)
-    if intake.n_rows < 2:
-        raise InputError(f"{source.path}: wanted at least 2 rows of numbers, got {intake.n_rows}.")
-    writer.flush()
-    return intake
-
-
-def _refuse_not_finite(source: Source, piece: Piece, name: str) -> None:
-    values = piece.columns[name]
-    if values.dtype.kind == "f" and not np.isfinite(values).all():
-        index = int(np.argmin(np.isfinite(values)))
-        raise InputError(
-            f"{source.path}: {piece.place(index)}, column {name}: wanted a finite number, got {values[index]}; cut the "
-            "file there, or repair the value."
-        )
-
-
-def _times_ns(source: Source, piece: Piece, column: Column, intake: _Intake) -> NDArray[np.int64]:
-    """Nanoseconds since the first row; refuses times that fall."""
-    raw = piece.columns[column.name]
-    if raw.dtype.kind == "f":
-        raw = raw.astype(np.float64)
-    unit = column.unit or getattr(source, "time_unit", "")
-    factor = TIME_UNITS_S[unit or "s"]
-    if intake.n_rows == 0:
-        intake.origin, intake.origin_s = raw[0], float(raw[0]) * factor
-    intake.quantum_s = min(intake.quantum_s, quantum_of(raw.astype(np.float64)) * factor)
-    coarsest = np.spacing(piece.columns[column.name][-1]) if raw.dtype.kind == "f" else 0.0
-    intake.spacing_s = max(intake.spacing_s, float(coarsest) * factor)
-    seconds = (raw - intake.origin) * factor
-    change = np.diff(seconds, prepend=intake.last_s)
-    if (change < 0).any():
-        i = int(np.argmax(change < 0))
-        before, here = (seconds[i - 1] if i else intake.last_s), seconds[i]
-        raise InputError(
-            f"{source.path}: {piece.place(i)}, column {column.name}: time goes back by {before - here:.9g} s, to "
-            f"{here + intake.origin_s:.9g} s; wanted times that rise."
-        )
-    if not intake.repeated and (change == 0).any():
-        i = int(np.argmax(change == 0))
-        intake.repeated = f"{piece.place(i)}, column {column.name}: {seconds[i] + intake.origin_s:.9g} s"
-    intake.last_s = float(seconds[-1])
-    stamps: NDArray[np.int64] = np.rint(seconds * 1e9).astype(np.int64)
-    return stamps
-
-
-def _note_changes(values: NDArray[Any], first_row: int, changes: list[tuple[int, float]]) -> None:
-    """Where a set value changes, from which sample on."""
-    previous = changes[-1][1] if changes else np.nan
-    for i in np.flatnonzero(np.diff(values, prepend=previous) != 0):
-        changes.append((first_row + int(i), float(values[i])))
-
-
-def _timebase(source: Source, writer: ColumnWriter, intake: _Intake, timed: bool, rate_hz: float | None) -> Timebase:
+def _timebase(
+    source: Source, writer: ColumnWriter, intake: Intake, time: Column | None, setup: Setup, rate_hz: float | None
+) -> Timebase:
     """Rate, pauses, jitter; even times are written over rounded ones."""
-    n = writer.n_samples
-    if timed:
-        base = timebase_of(lambda a, b: writer.read("timestamp", a, b) * 1e-9, n, intake.rounding_s)
+    if time is None:
+        base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
+    else:
+        def times(start: int, stop: int) -> Floats:
+            return np.asarray(writer.read("timestamp", start, stop) * 1e-9, np.float64)
+
+        refuse_mixed_rates(source.path, times, writer.n_samples, intake.rounding_s)
+        base = timebase_of(times, writer.n_samples, intake.rounding_s)
         if intake.repeated and not base.uniform:
             raise InputError(f"{source.path}: {intake.repeated} comes twice; wanted times that rise.")
         if rate_hz is not None and abs(base.rate_hz / rate_hz - 1.0) > 0.01:
@@ -266,8 +188,7 @@ def _timebase(source: Source, writer: ColumnWriter, intake: _Intake, timed: bool
                 f"{source.path}: the time column says {base.rate_hz:.6g} samples/s, not {rate_hz:.6g}; is the unit of "
                 "time right (--map time=COLUMN:ms)?"
             )
-    else:
-        base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
+        refuse_other_unit(source.path, time, base.rate_hz, setup)
     if base.uniform:
         writer.replace_timestamps(lambda a, b: timestamps_ns(a, b, base.rate_hz, base.gaps[:, :2]))
     return base
@@ -280,7 +201,7 @@ def _volts(writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], role
 
 
 def _find(
-    writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], setup: Setup, base: Timebase, intake: _Intake,
+    writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], setup: Setup, base: Timebase, intake: Intake,
     progress: Progress | None,
 ) -> tuple[NDArray[np.void], bool]:
     """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
@@ -306,7 +227,7 @@ def _find(
 
 
 def _found(
-    read: Callable[[int, int], Floats], n_samples: int, setup: Setup, base: Timebase, intake: _Intake,
+    read: Callable[[int, int], Floats], n_samples: int, setup: Setup, base: Timebase, intake: Intake,
     progress: Progress | None,
 ) -> list[FoundStep]:
     """Steps of one channel: cut where the file says that something was set, else where the channel changes."""
@@ -317,6 +238,11 @@ def _found(
     near_hz = setup.forcing.frequency_hz
     for a, b in pairwise(cuts):
         near_hz = set_hz.get(a, near_hz)
+        if near_hz > 0.5 * base.rate_hz and set_hz:
+            raise InputError(
+                f"set frequency {near_hz:.6g} from sample {a} on: wanted less than half the sample rate, "
+                f"{0.5 * base.rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
+            )
         if intake.set_values:
             found += given_step(read, a, b, base.rate_hz, setup.forcing, near_hz)
         else:
@@ -349,11 +275,11 @@ def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:
 
 
 def _late_attributes(
-    source: Source, columns: Mapping[str, Column], setup: Setup, base: Timebase, intake: _Intake,
+    source: Source, columns: Mapping[str, Column], setup: Setup, base: Timebase, intake: Intake,
     extra: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     started = ""
-    if intake.origin_s > EPOCH_S:
+    if EPOCH_S < intake.origin_s < YEAR_9999_S:
         when = datetime.datetime.fromtimestamp(intake.origin_s, datetime.UTC)
         started = when.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
     return {

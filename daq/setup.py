@@ -23,6 +23,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 STANDARD_GRAVITY_MPS2 = 9.80665
+FAR_OUTSIDE = 10.0  # times a channel's range: what is read beyond is no measurement
 
 ACCELEROMETER_UNITS_V_PER_MPS2: dict[str, float] = {
     "V/g": 1.0 / STANDARD_GRAVITY_MPS2,
@@ -88,6 +89,11 @@ class Sampling(Frozen):
     """Sampling of all channels."""
 
     rate_hz: float = Field(default=20000.0, gt=0)
+
+    @property
+    def stated(self) -> bool:
+        """Whether somebody wrote the rate down, rather than leaving the default."""
+        return "rate_hz" in self.model_fields_set
 
 
 class Forcing(Frozen):

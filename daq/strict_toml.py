@@ -6,6 +6,7 @@ right is answered with the right one.
 
 from __future__ import annotations
 
+import codecs
 import datetime
 import difflib
 import json
@@ -33,7 +34,9 @@ def load_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
         When the file cannot be read, is no TOML, or does not fit the model (all faults in one message).
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        raw = path.read_bytes()
+        utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = raw.decode("utf-16" if utf16 else "utf-8-sig").replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: wanted a readable TOML file in UTF-8; {error}") from error
     return parse_toml(text, model, str(path)), text

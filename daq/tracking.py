@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 
 SHORTEST_WINDOWS = 4  # a shorter stillness is part of a fade
 PIECE_WINDOWS = 20  # of a sweep that never rests
+LEAST_SWEEP = 12  # windows; what is shorter may be a fade, what is longer and holds still is a step
+RESTS = 0.3  # share of the loud windows below which what holds still is chance, and the whole a sweep
 QUIET = 2e-3  # of the largest amplitude
 STEADY = 3e-4  # relative change of amplitude from cycle to cycle that nobody calls a step
 SAME_LEVEL = 1e-3
@@ -143,9 +145,9 @@ def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) ->
         return []
     values, sigma, same = _features(track)
     parts = segments(values, sigma, same, PENALTY)
-    steady = np.array([_steady(track, a, b, sigma) for a, b in parts])
+    steady = np.array([_steady(track, a, b, sigma) for a, b in parts]) & ~_on_the_way(track.amplitude, parts)
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
-    if covered < 0.3 * track.loud.sum():
+    if covered < RESTS * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
         parts, steady = _in_pieces(track.loud)
     found: list[Still] = []
     fade_from = None
@@ -269,7 +271,7 @@ def _running(x: Floats, width: int, quantile: float) -> Floats:
 
 
 def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
-    """Whether a part is long, loud, and moves by less than 1 % or 6 standard errors from end to end."""
+    """Whether a part is long, loud, and moves from end to end by less than 1 % or 6 standard errors (10 % or 2)."""
     n = b - a
     if n < SHORTEST_WINDOWS or track.loud[a:b].mean() <= 0.5:
         return False
@@ -279,7 +281,28 @@ def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
     x = np.arange(n) - (n - 1) / 2.0
     change = np.abs(x @ amplitude / (x @ x)) * (n - 1)
     noise = sigma[a:b, : amplitude.shape[1]].mean(axis=0) / np.sqrt(x @ x) * (n - 1)
-    return not np.any((change > 0.01 * amplitude.max()) & (change > 6.0 * noise))
+    little, much = 0.01 * amplitude.max(), 0.1 * amplitude.max()
+    return not np.any(((change > little) & (change > 6.0 * noise)) | ((change > much) & (change > 2.0 * noise)))
+
+
+def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Whether each short part belongs to a fade: it moves as fast as the path from the part before to the one after.
+
+    A step between two others stands still while the path does not; a fade that was cut in pieces moves with it.
+    """
+    middle = np.array([(a + b - 1) / 2.0 for a, b in parts])
+    mean = np.array([amplitude[a:b].mean(axis=0) for a, b in parts])
+    moving = np.zeros(len(parts), bool)
+    for i, (a, b) in enumerate(parts):
+        before, after = max(i - 1, 0), min(i + 1, len(parts) - 1)
+        x = np.arange(a, b) - middle[i]
+        if before == after or not x.any() or b - a > LEAST_SWEEP:
+            continue
+        own = x @ amplitude[a:b] / (x @ x)
+        path = (mean[after] - mean[before]) / (middle[after] - middle[before])
+        onward = own @ (mean[after] - mean[i]) >= 0.0 and own @ (mean[i] - mean[before]) >= 0.0
+        moving[i] = onward and own @ path > 0.5 * float(path @ path)
+    return moving
 
 
 def _in_pieces(loud: NDArray[np.bool_]) -> tuple[list[tuple[int, int]], NDArray[np.bool_]]:

@@ -205,7 +205,7 @@ def load_setup(path: Path | str) -> tuple[Setup, str]:
         As `load_profile`.
     """
     whole, text = load_toml(Path(path), _MeasuringProfile)
-    return Setup.model_validate(whole.model_dump(include=set(Setup.model_fields))), text
+    return Setup.model_validate(whole.model_dump(include=set(Setup.model_fields), exclude_unset=True)), text
 
 
 def json_schema() -> str:

@@ -27,6 +27,7 @@ def command(
     Example: bench compare run.h5 --profile better.toml --figures pictures
     """
     from analysis.compare import compare
+    from analysis.doubts import doubts
     from analysis.gamma import gamma_scale
     from bench.commands.reprocess import draw, with_progress
     from bench.console import EXIT_USAGE, fail, write_json
@@ -51,10 +52,13 @@ def command(
             held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
             if figures is not None:
                 draw(opened, table, figures)
-            write_json(as_json(held), json)
+            odd = doubts(opened, table.plate)
+            write_json(as_json(held) | {"doubts": odd}, json)
             if json != "-":
                 scale = gamma_scale(opened.setup.forcing, held.ratio)
                 _print(held, recording.name, bool(opened.attrs.get("simulated")), scale)
+                for line in odd:
+                    typer.echo(f"note: {line}")
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:

@@ -61,7 +61,7 @@ def command(
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
-        fail(f"{out}: {error}")
+        fail(f"{out}: {error.strerror or error}")
     payload = _payload(summary)
     if json_out != "-":
         _print(payload)
@@ -131,12 +131,15 @@ def _print(payload: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    from daq.foreign import listed
+
+    console = Console(highlight=False, markup=False, emoji=False)
     console.print(
         f"{payload['recording']}: {payload['n_samples']} samples at {payload['rate_hz']:.9g} samples/s "
         f"({payload['duration_s']:.3f} s), {len(payload['steps'])} steps", soft_wrap=True,
     )
-    console.print(", ".join(f"{role} from {name}" for role, name in payload["columns"].items()), soft_wrap=True)
+    roles = [f"{role} from {listed([name])}" for role, name in payload["columns"].items()]
+    console.print(", ".join(roles), soft_wrap=True)
     for remark in payload["remarks"]:
         console.print(f"note: {remark}", soft_wrap=True)
     if not payload["steps"]:

@@ -27,6 +27,7 @@ def command(
     Example: bench reprocess run.h5 --flights flights.csv --figures pictures
     """
     from analysis.classify import classify
+    from analysis.doubts import doubts
     from analysis.flight_table import write_csv
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
@@ -45,9 +46,12 @@ def command(
                 write_csv(table, flights)
             if figures is not None:
                 draw(opened, table, figures)
-            write_json(as_json(opened, table, classes), json)
+            odd = doubts(opened, table.plate)
+            write_json(as_json(opened, table, classes) | {"doubts": odd}, json)
             if json != "-":
                 _print(opened, table, classes)
+                for line in odd:
+                    typer.echo(f"note: {line}")
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:

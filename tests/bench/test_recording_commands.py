@@ -93,3 +93,44 @@ def test_damage_leaves_with_one(raw: Path, tmp_path: Path) -> None:
     result = bench("verify", tmp_path / "r.h5")
     assert result.exit_code == 1
     assert result.output.startswith("damaged")
+
+
+def test_names_that_look_like_markup(raw: Path, tmp_path: Path) -> None:
+    """Column names with markup and control characters are printed, not obeyed."""
+    text = raw.read_text().replace("drive_v", "[/red]\x1b[2J:smile:")
+    raw.write_text(text)
+    options = ("--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5", "--map", "drive=4")
+    result = bench("import", raw, *options)
+    assert result.exit_code == 0, result.output
+    assert "drive from [/red]?[2J:smile:" in result.output
+
+
+def test_a_recording_shorter_than_a_cycle(raw: Path, tmp_path: Path) -> None:
+    """Ten rows are refused by reprocess and compare in one sentence; three hundred without a step are not."""
+    lines = raw.read_text().splitlines()
+    for n, code in ((10, 2), (300, 0)):
+        (tmp_path / f"{n}.csv").write_text("\n".join([lines[0], *lines[1 : n + 1]]) + "\n")
+        recording = tmp_path / f"{n}.h5"
+        bench("import", tmp_path / f"{n}.csv", "--profile", tmp_path / "p.toml", "--out", recording)
+        for command in ("reprocess", "compare"):
+            result = bench(command, recording)
+            assert result.exit_code == code, result.output
+            assert ("wanted at least 79 samples" in result.output) == (code == 2)
+
+
+def test_doubts_reach_reprocess_and_compare(raw: Path, tmp_path: Path) -> None:
+    """Exchanged channels are told by every command that reads the recording, and in its JSON."""
+    raw.write_text(raw.read_text().replace("accelerometer_v,drive_v", "drive_v,accelerometer_v"))
+    bench("import", raw, "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
+    for command in ("reprocess", "compare"):
+        assert "mapped the wrong way round" in bench(command, tmp_path / "r.h5").output.replace("\n", " ")
+        (said,) = json.loads(bench(command, tmp_path / "r.h5", "--json", "-").stdout)["doubts"]
+        assert "exchanged they would agree" in said
+
+
+def test_one_run_given_twice(raw: Path, tmp_path: Path) -> None:
+    """The loop is not closed on the same recording twice."""
+    bench("import", raw, "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
+    result = bench("close-loop", tmp_path / "r.h5", tmp_path / "r.h5")
+    assert result.exit_code == 2
+    assert "are one file" in result.output

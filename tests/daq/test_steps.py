@@ -137,3 +137,14 @@ def test_hum_and_impacts_are_not_steps(ramp: Ramp) -> None:
         found = steps_in(x + disturbance, Forcing(frequency_hz=25.0))
         assert [abs(s.tones.amplitudes[0]) for s in found] == pytest.approx([0.3, 0.6], rel=0.05)
         assert [s.frequency_hz for s in found] == pytest.approx([25.3] * 2, rel=2e-3)
+
+
+@pytest.mark.parametrize("levels", [(0.2, 0.5, 0.3), (0.2, 0.21, 0.22), (1.0, 1.1, 1.3)])
+@pytest.mark.parametrize("fade", [4, 6, 8, 12, 20, 40])
+def test_a_fade_is_no_step(ramp: Ramp, levels: tuple[float, ...], fade: int) -> None:
+    """Short and long fades, small and large, quiet and noisy, belong to the step that they lead to."""
+    clean = ramp(list(levels), [25.37] * 3, fade=fade)
+    for noise in (0.0, 1e-3):
+        x = clean + np.random.default_rng(1).normal(0, noise, len(clean))
+        found = steps_in(x, Forcing(frequency_hz=25.37))
+        assert [abs(s.tones.amplitudes[0]) for s in found] == pytest.approx(levels, rel=5e-3)
