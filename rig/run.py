@@ -143,7 +143,7 @@ class _Run:
         self.why = ""
         drive = backend.channels.index("drive")
         self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None
-        self.account = LossAccount(profile, drive, backend.scales["drive"])
+        self.account = LossAccount(profile, drive, backend.scales["drive"], beside=not backend.simulated)
         self._programme: Programme = plan(profile)
         self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         self._sequencer = Sequencer(
@@ -178,7 +178,7 @@ class _Run:
     def drive(self) -> None:
         """Exchange blocks until the drive rests at zero."""
         if isinstance(self._backend, Lagging):
-            self.account.lag_samples, self.account.declares = round(self._backend.lag_samples), True
+            self.account.lags(round(self._backend.lag_samples))
         try:
             while not self._sequencer.done:
                 self._obey()
