@@ -37,6 +37,11 @@ class LossAccount:
         Its ``(volts_per_code, offset_v)``.
     beside
         Whether searches run in a thread: for a device, which waits for nobody.
+
+    Attributes
+    ----------
+    lost_before : int
+        Samples known to be missing before the last block, when it came.
     """
 
     def __init__(
@@ -49,6 +54,7 @@ class LossAccount:
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0
         self.declares = False
+        self.lost_before = 0
         self._capacitor = HighPass(profile.drive.highpass_hz, rate_hz)
         self._places: list[tuple[int, int]] = []
         self._heard_to = self._settled_to = 0
@@ -96,7 +102,9 @@ class LossAccount:
         if block.place is None:
             block = replace(block, lost_before=self._short or block.lost_before)
             self._short = 0
+            self.lost_before = block.lost_before
         else:
+            self.lost_before = block.lost_before
             self._heard_to = block.place + len(block.codes)
             self._scale = (0.0, 0.0)
         volts = np.asarray(block.codes[:, self._column], np.float64) * self._scale[0] + self._scale[1]

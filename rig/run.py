@@ -231,7 +231,7 @@ class _Run:
         circuit = self._interlock.circuit(block.codes)
         self._touching: NDArray[np.bool_] | None
         self._touching, landed = circuit if circuit is not None else (None, None)
-        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed)
+        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed, self.account.lost_before)
         self._measure(block)
         self._note_marks()
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)

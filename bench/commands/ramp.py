@@ -151,10 +151,13 @@ def record(
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
     """
+    from contextlib import nullcontext
+
     from bench.run_display import run_display
     from bench.signals import stop_on_signals
     from daq.recorder import RecorderProcess
     from daq.recording import RecordingWriter
+    from rig.priority import before_other_work
     from rig.ramp import plan
     from rig.run import run_ramp
 
@@ -171,7 +174,8 @@ def record(
     }
     if not backend.simulated:
         warm_up(profile)
-    with stop_on_signals() as request, run_display(quiet) as progress:
+    first = nullcontext() if backend.simulated else before_other_work()
+    with stop_on_signals() as request, first, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
             block_samples = profile.backend.block_samples
