@@ -19,7 +19,7 @@ def command(
     out: Path = typer.Option(..., "--out", metavar="REC.h5", help="The recording; never overwritten."),
     real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
-    seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
     replay: Path | None = typer.Option(None, "--replay", metavar="REC.h5", help="What a replay back end plays."),
     note: str | None = typer.Option(None, "--note", help="The operator's note."),
     set_: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="A free key, as knob=3; repeatable."),
@@ -35,6 +35,8 @@ def command(
     was wrong.
     """
     import datetime
+
+    from contextlib import suppress
 
     from bench.commands.plan import planned, refusal
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, warn, write_json
@@ -62,9 +64,10 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(str(error), EXIT_FAILED)
-    write_json({"recording": out, "backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
+    write_json({"recording": out if summary.n_samples else None, "backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
     if json != "-":
-        typer.echo(_sentence(summary, out))
+        with suppress(OSError):  # the terminal may be gone; the exit code tells
+            typer.echo(_sentence(summary, out))
     if summary.how != "complete":
         fail(f"{summary.how}: {summary.why}", EXIT_FAILED)
 
@@ -78,6 +81,8 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
         key, equals, value = setting.partition("=")
         if not key.strip() or not equals:
             raise InputError(f"--set {setting}: wanted KEY=VALUE, as amplifier_knob=3")
+        if key.strip() in keys:
+            raise InputError(f"--set {setting}: {key.strip()} was set before; give each key once")
         try:
             keys[key.strip()] = float(value)
         except ValueError:
@@ -93,9 +98,19 @@ def make_backend(
     real_time: bool = False,
     replay: Path | None = None,
 ) -> Backend:
-    """The back end that ``profile`` asks for, and no other. Raises `InputError`."""
+    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
     from daq.errors import InputError
 
+    kind = profile.backend.kind
+    unheeded = {
+        "--replay": replay is not None and kind != "replay",
+        "--scenario": scenario is not None and kind != "simulated",
+        "--real-time": real_time and kind != "simulated",
+    }
+    for option, given in unheeded.items():
+        if given:
+            wanted = "replay" if option == "--replay" else "simulated"
+            raise InputError(f"{option}: is for backend.kind = \"{wanted}\"; this profile's is \"{kind}\"")
     if profile.backend.kind == "replay":
         from rig.backends.replay import ReplayBackend
 
@@ -184,7 +199,11 @@ def record(
             )
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
-        return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+        try:
+            return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+        finally:
+            if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
+                out.unlink(missing_ok=True)
 
 
 def warm_up(profile: Profile) -> None:
@@ -210,6 +229,8 @@ def warm_up(profile: Profile) -> None:
 
 def _sentence(summary: RunSummary, out: Path) -> str:
     """What happened, in one line."""
+    if not summary.n_samples:
+        return f"{summary.how}: nothing was recorded, and no file is left"
     return (
         f"{summary.how}: {summary.steps_driven} of {summary.steps_planned} steps, {summary.n_samples} samples, "
         f"{summary.lost_samples} lost, in {summary.wall_s:.1f} s -> {out}"
