@@ -19,13 +19,15 @@ from daq.block import Block, BlockFlag
 from daq.loss_search import (
     CLOCK_SLACK, LIKE_NOISE, MISFIT, NOTHING, SURE_SAMPLES, AtOnce, Found, Question, Searcher, WhichLatency, WhichLoss,
 )  # fmt: skip
-from daq.slip import LARGEST, LATENCY, Floats, Played, SlipFit, slip_at
+from daq.slip import LARGEST, LATENCY, Floats, Played, Slip, SlipFit, slip_at
 
 CHUNK = 1024  # frames looked at together, at least
 OPENING = 8  # chunks from which the latency is told, at most
 PATIENCE = 3  # chunks held back, at most, to settle a loss
 SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
 HELD_S = 2.0  # of frames that wait for an answer; afterwards they are flagged and go on
+COUNTED_S = 1e-3  # jitter below which a device's own time is a count
+SILENT_PART = 0.5  # of the loop-back's gain
 CATCH_UP = 3  # times a block's frames, looked at in one call once an answer is there
 
 
@@ -204,6 +206,8 @@ class LossFinder:
         usual_v = max(float(np.median(self._rms)), SMALLEST_MISFIT * float(np.std(volts)))
         now = self._fit.solve() if self._fit is not None else slip_at(self._played, volts, self.heard_samples, round(self._slip))
         fits = now.rms_v < MISFIT * usual_v
+        if fits and self._is_silent(now, usual_v):
+            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
         if now.sigma > SURE_SAMPLES and fits:
             return self._settled(*self._by_adc())
         if fits and abs(now.samples - self._slip) < 0.5:
@@ -215,6 +219,11 @@ class LossFinder:
         if patient and any(block.flags & BlockFlag.UNDERFLOW for block, _ in self._waiting):
             return []  # the drive ran dry, as is known: wait until it is back
         return self._ask(self._which_loss(volts, usual_v))
+
+    def _is_silent(self, now: Slip, usual_v: float) -> bool:
+        """Whether nothing is heard of a drive that moves: no search could tell more."""
+        moves = self._fit is not None and self._gain * self._fit.drive_v > MISFIT * usual_v
+        return moves and now.gain < SILENT_PART * self._gain
 
     def _goes_on(self, volts: Floats, usual_v: float) -> bool:
         """Whether what was heard last fits as before, and the clock knows of no loss: there was a disturbance."""
@@ -235,7 +244,7 @@ class LossFinder:
         wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
         return WhichLoss(
             self._played.stretch(low, high), volts, self.heard_samples, self._before, slip, self._gain, usual_v,
-            self._chunk, wanted,
+            self._chunk, wanted, self._excess_s[1] is not None and self._adc.jitter_s < COUNTED_S,
         )  # fmt: skip
 
     def _begin(self) -> list[Block]:

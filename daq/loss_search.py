@@ -103,6 +103,8 @@ class WhichLoss:
         Frames that are looked at together.
     excess_samples
         By how many the clock beside the blocks ran ahead; None without a clock.
+    counted
+        Whether that clock is the device's own count: a loss that it contradicts by half a period is none.
     """
 
     played: Stretch
@@ -114,6 +116,7 @@ class WhichLoss:
     usual_v: float
     chunk: int
     excess_samples: float | None
+    counted: bool = False
 
     def answer(self) -> Found:
         """The loss that fits; of several the one that the clock says."""
@@ -145,6 +148,8 @@ class WhichLoss:
     def _is_possible(self, found: Slip) -> bool:
         """Whole samples off, and backwards only where frames are there twice."""
         off = found.samples - self.slip
+        if self.counted and abs(off - (self.excess_samples or 0.0)) > self.chunk / 2:
+            return False
         return abs(off - round(off)) < 0.3 and (off > -0.5 or self._repeats(round(-off)))
 
     def _repeats(self, n: int) -> bool:

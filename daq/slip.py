@@ -125,6 +125,12 @@ class SlipFit:
         rows[3] = heard
         self._sums += rows @ rows.T
 
+    @property
+    def drive_v(self) -> float:
+        """Standard deviation of the played drive."""
+        n = max(float(self._sums[2, 2]), 1.0)
+        return float(np.sqrt(max(self._sums[0, 0] / n - (self._sums[0, 2] / n) ** 2, 0.0)))
+
     def solve(self) -> Slip:
         """The slip by all that was taken in."""
         sums = self._sums

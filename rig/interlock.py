@@ -29,6 +29,7 @@ AC_EDGE_PART = 0.5  # of the swing: a step that size is an edge
 AC_EDGE_S = 2e-4  # in which it is made
 EXCESS = 5.0  # times the motion that the drive asks for: no plate follows its drive so badly, a wrong input does
 SAME_VOLTS = 0.1  # by which an input may be off the played drive that it is
+COHERENT = 0.9  # part of an input's variance that follows the drive, where it is the drive
 OTHER_VOLTS = 0.2  # by which the looped-back drive is off where it is not the drive
 AIRBORNE_GAMMA_PEAK = 3.0  # a ball that never leaves the plate above this, friction and all, is a wire
 
@@ -61,6 +62,13 @@ class _Window:
         n, v, _, vd, d, dd = self.sums.get(name, np.zeros(6))
         square = dd - d * d / max(n, 1.0)
         return float((vd - v * d / n) / square) if square > 0.0 else math.nan
+
+    def coherence(self, name: str) -> float:
+        """What part of a channel's variance follows the drive, 0 to 1."""
+        n, _, _, _, d, dd = self.sums.get(name, np.zeros(6))
+        follows_v = abs(self.gain(name)) * math.sqrt(max(float(dd / max(n, 1.0) - (d / max(n, 1.0)) ** 2), 0.0))
+        whole_v = self.rms_v(name)
+        return (follows_v / whole_v) ** 2 if whole_v > 0.0 else 0.0
 
     def rms_v(self, name: str) -> float:
         """Standard deviation of a channel, volts."""
@@ -250,10 +258,10 @@ class Interlock:
     def _exchanged(self, window: _Window) -> str | None:
         """An input other than the looped-back drive's that reads the drive as it was played."""
         own = window.gain("drive") if self._loops_back else 1.0
-        if not abs(own - 1.0) > OTHER_VOLTS:
+        if window.ran_dry or not abs(own - 1.0) > OTHER_VOLTS:
             return None
         for name in set(self._scales) - {"drive"}:
-            if abs(window.gain(name) - 1.0) < SAME_VOLTS:
+            if abs(window.gain(name) - 1.0) < SAME_VOLTS and window.coherence(name) > COHERENT:
                 return (
                     f"exchanged inputs: the {name} input reads the drive as it was played, "
                     f"the drive input {own:.2g} of it; change their plugs, or their terminals in the profile"
