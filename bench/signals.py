@@ -25,12 +25,16 @@ def stop_on_signals() -> Iterator[StopRequest]:
     """A `StopRequest` that SIGINT, SIGTERM and SIGHUP speak to while the block runs (main thread only)."""
     request = StopRequest()
 
+    asked: list[str] = []
+
     def handle(number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
-        if request.wanted is None:
+        if name == "SIGHUP" or not asked:
             request.ask(Stop.RAMP_DOWN, f"{name}: ramped down")
-        elif name != "SIGHUP":
+        else:
             request.ask(Stop.NOW, f"{name} again: stopped now")
+        if name != "SIGHUP":
+            asked.append(name)
 
     before = {number: signal.signal(number, handle) for number in _numbers()}
     try:
