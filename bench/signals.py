@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP) as wishes to stop, so that a run ends softly instead of where it happens to be.
+"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP) as wishes to stop: a run ends softly, not where it happens to be.
 
 The rule kept here: the first signal ramps down, the second is at zero now; the handlers that stood before come back.
 A terminal that closes may say so several times: that alone never makes a soft stop a hard one.

@@ -17,7 +17,17 @@ import numpy as np
 
 from daq.block import Block, BlockFlag
 from daq.loss_search import (
-    CLOCK_SLACK, LIKE_NOISE, MISFIT, NOTHING, SURE_SAMPLES, AtOnce, Found, Question, Searcher, WhichLatency, WhichLoss,
+    CLOCK_SLACK,
+    LIKE_NOISE,
+    MISFIT,
+    NOTHING,
+    SURE_SAMPLES,
+    AtOnce,
+    Found,
+    Question,
+    Searcher,
+    WhichLatency,
+    WhichLoss,
 )  # fmt: skip
 from daq.slip import LARGEST, LATENCY, Floats, Played, Slip, SlipFit, slip_at
 
@@ -204,7 +214,8 @@ class LossFinder:
             return self._begin()
         volts = self._volts()
         usual_v = max(float(np.median(self._rms)), SMALLEST_MISFIT * float(np.std(volts)))
-        now = self._fit.solve() if self._fit is not None else slip_at(self._played, volts, self.heard_samples, round(self._slip))
+        fit = self._fit
+        now = fit.solve() if fit else slip_at(self._played, volts, self.heard_samples, round(self._slip))
         fits = now.rms_v < MISFIT * usual_v
         if fits and self._is_silent(now, usual_v):
             return self._settled(-1, 0, 0, int(BlockFlag.FILLED))

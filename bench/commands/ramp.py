@@ -35,7 +35,6 @@ def command(
     was wrong.
     """
     import datetime
-
     from contextlib import suppress
 
     from bench.commands.plan import planned, refusal
@@ -64,7 +63,8 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(str(error), EXIT_FAILED)
-    write_json({"recording": out if summary.n_samples else None, "backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
+    kept = {"recording": out if summary.n_samples else None}
+    write_json(kept | {"backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
     if json != "-":
         with suppress(OSError):  # the terminal may be gone; the exit code tells
             typer.echo(_sentence(summary, out))
