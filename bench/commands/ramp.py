@@ -175,6 +175,7 @@ def record(
     from rig.priority import before_other_work
     from rig.ramp import plan
     from rig.run import run_ramp
+    from rig.sequencer import largest_block
 
     options: dict[str, Any] = {
         "profile_text": text,
@@ -193,7 +194,7 @@ def record(
     with stop_on_signals() as request, first, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
-            block_samples = profile.backend.block_samples
+            block_samples = largest_block(plan(profile).clock, profile.backend.block_samples)
             writer: RecordingWriter | RecorderProcess = RecorderProcess(
                 out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
             )
