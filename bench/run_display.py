@@ -2,14 +2,17 @@
 on a narrow terminal one line a figure.
 
 The rule kept here: the screen is fed once a block and only draws; nothing waits for it, and no stop goes through it.
+A terminal that is gone (closed, or a dropped connection) is drawn to no more, and costs the run nothing.
 """
 
 from __future__ import annotations
 
+import io
 import math
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from rig.run import Status
@@ -19,6 +22,45 @@ ALIVE_CYCLES = 3.0  # since the ball last touched the plate or was heard to
 LIMITS = {
     "drive_v": "drive", "plate_mps2": "acceleration", "velocity_mps": "velocity", "displacement_m": "displacement",
 }  # fmt: skip
+
+
+class Screen(io.TextIOBase):
+    """A stream to draw on that may go away: what cannot be written any more is left out."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream: TextIO | None = stream
+
+    @property
+    def encoding(self) -> str:
+        """The stream's."""
+        return self._stream.encoding if self._stream is not None else "utf-8"
+
+    def isatty(self) -> bool:
+        """Whether a person looks at it."""
+        return self._stream is not None and self._stream.isatty()
+
+    def fileno(self) -> int:
+        """The stream's, for its width."""
+        if self._stream is None:
+            raise OSError("the terminal is gone")
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        """Write what can be written."""
+        self._try(lambda stream: stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what waits."""
+        self._try(lambda stream: stream.flush())
+
+    def _try(self, step: Callable[[TextIO], object]) -> None:
+        """Do it, unless the terminal is gone."""
+        if self._stream is not None:
+            try:
+                step(self._stream)
+            except OSError:
+                self._stream = None
 
 
 @contextmanager
@@ -35,9 +77,9 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
     bar = Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     task = bar.add_task("", total=None)
     lines = Text(overflow="fold")
-    console = Console(stderr=True)
-    narrow = console.width < WIDTH
-    with Live(lines if narrow else Group(bar, lines), console=console, refresh_per_second=4):
+    screen = Console(file=Screen(sys.stderr))
+    narrow = screen.width < WIDTH
+    with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4):
 
         def show(status: Status) -> None:
             done = min(status.sample, status.n_samples)

@@ -105,7 +105,7 @@ def run(load: str, seconds: float, folder: Path) -> str:
     path = folder / f"{load}.h5"
     recorder = RecorderProcess(
         path, Setup.model_validate(SETUP), profile_text="", channels=CHANNELS, backend="benchmark", simulated=True,
-        block_samples=BLOCK,
+        block_samples=BLOCK, private=False,
     )
     ring = recorder.ring
     shape = (ring.slots, BLOCK, len(CHANNELS), ring.name)

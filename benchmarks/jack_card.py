@@ -7,6 +7,7 @@ missing, and where, as it declares.
     python -m benchmarks.jack_card run --hold 280       # the same for five minutes
     python -m benchmarks.jack_card xruns                # xruns provoked by stopping the run's process now and then
     python -m benchmarks.jack_card unplug               # the driver killed in the middle of a run
+    python -m benchmarks.jack_card rehearse --times 20  # the rehearsal of docs/backends.md, every core busy beside it
 
 Needs jackd and libportaudio2. On a machine that is busy with other work, ``--first`` runs all of it before that work
 (Linux, with the rights for it).
@@ -179,19 +180,56 @@ def unplug(folder: Path, path: Path, ahead: bool) -> None:
     subprocess.run([*BENCH, "verify", str(out)], check=False)
 
 
+@contextmanager
+def busy(processes: int) -> Iterator[None]:
+    """So many processes that want a core each, as long as the block runs."""
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(processes)]
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
+def rehearse(folder: Path, times: int, beside: int) -> None:
+    """The shipped profile's ramp again and again, as it stands; how each one ended."""
+    from bench.profiles import load
+    from daq.recording import open_recording
+
+    whole = 0
+    with virtual(folder, load("soundcard")[1], 256, ahead=False) as path, busy(beside):
+        for k in range(times):
+            out = folder / f"rehearsal_{k}.h5"
+            done = subprocess.run(bench(False, "ramp", str(path), "--out", str(out)), capture_output=True, text=True)
+            whole += done.returncode == 0
+            said = f"{k + 1}: exit {done.returncode}, {done.stdout.strip().rsplit(' -> ')[0]}"
+            if out.exists():
+                with open_recording(out) as recording:
+                    made_up = sum(int(b["n_samples"]) for b in recording.blocks if b["flags"] & 8)
+                    said += f"; {len(recording.gaps)} gaps, {made_up} samples flagged as made up"
+                out.unlink()
+            print(said if done.returncode == 0 else f"{said}\n   {done.stderr.strip().splitlines()[-1]}", flush=True)
+    print(f"{whole} of {times} rehearsals complete, {beside} busy processes beside them on {os.cpu_count()} cores")
+
+
 def main() -> None:
     """Run what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["run", "xruns", "unplug"])
+    parser.add_argument("what", choices=["run", "xruns", "unplug", "rehearse"])
     parser.add_argument("--hold", type=int, default=60, help="cycles of each of 12 steps")
     parser.add_argument("--rate", type=int, default=48000)
     parser.add_argument("--period", type=int, default=256)
+    parser.add_argument("--times", type=int, default=20, help="rehearsals")
+    parser.add_argument("--busy", type=int, default=os.cpu_count() or 1, help="processes beside the rehearsals")
     parser.add_argument("--first", action="store_true", help="before all other work of this machine")
     parser.add_argument("--keep", type=Path, help="folder for the recordings")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         folder.mkdir(exist_ok=True)
+        if options.what == "rehearse":
+            return rehearse(folder, options.times, options.busy)
         out = folder / "card.h5"
         text = profile_text(options.hold, options.rate, closed=options.what != "xruns")
         with virtual(folder, text, options.period, options.first) as path:

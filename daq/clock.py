@@ -4,135 +4,41 @@ The rule kept here: drivers are not believed. The looped-back drive is compared 
 samples are missing, and by how much it slips says how many. A slip that is a whole number of the drive's periods
 looks like none, so the clock that ran beside the blocks decides between the candidates.
 
-What was heard is ``r[m] = a d(m + s) + b`` with ``d`` the played samples and ``s`` the slip (minus the latency, plus
-everything lost so far). Expanding ``d`` about a whole number of samples makes the fit linear in ``a``, ``a ds`` and
-``b``; the slip comes out to thousandths of a sample.
+What the sample path does with a block is bounded by the block's own length: the sums of one fit. Only where they do
+not fit is a slip searched for (`daq.loss_search`), beside the run; the blocks wait for the answer, in order.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 from daq.block import Block, BlockFlag
-
-Floats = NDArray[np.float64]
+from daq.loss_search import (
+    CLOCK_SLACK,
+    LIKE_NOISE,
+    MISFIT,
+    NOTHING,
+    SURE_SAMPLES,
+    AtOnce,
+    Found,
+    Question,
+    Searcher,
+    WhichLatency,
+    WhichLoss,
+)  # fmt: skip
+from daq.slip import LARGEST, LATENCY, Floats, Played, Slip, SlipFit, slip_at
 
 CHUNK = 1024  # frames looked at together, at least
-LARGEST = 20_000  # samples lost at once that are looked for
-LATENCY = 20_000  # samples between playing and hearing, at most
-SURE_SAMPLES = 0.05  # a slip known less well than this decides nothing
 OPENING = 8  # chunks from which the latency is told, at most
 PATIENCE = 3  # chunks held back, at most, to settle a loss
 SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
-SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
-CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything
-
-
-@dataclass(frozen=True)
-class Slip:
-    """Where in the played samples a piece was heard.
-
-    Attributes
-    ----------
-    samples, sigma
-        Slip and its standard deviation; infinite where the drive says nothing.
-    rms_v
-        What the fit leaves over.
-    gain
-        Heard volts a played volt.
-    """
-
-    samples: float
-    sigma: float
-    rms_v: float
-    gain: float
-
-
-class Played:
-    """The last played samples, by their index since the start; zero before it."""
-
-    def __init__(self, keep: int) -> None:
-        self._keep = keep
-        self.first = -LATENCY
-        self._held = np.zeros(LATENCY)
-
-    @property
-    def stop(self) -> int:
-        """Index after the last played sample."""
-        return self.first + len(self._held)
-
-    def add(self, drive_v: Floats) -> None:
-        """Append what was handed to the device."""
-        self._held = np.concatenate([self._held, drive_v])
-        if len(self._held) > 2 * self._keep:
-            self.first += len(self._held) - self._keep
-            self._held = self._held[-self._keep :]
-
-    def piece(self, start: int, stop: int) -> Floats:
-        """Samples ``start .. stop``; beyond what is held the nearest is repeated."""
-        index = np.clip(np.arange(start - self.first, stop - self.first), 0, len(self._held) - 1)
-        return self._held[index]
-
-
-def slip_at(played: Played, heard: Floats, first: int, guess: int) -> Slip:
-    """Slip of ``heard`` (its first frame is number ``first``) near ``guess``."""
-    best = Slip(float(guess), np.inf, float(np.std(heard)), 0.0)
-    for _ in range(4):
-        around = played.piece(first + guess - 1, first + guess + len(heard) + 1)
-        design = np.column_stack([around[1:-1], np.gradient(around)[1:-1], np.ones(len(heard))])
-        solution, _, rank, _ = np.linalg.lstsq(design, heard, rcond=1e-9)
-        if rank < 3 or solution[0] == 0.0:
-            return best
-        rest = heard - design @ solution
-        rms = float(np.sqrt(rest @ rest / max(len(heard) - 3, 1)))
-        rest_of_slope = design[:, 1] - design[:, ::2] @ np.linalg.lstsq(design[:, ::2], design[:, 1], rcond=None)[0]
-        sigma = rms / (abs(solution[0]) * max(float(np.sqrt(rest_of_slope @ rest_of_slope)), 1e-300))
-        slip = guess + float(solution[1] / solution[0])
-        best = Slip(slip, sigma, rms, float(solution[0]))
-        if abs(slip - guess) <= 1.0 or abs(slip - guess) > LARGEST:
-            return best
-        guess = round(slip)
-    return best
-
-
-def candidates(played: Played, heard: Floats, first: int, low: int, high: int, gain: float) -> list[Slip]:
-    """Slips between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
-
-    Parameters
-    ----------
-    gain
-        Known gain of the loop-back; 0 lets it be anything positive.
-    """
-    high = min(high, played.stop - first - len(heard))
-    if high < low:
-        return []
-    window = played.piece(first + low, first + high + len(heard))
-    centred = heard - heard.mean()
-    n = len(heard)
-    cross = fftconvolve(window, centred[::-1], mode="valid")
-    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (window, window**2))
-    energy = squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n
-    if gain:
-        misfit = centred @ centred - 2.0 * gain * cross + gain**2 * energy
-    else:
-        misfit = centred @ centred - np.maximum(cross, 0.0) ** 2 / np.maximum(energy, 1e-12 * (energy.max() + 1e-300))
-    inner = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
-    order = inner[np.argsort(misfit[inner])][:24]
-    fits = [slip_at(played, heard, first, low + int(k)) for k in order]
-    fits = [f for f in fits if np.isfinite(f.sigma) and f.gain > 0]
-    if not fits:
-        return []
-    tolerance = 1.5 * min(f.rms_v for f in fits)
-    unique: dict[int, Slip] = {}
-    for f in fits:
-        if f.rms_v <= tolerance and (not gain or abs(f.gain / gain - 1.0) < 0.1):
-            unique.setdefault(round(f.samples), f)
-    return list(unique.values())
+HELD_S = 2.0  # of frames that wait for an answer; afterwards they are flagged and go on
+COUNTED_S = 1e-3  # jitter below which a device's own time is a count
+SILENT_PART = 0.5  # of the loop-back's gain
+CATCH_UP = 3  # times a block's frames, looked at in one call once an answer is there
 
 
 class BlockClock:
@@ -172,22 +78,45 @@ class LossFinder:
         Samples a second.
     chunk
         Frames looked at together; blocks wait until there are so many.
+    searcher
+        Who searches: at once, or `daq.loss_search.Beside`, where nobody may wait.
+
+    Attributes
+    ----------
+    heard_samples, lost_samples : int
+        Frames that are settled, and samples found lost before them or declared by the device.
     """
 
-    def __init__(self, rate_hz: float, chunk: int = CHUNK) -> None:
-        self._played = Played(LARGEST + LATENCY + 8 * chunk)
+    def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: Searcher | None = None) -> None:
+        self._played = Played(LARGEST + 2 * LATENCY + 8 * chunk + round(2.0 * HELD_S * rate_hz))
         self._clock, self._adc = BlockClock(rate_hz), BlockClock(rate_hz)
         self._rate_hz, self._chunk = rate_hz, chunk
-        self._waiting: list[tuple[Block, Floats]] = []
+        self._searcher = searcher or AtOnce()
+        self._queue: deque[tuple[Block, Floats]] = deque()  # not looked at yet
+        self._queued = self._declared = 0  # its frames and declared losses
+        self._waiting: list[tuple[Block, Floats]] = []  # looked at, not settled
+        self._n_waiting = self._look_at = 0
+        self._question: Question | None = None
+        self._asked = self._patient = False
+        self._excess_s: tuple[float | None, float | None] = (None, None)
+        self._expected: float | None = None
         self._slip: float | None = None
+        self._fit: SlipFit | None = None
         self._gain = 0.0
         self._rms: deque[float] = deque(maxlen=31)
         self._before = self._opening = np.zeros(0)
+        self._drives = False
         self.heard_samples = self.lost_samples = 0
+
+    def expect(self, latency_samples: float) -> None:
+        """Say how late the drive is heard, where that was measured: what fits there need not be searched for."""
+        self._expected = -latency_samples
 
     def played(self, drive_v: Floats) -> None:
         """Say what was handed to the device, before the frames that came back."""
-        self._played.add(np.asarray(drive_v, np.float64))
+        drive_v = np.asarray(drive_v, np.float64)
+        self._drives = self._drives or bool(drive_v.any())
+        self._played.add(drive_v)
 
     def piece(self, start: int, stop: int) -> Floats:
         """Played samples ``start .. stop``; zero before the first."""
@@ -203,71 +132,173 @@ class LossFinder:
         loopback_v
             Its looped-back drive in volts ``(n,)``.
         """
-        before: list[Block] = []
-        if block.lost_before:
-            before = self.flush()  # one piece that is looked at has one slip
-            if self._slip is not None:
-                self._slip += block.lost_before
-        self._waiting.append((block, np.asarray(loopback_v, np.float64)))
-        waiting = sum(len(volts) for _, volts in self._waiting)
-        return before + ([] if waiting < self._chunk else self._settled(patient=waiting < PATIENCE * self._chunk))
+        self._queue.append((block, np.asarray(loopback_v, np.float64)))
+        self._queued += len(block.codes) + block.lost_before
+        return self._advance(CATCH_UP * max(len(block.codes), 1), wait=False)
 
     @property
     def next_sample(self) -> int:
         """The device's own index of the next frame: heard, lost, and waiting to be settled."""
-        waiting = sum(len(block.codes) + block.lost_before for block, _ in self._waiting)
-        return self.heard_samples + self.lost_samples + waiting
+        return self.heard_samples + self.lost_samples + self._n_waiting + self._declared + self._queued
 
     def flush(self) -> list[Block]:
         """Settle what is waiting, however short; call it at the end."""
-        return self._settled(patient=False) if self._waiting else []
-
-    def _settled(self, *, patient: bool) -> list[Block]:
-        """What is waiting, its losses declared; nothing where patience may tell more."""
-        blocks = [block for block, _ in self._waiting]
-        volts = np.concatenate([v for _, v in self._waiting])
-        ended_ns, began_ns = blocks[-1].clock_ns, blocks[-1].adc_ns
-        counted = self.heard_samples + self.lost_samples + len(volts) + sum(b.lost_before for b in blocks)
-        before_last = counted - len(blocks[-1].codes)
-        adc_s = self._adc.excess(began_ns, before_last)
-        excess_s = adc_s if adc_s is not None else self._clock.excess(ended_ns, counted)
-        at, lost, sigma, flag = self._look(volts, self.heard_samples, excess_s, adc_s)
-        if lost == 0 and flag and patient:
-            return []  # the loss may lie in the part from which it would be measured: look again with more
-        self._waiting = []
-        self._before = np.concatenate([self._before, volts])[-2 * self._chunk :]
-        if lost == 0 and not flag:
-            self._clock.agree(ended_ns, counted)
-            self._adc.agree(began_ns, before_last)
-        if lost < 0:
-            blocks = _without(blocks, at, -lost)
-        out: list[Block] = []
-        for block in blocks:
-            out += self._renumbered(block, at, lost, sigma, flag)
-            at -= len(block.codes)
+        out = self._advance(self._queued + 1, wait=True)
+        while self._waiting:
+            out += self._look(patient=False) + self._advance(0, wait=True)
+        self._searcher.close()
         return out
 
-    def _look(
-        self, volts: Floats, first: int, excess_s: float | None, adc_s: float | None
-    ) -> tuple[int, int, int, int]:
-        """``(where in volts, samples lost, uncertainty, flags)`` of one chunk."""
+    def _advance(self, frames: int, *, wait: bool) -> list[Block]:
+        """Look at queued blocks of about so many frames; gives back what is settled."""
+        out: list[Block] = []
+        while True:
+            if self._question is not None:
+                found = self._answer(wait=wait)
+                if found is None:
+                    return out
+                out += self._concluded(found)
+            elif not self._queue or frames <= 0:
+                return out
+            elif self._queue[0][0].lost_before and self._waiting:
+                out += self._look(patient=False)  # one piece that is looked at has one slip
+            else:
+                frames -= len(self._queue[0][1])
+                out += self._taken_in(*self._queue.popleft())
+
+    def _answer(self, *, wait: bool) -> Found | None:
+        """The answer to the question; none after too long a wait, so that nothing piles up."""
+        if self._question is not None and not self._asked:
+            if wait:
+                self._searcher.answer(wait=True)  # an earlier question, whose answer came too late
+            self._asked = self._searcher.ask(self._question)
+        found = self._searcher.answer(wait=wait) if self._asked else None
+        if found is None and self._queued > HELD_S * self._rate_hz:
+            self._patient = False
+            return NOTHING
+        return found
+
+    def _taken_in(self, block: Block, volts: Floats) -> list[Block]:
+        """One block more of what is looked at together."""
+        self._queued -= len(block.codes) + block.lost_before
+        self._declared += block.lost_before
+        if block.lost_before and self._slip is not None:
+            self._slip += block.lost_before
+        if not self._waiting:
+            guess = self._slip if self._slip is not None else self._expected_slip
+            self._fit = SlipFit(round(guess)) if guess is not None else None
+            self._look_at = self._chunk
+        if self._fit is not None:
+            self._fit.add(self._played, volts, self.heard_samples + self._n_waiting)
+        self._waiting.append((block, volts))
+        self._n_waiting += len(volts)
+        if self._n_waiting < self._look_at:
+            return []
+        self._look_at = self._n_waiting + self._chunk // 2
+        return self._look(patient=self._n_waiting < PATIENCE * self._chunk)
+
+    @property
+    def _expected_slip(self) -> float | None:
+        """The slip by the latency that was measured, if any."""
+        lost = self.lost_samples + self._declared
+        return None if self._expected is None else self._expected + lost
+
+    def _look(self, *, patient: bool) -> list[Block]:
+        """What is waiting, looked at: settled, waited with, or a question."""
+        ended_ns, began_ns = self._waiting[-1][0].clock_ns, self._waiting[-1][0].adc_ns
+        counted, before_last = self._counted()
+        adc_s = self._adc.excess(began_ns, before_last)
+        excess_s = adc_s if adc_s is not None else self._clock.excess(ended_ns, counted)
+        self._patient, self._excess_s = patient, (excess_s, adc_s)
         if self._slip is None:
-            self._begin(volts, first)
-            return self._by_adc(adc_s)
-        usual = max(float(np.median(self._rms)), SMALLEST_MISFIT * float(np.std(volts)))
-        now = slip_at(self._played, volts, first, round(self._slip))
-        fits = now.rms_v < 4.0 * usual
+            return self._begin()
+        volts = self._volts()
+        usual_v = max(float(np.median(self._rms)), SMALLEST_MISFIT * float(np.std(volts)))
+        fit = self._fit
+        now = fit.solve() if fit else slip_at(self._played, volts, self.heard_samples, round(self._slip))
+        fits = now.rms_v < MISFIT * usual_v
+        if fits and self._is_silent(now, usual_v):
+            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
         if now.sigma > SURE_SAMPLES and fits:
-            return self._by_adc(adc_s)
+            return self._settled(*self._by_adc())
         if fits and abs(now.samples - self._slip) < 0.5:
             self._rms.append(now.rms_v)
             self._slip += 0.05 * (now.samples - self._slip)
-            return -1, 0, 0, 0
-        return self._settle(volts, first, excess_s, now if fits else None, usual)
+            return self._settled(-1, 0, 0, 0)
+        if self._goes_on(volts, usual_v):
+            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+        if patient and any(block.flags & BlockFlag.UNDERFLOW for block, _ in self._waiting):
+            return []  # the drive ran dry, as is known: wait until it is back
+        return self._ask(self._which_loss(volts, usual_v))
 
-    def _by_adc(self, adc_s: float | None) -> tuple[int, int, int, int]:
+    def _is_silent(self, now: Slip, usual_v: float) -> bool:
+        """Whether nothing is heard of a drive that moves: no search could tell more."""
+        moves = self._fit is not None and self._gain * self._fit.drive_v > MISFIT * usual_v
+        return moves and now.gain < SILENT_PART * self._gain
+
+    def _goes_on(self, volts: Floats, usual_v: float) -> bool:
+        """Whether what was heard last fits as before, and the clock knows of no loss: there was a disturbance."""
+        excess_s, slip = self._excess_s[0], self._slip
+        if slip is None or (excess_s is not None and excess_s > CLOCK_SLACK):
+            return False
+        tail = volts[-self._chunk // 2 :]
+        start = self.heard_samples + len(volts) - len(tail)
+        last = slip_at(self._played, tail, start, round(slip), iterations=1)
+        fits = last.rms_v < MISFIT * usual_v and last.sigma < SURE_SAMPLES
+        return fits and abs(last.samples - slip) < 0.5 and abs(last.gain / self._gain - 1.0) < 0.1
+
+    def _which_loss(self, volts: Floats, usual_v: float) -> WhichLoss:
+        """The search for what is missing in what is waiting."""
+        slip, excess_s = self._slip or 0.0, self._excess_s[0]
+        low = self.heard_samples + round(slip) - self._chunk - LARGEST // 8
+        high = self.heard_samples + round(slip) + LARGEST + len(volts) + self._chunk
+        wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
+        return WhichLoss(
+            self._played.stretch(low, high), volts, self.heard_samples, self._before, slip, self._gain, usual_v,
+            self._chunk, wanted, self._excess_s[1] is not None and self._adc.jitter_s < COUNTED_S,
+        )  # fmt: skip
+
+    def _begin(self) -> list[Block]:
+        """The latency, once the drive moves: as expected, or searched for."""
+        volts = self._volts()
+        joined = self._declared == 0
+        heard = np.concatenate([self._opening, volts])[-OPENING * self._chunk :] if joined else volts
+        self._opening = heard
+        if not self._drives or heard.min() == heard.max():
+            return self._settled(*self._by_adc())
+        expected = self._expected_slip
+        if self._fit is not None and expected is not None:
+            now = self._fit.solve()
+            like_noise = now.rms_v < LIKE_NOISE * float(np.std(volts))
+            if now.sigma < SURE_SAMPLES and now.gain > 0 and like_noise and abs(now.samples - expected) < 1.5:
+                return self._concluded(Found(now.samples, gain=now.gain, rms_v=now.rms_v))
+        first = self.heard_samples + len(volts) - len(heard)
+        lost = self.lost_samples + self._declared
+        last = len(heard) >= OPENING * self._chunk
+        stretch = self._played.stretch(first + lost - LATENCY - 2, first + lost + len(heard) + 2)
+        return self._ask(WhichLatency(stretch, heard, first, lost, last))
+
+    def _ask(self, question: Question) -> list[Block]:
+        """Put a question; the answer is looked for in `_advance`."""
+        self._question, self._asked = question, self._searcher.ask(question)
+        return []
+
+    def _concluded(self, found: Found) -> list[Block]:
+        """What an answer means for the blocks that waited for it."""
+        self._question = None
+        if self._slip is None:
+            if found.slip is not None:
+                self._slip, self._gain = found.slip, found.gain
+                self._rms.append(found.rms_v)
+            return self._settled(*self._by_adc())
+        if found.slip is None:
+            return [] if self._patient else self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+        self._slip = found.slip
+        return self._settled(found.at, found.lost, found.uncertainty, 0)
+
+    def _by_adc(self) -> tuple[int, int, int, int]:
         """Where the drive says nothing, the device's own time does, to its jitter."""
-        jitter_s = self._adc.jitter_s
+        adc_s, jitter_s = self._excess_s[1], self._adc.jitter_s
         if adc_s is None or adc_s < max(1.5 / self._rate_hz, 8.0 * jitter_s):
             return -1, 0, 0, 0
         lost = round(adc_s * self._rate_hz)
@@ -275,67 +306,31 @@ class LossFinder:
             self._slip += lost
         return 0, lost, int(np.ceil(jitter_s * self._rate_hz)), 0
 
-    def _begin(self, volts: Floats, first: int) -> None:
-        """The latency, once the drive moves.
+    def _volts(self) -> Floats:
+        """The looped-back drive of what is waiting."""
+        return np.concatenate([volts for _, volts in self._waiting])
 
-        A drive that grows looks like itself a part of a cycle earlier, only smaller: where several latencies fit, more
-        is listened to before one is believed.
-        """
-        now_lost = sum(block.lost_before for block, _ in self._waiting)
-        heard = volts if now_lost else np.concatenate([self._opening, volts])[-OPENING * self._chunk :]
-        self._opening = heard
-        if heard.min() == heard.max():
-            return
-        first += len(volts) - len(heard)
-        lost = self.lost_samples + now_lost
-        found = candidates(self._played, heard, first, lost - LATENCY, lost, 0.0)
-        found = [f for f in found if f.sigma < SURE_SAMPLES and f.rms_v < 0.1 * float(np.std(heard))]
-        if len(found) == 1 or (found and len(heard) >= OPENING * self._chunk):
-            best = max(found, key=lambda f: f.samples)  # where several fit, the least latency
-            self._slip, self._gain = best.samples, best.gain
-            self._rms.append(best.rms_v)
+    def _counted(self) -> tuple[int, int]:
+        """Samples counted up to the end of what is waiting, and up to its last block."""
+        counted = self.heard_samples + self.lost_samples + self._n_waiting + self._declared
+        return counted, counted - len(self._waiting[-1][1])
 
-    def _settle(
-        self, volts: Floats, first: int, excess_s: float | None, near: Slip | None, usual: float
-    ) -> tuple[int, int, int, int]:
-        """Which loss, and where it is, in a chunk that does not go on as it should."""
-        old = self._slip if self._slip is not None else 0.0
-        tail = volts[-min(self._chunk, len(volts)) // 2 :]
-        start = first + len(volts) - len(tail)
-        found = candidates(self._played, tail, start, round(old) - self._chunk, round(old) + LARGEST, self._gain)
-        found = [f for f in found if f.rms_v < 4.0 * usual] or ([near] if near is not None else [])
-        whole = [f for f in found if abs((f.samples - old) - round(f.samples - old)) < 0.3]
-        whole = [f for f in whole if f.samples > old - 0.5 or self._repeats(volts, first, old, round(old - f.samples))]
-        if not whole:
-            return -1, 0, 0, int(BlockFlag.FILLED)  # nothing that was played sounds like this
-        wanted = 0.0 if excess_s is None or excess_s < CLOCK_SLACK else excess_s * self._rate_hz
-        best = min(whole, key=lambda f: abs(f.samples - old - wanted))
-        lost = round(best.samples - old)
-        rivals = [abs(f.samples - best.samples) for f in whole if abs(f.samples - best.samples) > 1.0]
-        doubt = min(rivals) if rivals and excess_s is None else 0.0
-        if lost == 0:
-            return -1, 0, 0, int(BlockFlag.FILLED)
-        at = self._where(volts, first, old, old + lost)
-        self._slip = old + lost
-        return at, lost, int(np.ceil(max(doubt, 3.0 * best.sigma) - 0.5)), 0
-
-    def _repeats(self, volts: Floats, first: int, old: float, n: int) -> bool:
-        """Whether ``n`` frames are there twice, noise and all; a loss of the rest of a period only looks like it."""
-        at = self._where(volts, first, old, old - n) + len(self._before)
-        known = np.concatenate([self._before, volts])
-        again, once = known[at : at + n], known[max(at - n, 0) : at]
-        return again.size == once.size == n and float(np.mean(again == once)) > SAME_PART
-
-    def _where(self, volts: Floats, first: int, old: float, new: float) -> int:
-        """Frame at which the old slip stops fitting and the new one starts."""
-        misfit = []
-        for slip in (old, new):
-            fits = self._gain * self._played.piece(first + round(slip), first + round(slip) + len(volts))
-            rest = volts - fits
-            misfit.append((rest - np.median(rest)) ** 2)
-        before = np.concatenate([[0.0], np.cumsum(misfit[0])])
-        after = np.concatenate([np.cumsum(misfit[1][::-1])[::-1], [0.0]])
-        return int(np.argmin(before + after))
+    def _settled(self, at: int, lost: int, sigma: int, flag: int) -> list[Block]:
+        """What was waiting, with ``lost`` samples missing before frame ``at`` of it."""
+        blocks = [block for block, _ in self._waiting]
+        self._before = np.concatenate([self._before, self._volts()])[-2 * self._chunk :]
+        if lost == 0 and not flag:
+            counted, before_last = self._counted()
+            self._clock.agree(blocks[-1].clock_ns, counted)
+            self._adc.agree(blocks[-1].adc_ns, before_last)
+        self._waiting, self._n_waiting, self._declared, self._fit = [], 0, 0, None
+        if lost < 0:
+            blocks = _without(blocks, at, -lost)
+        out: list[Block] = []
+        for block in blocks:
+            out += self._renumbered(block, at, lost, sigma, flag)
+            at -= len(block.codes)
+        return out
 
     def _renumbered(self, block: Block, at: int, lost: int, sigma: int, flag: int) -> list[Block]:
         """The block with its place in the recording, cut in two where the loss lies inside it."""

@@ -13,7 +13,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
@@ -28,11 +29,14 @@ from daq.ring import Ring, renumbered
 from daq.setup import Setup
 from daq.writer import Ending, RecordingWriter
 
-RING_S = 4.0
+RING_S = 30.0  # that the recorder may be kept from writing
+LEAST_RING_S = 4.0
+RING_BYTES = 2**25  # beyond which a ring holds no more than `LEAST_RING_S`
 SWITCH_S = 0.0005
 IDLE_S = 0.001
 START_S = 60.0
 CLOSE_S = 600.0
+NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP")  # words to the run, which then closes the recording
 _BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -46,10 +50,12 @@ class RecorderProcess:
     block_samples
         Largest block that will come.
     ring_s
-        Seconds that the ring holds.
+        Seconds that the ring holds; None takes what a stalled disk or a stopped recorder needs.
     patience_s
         How long `append` waits for room in a full ring before the block counts as lost; 0 for a device, which cannot
         wait.
+    private
+        Whether nobody else attaches to the ring by its name; it then has none any more once the recorder runs.
 
     Raises
     ------
@@ -63,26 +69,36 @@ class RecorderProcess:
         setup: Setup,
         *,
         block_samples: int = 1024,
-        ring_s: float = RING_S,
+        ring_s: float | None = None,
         patience_s: float = 10.0,
+        private: bool = True,
         **options: Any,
     ) -> None:
         self.path = Path(path)
-        self.ring = Ring.for_seconds(ring_s, setup.sampling.rate_hz, block_samples, len(options["channels"]))
-        self._patience_s = patience_s
+        rate_hz, channels = setup.sampling.rate_hz, len(options["channels"])
+        if ring_s is None:
+            ring_s = max(LEAST_RING_S, min(RING_S, RING_BYTES / (2 * channels * rate_hz)))
+        self.ring = Ring.for_seconds(ring_s, rate_hz, block_samples, channels)
+        self._patience_s, self._ring_s = patience_s, ring_s
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         shape = (self.ring.slots, block_samples, len(options["channels"]), self.ring.name)
         self._process = context.Process(
             target=_record, args=(theirs, shape, str(path), setup.model_dump_json(), options), name="recorder"
         )
-        with _one_blas_thread():
+        with _one_blas_thread(), _held_signals():
             self._process.start()
         theirs.close()
         self.n_samples = 0
         self._is_open = True
         self._fault = ""  # what the recorder said when it gave up
-        self._answer("start", START_S)
+        try:
+            self._answer("start", START_S)
+        except (InputError, OSError):
+            self.ring.close()
+            raise
+        if private:
+            self.ring.unname()
 
     @property
     def safe_samples(self) -> int:
@@ -95,7 +111,8 @@ class RecorderProcess:
         Raises
         ------
         OSError
-            When the recorder had to give up (disk full, file gone); what it has is kept.
+            When the recorder had to give up (disk full, file gone), or has not written for as long as the ring holds;
+            what it has is kept, and what the ring holds is written as soon as it can.
         """
         for block in (piece for whole in blocks for piece in whole.pieces(self.ring.block_samples)):
             if self._pipe.poll():
@@ -103,8 +120,12 @@ class RecorderProcess:
             until = time.monotonic() + self._patience_s
             while self.ring.backlog >= self.ring.slots and time.monotonic() < until and self._process.is_alive():
                 time.sleep(IDLE_S)
-            if self.ring.put(block):
-                self.n_samples += len(block.codes)
+            if not self.ring.put(block):
+                raise OSError(
+                    f"{self.path}: the recorder has not written for {self._ring_s:.0f} s (stopped, or a stalled disk); "
+                    "nothing after that is kept"
+                )
+            self.n_samples += len(block.codes)
 
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
         """As `RecordingWriter.mark_step`."""
@@ -175,11 +196,32 @@ class _one_blas_thread:
                 os.environ[name] = value
 
 
+def _not_for_us() -> list[signal.Signals]:
+    """Signals that the recorder outlives, of those that this system has."""
+    return [signal.Signals[name] for name in NOT_FOR_US if hasattr(signal, name)]
+
+
+@contextmanager
+def _held_signals() -> Iterator[None]:
+    """Signals for the run held back (POSIX), so that none meets the recorder before it knows to ignore them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _not_for_us())
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _record(
     pipe: Connection, shape: tuple[int, int, int, str], path: str, setup_json: str, options: dict[str, Any]
 ) -> None:
     """The recorder's whole life."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the operator's word to the run, which then closes this
+    for number in _not_for_us():
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _not_for_us())
     try:
         writer = RecordingWriter(path, Setup.model_validate_json(setup_json), **options)
     except InputError as error:
@@ -206,6 +248,7 @@ def _record(
         _give_up(writer, pipe, error)
     finally:
         ring.close()
+        ring.unname()
 
 
 def _obey(pipe: Connection, writer: RecordingWriter, wait_s: float) -> tuple[Ending, str, int | None] | None:

@@ -2,18 +2,27 @@
 
 The rule kept here: nothing is torn and nothing is dropped in silence. Each slot carries the checksum of its frames, so
 a slot that is read while it is being written is read again; a block that finds the ring full is counted, and the next
-one that fits says how many samples are missing before it.
+one that fits says how many samples are missing before it. The memory is taken when it is asked for, not when it is
+written to, and it is left behind by nobody: its name tells whose it is.
 """
 
 from __future__ import annotations
 
+import os
+import secrets
+import sys
+import time
 from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 
 import numpy as np
 
 from daq.block import BLOCK_DTYPE, Block, crc32
 
+NAME = "shakerbench"
+YOUNG_S = 60.0  # a segment that is still being handed over is no one's to clear
+FOLDER = Path("/dev/shm")  # of named segments, where the system shows them (Linux)
 _COUNTERS = ("put", "taken", "safe_samples", "dropped_blocks", "worst_backlog")
 
 
@@ -26,6 +35,11 @@ class Ring:
         How many blocks it holds, and how large they may be.
     name
         Of an existing ring to attach to; None makes one.
+
+    Raises
+    ------
+    OSError
+        Where the system's shared memory has no room for it.
     """
 
     def __init__(self, slots: int, block_samples: int, channels: int, name: str | None = None) -> None:
@@ -33,8 +47,14 @@ class Ring:
         head = 8 * len(_COUNTERS)
         rows = slots * BLOCK_DTYPE.itemsize
         size = head + rows + slots * block_samples * channels * 2
-        self._memory = SharedMemory(name=name, create=name is None, size=size if name is None else 0)
         self._owner = name is None
+        self._is_named = True
+        if name is None:
+            clear_left_behind()
+            self._memory = SharedMemory(f"{NAME}-{os.getpid()}-{secrets.token_hex(3)}", create=True, size=size)
+            self._reserve(size)
+        else:
+            self._memory = SharedMemory(name)
         buffer = self._memory.buf
         self._counters = np.ndarray(len(_COUNTERS), np.int64, buffer)
         self._rows = np.ndarray(slots, BLOCK_DTYPE, buffer, head)
@@ -113,12 +133,64 @@ class Ring:
         self._counters[1] = at + len(taken)
         return taken
 
+    def _reserve(self, size: int) -> None:
+        """Take all of the memory now: on Linux it is found missing only when it is written to, and the process dies."""
+        path = FOLDER / self._memory.name
+        if not sys.platform.startswith("linux") or not path.is_file():
+            return
+        try:
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            self._memory.close()
+            self.unname()
+            raise OSError(
+                f"shared memory: no room for the {size / 1e6:.1f} MB between run and recorder in {FOLDER} ({error}); "
+                "free some there (containers: a larger --shm-size)"
+            ) from error
+
+    def unname(self) -> None:
+        """Take the memory's name away: it is freed with the last process that holds it, however that ends."""
+        if self._is_named:
+            self._is_named = False
+            try:
+                self._memory.unlink()
+            except FileNotFoundError:
+                return  # the other side was first
+
     def close(self) -> None:
         """Let go of the memory; its maker also frees it."""
         self._counters = self._rows = self._frames = np.zeros(0)
         self._memory.close()
         if self._owner:
-            self._memory.unlink()
+            self.unname()
+
+
+def clear_left_behind(folder: Path = FOLDER) -> list[str]:
+    """Remove rings whose process was killed before it could; returns their names. Only where they are files (Linux)."""
+    if not sys.platform.startswith("linux") or not folder.is_dir():
+        return []
+    cleared = []
+    for path in folder.glob(f"{NAME}-*-*"):
+        owner = path.name.split("-")[1]
+        try:
+            if owner.isdecimal() and not _is_alive(int(owner)) and time.time() - path.stat().st_mtime > YOUNG_S:
+                path.unlink()
+                cleared.append(path.name)
+        except OSError:
+            continue  # somebody else's, or gone meanwhile
+    return cleared
+
+
+def _is_alive(pid: int) -> bool:
+    """Whether there is such a process (POSIX)."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def renumbered(blocks: list[Block], first_sample: int) -> list[Block]:

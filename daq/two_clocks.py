@@ -2,7 +2,7 @@
 
 The rule kept here: nothing is resampled. The drive is looped back into the device; a start marker says once, without
 ambiguity, which played sample is heard in which frame, and from there the looped-back drive is compared with what was
-played, window by window (`daq.clock.slip_at`). Raw readings are kept; the map that is fitted to them says how well it
+played, window by window (`daq.slip.slip_at`). Raw readings are kept; the map that is fitted to them says how well it
 is known.
 
 The place of frame ``m`` among the played samples is ``m + s(m)``. Its slip ``s`` is an integrated random walk: the rate
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from daq.block import CLOCK_DTYPE, MAP_DTYPE
-from daq.clock import LATENCY, SMALLEST_MISFIT, Played, slip_at
+from daq.clock import SMALLEST_MISFIT
+from daq.slip import LATENCY, Played, slip_at
 from kernels import njit
 
 Floats = NDArray[np.float64]

@@ -25,6 +25,7 @@ QUIET_PEAK = 0.3  # of g: the ball stays down
 FLIGHT_PEAK = 1.6  # of g: the ball takes off
 FADE_CYCLES, SETTLE_CYCLES, HOLD_CYCLES = 8, 8, 20
 GAIN_OFF = 0.02  # by which the loop-back may be off
+SWAPPED_OFF = 0.2  # by which the loop-back is off where it is another input's signal
 SCALE_OFF = 0.05  # by which the accelerometer may be off, at least
 NOISE_PART = 0.05  # of g: accelerometer noise
 MARGIN_DB = 3.0  # kept to a converter's limit
@@ -130,6 +131,9 @@ class Check:
         sent = drive_amplitudes(profile, QUIET_PEAK / self._per_g)[k]
         kept = 1.0 / (1.0 - 1j * (profile.drive.highpass_hz or 0.0) / frequencies_hz[k])
         gain = abs(loop / (sent * kept))
+        exchanged = self._exchanged(hold, heard, delay, gain)
+        if exchanged is not None:
+            return [exchanged]
         remedy = "backend.output_range_v or the drive channel's range_v does not fit; measure both with a voltmeter"
         findings = [Finding("loop-back gain", f"{gain:.4f}", bool(abs(gain - 1.0) <= GAIN_OFF), remedy)]
         if gain < 0.1:
@@ -156,6 +160,29 @@ class Check:
                 "calibrate drive.g_per_volt, or channels.accelerometer.sensitivity (by a flip test), again",
             ),
         ]  # fmt: skip
+
+    def _exchanged(self, hold: slice, heard: dict[str, Floats], delay: int, gain: float) -> Finding | None:
+        """Inputs that read what another should: the drive as it was sent, or the plate's motion at the contact's."""
+        sent = drive_amplitudes(self._profile, QUIET_PEAK / self._per_g)
+        frequencies_hz = [m * self._profile.forcing.frequency_hz for m, _ in self._profile.forcing.displacement_tones()]
+        k = int(np.argmax(np.abs(sent)))
+        size = {
+            name: abs(fit_tones(volts[hold], hold.start - delay, self._profile.sampling.rate_hz, frequencies_hz)
+                      .amplitudes[k]) / abs(sent[k])
+            for name, volts in heard.items()
+        }  # fmt: skip
+        scale = self._profile.drive.g_per_volt
+        motion = abs(self._profile.channels.accelerometer.volts_per_mps2) * self._profile.g_mps2.value
+        asked = motion * scale.value if scale is not None else 0.0  # accelerometer volts a volt of drive
+        pair = None
+        if abs(gain - 1.0) > SWAPPED_OFF:
+            pair = next((n for n in size if n != "drive" and abs(size[n] - 1.0) < SCALE_OFF), None), "drive"
+        elif size["accelerometer"] < 0.1 * asked and 0.5 * asked < size.get("continuity", 0.0) < 2.0 * asked:
+            pair = "continuity", "accelerometer"
+        if pair is None or pair[0] is None:
+            return None
+        seen = f"the {pair[0]} input reads what the {pair[1]} input should"
+        return Finding("inputs", seen, False, "change their plugs, or their numbers (terminals) in the profile")
 
     def _contact(self, rest: dict[str, Floats]) -> list[Finding]:
         """The contact circuit: closed at rest, opening and closing when the ball must fly."""

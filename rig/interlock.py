@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import Block
+from daq.block import Block, BlockFlag
 from rig.forcing import Floats
 from rig.motion import Motion
 from rig.profile import Profile
@@ -26,7 +27,53 @@ FLAT_PART = 0.02  # of the converter's range: below, equal codes are the convert
 AC_SILENT_PART = 0.1  # of the swing to either side of 0 V in which an AC-coupled contact circuit says nothing new
 AC_EDGE_PART = 0.5  # of the swing: a step that size is an edge
 AC_EDGE_S = 2e-4  # in which it is made
+EXCESS = 5.0  # times the motion that the drive asks for: no plate follows its drive so badly, a wrong input does
+SAME_VOLTS = 0.1  # by which an input may be off the played drive that it is
+COHERENT = 0.9  # part of an input's variance that follows the drive, where it is the drive
+OTHER_VOLTS = 0.2  # by which the looped-back drive is off where it is not the drive
 AIRBORNE_GAMMA_PEAK = 3.0  # a ball that never leaves the plate above this, friction and all, is a wire
+
+
+@dataclass
+class _Window:
+    """Sums over the cycles in which a channel is judged: drive played, looped back, and motion."""
+
+    n: int = 0
+    asked: float = 0.0  # squared m/s^2, by the drive as played
+    heard: float = 0.0  # the same, by the drive as looped back
+    moved: float = 0.0
+    ran_dry: bool = False
+    sums: dict[str, Floats] = field(default_factory=dict)  # of volts, squares, and products with the drive
+
+    def rms(self) -> tuple[float, float, float]:
+        """Asked, heard and moved, m/s^2."""
+        asked, heard, moved = (math.sqrt(s / max(self.n, 1)) for s in (self.asked, self.heard, self.moved))
+        return asked, heard, moved
+
+    def add_volts(self, name: str, volts: Floats, drive_v: Floats) -> None:
+        """One more block of a channel."""
+        sums = np.array(
+            [len(volts), volts.sum(), volts @ volts, volts @ drive_v, drive_v.sum(), drive_v @ drive_v]
+        )
+        self.sums[name] = self.sums.get(name, np.zeros(6)) + sums
+
+    def gain(self, name: str) -> float:
+        """Volts of a channel a volt of drive, by what of it follows the drive."""
+        n, v, _, vd, d, dd = self.sums.get(name, np.zeros(6))
+        square = dd - d * d / max(n, 1.0)
+        return float((vd - v * d / n) / square) if square > 0.0 else math.nan
+
+    def coherence(self, name: str) -> float:
+        """What part of a channel's variance follows the drive, 0 to 1."""
+        n, _, _, _, d, dd = self.sums.get(name, np.zeros(6))
+        follows_v = abs(self.gain(name)) * math.sqrt(max(float(dd / max(n, 1.0) - (d / max(n, 1.0)) ** 2), 0.0))
+        whole_v = self.rms_v(name)
+        return (follows_v / whole_v) ** 2 if whole_v > 0.0 else 0.0
+
+    def rms_v(self, name: str) -> float:
+        """Standard deviation of a channel, volts."""
+        n, v, vv, *_ = self.sums.get(name, np.zeros(6))
+        return math.sqrt(max(float(vv / max(n, 1.0) - (v / max(n, 1.0)) ** 2), 0.0))
 
 
 class Interlock:
@@ -73,8 +120,11 @@ class Interlock:
         ranges = {"accelerometer": accelerometer.range_v, "drive": profile.channels.drive.range_v}
         self._full = {name: _full_code(ranges[name], scales[name][0]) for name in ranges if name in self._column}
         self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
-        self._window_asked = self._window_moved = 0.0
-        self._window_n = self._still = self._last_code = 0
+        self._window = _Window()
+        self._scales = {name: scales[name] for name in channels if name in scales}
+        self._loops_back = "drive" in self._scales and profile.backend.kind != "replay"
+        self._volts_per_mps2 = abs(accelerometer.volts_per_mps2)
+        self._still = self._last_code = 0
         self._was_open = self._ended_open = False
         self.limits_in_use: dict[str, float] = {}
         self.contact_age_cycles = 0.0
@@ -101,9 +151,9 @@ class Interlock:
         self._n_seen += len(codes)
         reasons = (
             self._drive(),
-            self._frozen(drive_v, codes[:, self._column["accelerometer"]]),
+            self._frozen(drive_v, codes),
             self._moved(motion),
-            self._dead(drive_v),
+            self._unlike(drive_v, block),
             *(self._clipping(name, codes[:, self._column[name]]) for name in self._clipped),
             self._contact(drive_v, codes, motion),
         )
@@ -134,7 +184,7 @@ class Interlock:
     def _moved(self, motion: Motion) -> str | None:
         """Plate acceleration, velocity and displacement against their limits."""
         a, v, x = motion.acceleration_mps2, motion.velocity_mps, motion.displacement_m
-        self._window_moved += motion.square_sum
+        self._window.moved += motion.square_sum
         limits = self._limits
         used = [
             (value / limit, name, f"the plate reached {value:.4g} {unit}; limits.{name} allows {limit:g}")
@@ -149,9 +199,17 @@ class Interlock:
         self.limits_in_use = {"drive_v": self._clamped_v / limits.drive_v} | {name: part for part, name, _ in used}
         return reason if worst > 1.0 else None
 
-    def _frozen(self, drive_v: Floats, codes: NDArray[np.int16]) -> str | None:
-        """An accelerometer that says one and the same while the drive moves."""
-        moving = float(np.max(np.abs(drive_v), initial=0.0)) * self._mps2_per_volt > DEAD_FLOOR_MPS2
+    def _volts(self, name: str, codes: NDArray[np.int16]) -> Floats:
+        """A channel of a block in volts."""
+        per_code, offset_v = self._scales[name]
+        return np.asarray(codes[:, self._column[name]] * per_code + offset_v, np.float64)
+
+    def _frozen(self, drive_v: Floats, frames: NDArray[np.int16]) -> str | None:
+        """An accelerometer that reads one and the same while the drive moves, looped back where it is."""
+        codes = frames[:, self._column["accelerometer"]]
+        drives = [drive_v, self._volts("drive", frames)] if self._loops_back else [drive_v]
+        largest_v = min(float(np.max(np.abs(volts), initial=0.0)) for volts in drives)
+        moving = largest_v * self._mps2_per_volt > DEAD_FLOOR_MPS2
         same = codes.size > 0 and codes.min() == codes.max() == (self._last_code if self._still else codes[0])
         self._still = self._still + codes.size if moving and same else 0
         self._last_code = int(codes[-1]) if codes.size else self._last_code
@@ -159,21 +217,78 @@ class Interlock:
             return None
         return "dead accelerometer: its reading has not changed for a cycle while the drive moves; check its cable"
 
-    def _dead(self, drive_v: Floats) -> str | None:
-        """The drive moves and the accelerometer does not."""
-        self._window_asked += float(np.sum(np.square(drive_v * self._mps2_per_volt)))
-        self._window_n += len(drive_v)
-        if self._window_n < WINDOW_CYCLES * self._cycle:
+    def _unlike(self, drive_v: Floats, block: Block) -> str | None:
+        """What some cycles together tell of drive, loop-back and accelerometer: each is what the others ask for."""
+        window, n = self._window, len(drive_v)
+        window.n += n
+        asked = float(np.sum(np.square(drive_v * self._mps2_per_volt)))
+        window.asked += asked
+        window.ran_dry |= bool(block.flags & BlockFlag.UNDERFLOW)
+        whole = len(block.codes) == n  # of a block that came short it is not known which drive its frames belong to
+        for name in self._scales if whole else ():
+            window.add_volts(name, self._volts(name, block.codes), drive_v)
+        if self._loops_back and whole:
+            window.heard += float(np.sum(np.square(self._volts("drive", block.codes) * self._mps2_per_volt)))
+        else:
+            window.heard += asked
+        if window.n < WINDOW_CYCLES * self._cycle:
             return None
-        asked, moved = (math.sqrt(s / self._window_n) for s in (self._window_asked, self._window_moved))
-        self._window_asked = self._window_moved = 0.0
-        self._window_n = 0
-        if asked < DEAD_FLOOR_MPS2 or moved > DEAD_FRACTION * asked:
+        self._window = _Window()
+        asked_mps2, heard_mps2, moved_mps2 = window.rms()
+        if asked_mps2 < DEAD_FLOOR_MPS2:
             return None
-        return (
-            f"dead accelerometer: the drive asks for {asked:.3g} m/s^2 rms over {WINDOW_CYCLES} cycles, "
-            f"the accelerometer reads {moved:.2g}; check its cable and its supply"
+        if max(heard_mps2, moved_mps2) <= DEAD_FRACTION * asked_mps2:
+            return self._undriven(window)
+        return self._exchanged(window) or self._dead(window)
+
+    def _undriven(self, window: _Window) -> str:
+        """Neither the looped-back drive nor the plate moves."""
+        asked, heard, moved = window.rms()
+        seen = (
+            f"over {WINDOW_CYCLES} cycles the drive asks for {asked:.3g} m/s^2 rms, the looped-back drive comes to "
+            f"{heard:.2g} and the accelerometer to {moved:.2g}"
         )
+        if window.ran_dry:
+            return (
+                f"the drive ran dry (UNDERFLOW): {seen}; the program was too late for the card: "
+                "end other work, or raise backend.buffer_s"
+            )
+        return f"no drive: {seen}; is the output muted or unplugged?"
+
+    def _exchanged(self, window: _Window) -> str | None:
+        """An input other than the looped-back drive's that reads the drive as it was played."""
+        own = window.gain("drive") if self._loops_back else 1.0
+        if window.ran_dry or not abs(own - 1.0) > OTHER_VOLTS:
+            return None
+        for name in set(self._scales) - {"drive"}:
+            if abs(window.gain(name) - 1.0) < SAME_VOLTS and window.coherence(name) > COHERENT:
+                return (
+                    f"exchanged inputs: the {name} input reads the drive as it was played, "
+                    f"the drive input {own:.2g} of it; change their plugs, or their terminals in the profile"
+                )
+        return None
+
+    def _dead(self, window: _Window) -> str | None:
+        """The drive moves, and the accelerometer does not, or far too much."""
+        asked, heard, moved = window.rms()
+        if DEAD_FRACTION * min(asked, heard) < moved <= EXCESS * asked:
+            return None
+        seen = (
+            f"the drive asks for {asked:.3g} m/s^2 rms over {WINDOW_CYCLES} cycles, the accelerometer reads {moved:.2g}"
+        )
+        if moved > EXCESS * asked:
+            return (
+                f"more motion than was asked for: {seen}; are inputs exchanged, or drive.g_per_volt or "
+                "channels.accelerometer.sensitivity wrong? bench check tells"
+            )
+        if "continuity" in self._scales:
+            contact = window.rms_v("continuity") / self._volts_per_mps2
+            if 0.5 * heard < contact < 2.0 * heard:
+                return (
+                    f"exchanged inputs: {seen}, the continuity input what would be {contact:.2g}; "
+                    "change their plugs, or their terminals in the profile"
+                )
+        return f"dead accelerometer: {seen}; check its cable and its supply"
 
     def _clipping(self, name: str, codes: NDArray[np.int16]) -> str | None:
         """An input at a limit, its converter's or a lower one, for longer than an impact lasts."""

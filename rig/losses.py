@@ -15,6 +15,7 @@ import numpy as np
 
 from daq.block import Block
 from daq.clock import LossFinder
+from daq.loss_search import AtOnce, Beside
 from rig.forcing import Floats
 from rig.high_pass import HighPass
 from rig.profile import Profile
@@ -34,22 +35,37 @@ class LossAccount:
         Column of the looped-back drive in a frame.
     scale
         Its ``(volts_per_code, offset_v)``.
+    beside
+        Whether searches run in a thread: for a device, which waits for nobody.
+
+    Attributes
+    ----------
+    lost_before : int
+        Samples known to be missing before the last block, when it came.
     """
 
-    def __init__(self, profile: Profile, drive_column: int, scale: tuple[float, float]) -> None:
+    def __init__(
+        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, beside: bool = False
+    ) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
-        self._finder = LossFinder(rate_hz, chunk)
+        self._finder = LossFinder(rate_hz, chunk, Beside() if beside else AtOnce())
         self._column = drive_column
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0
         self.declares = False
+        self.lost_before = 0
         self._capacitor = HighPass(profile.drive.highpass_hz, rate_hz)
         self._places: list[tuple[int, int]] = []
         self._heard_to = self._settled_to = 0
         self._short = self._settled_lost = 0
         self._losses: list[tuple[int, int]] = []
         self._gaps: list[tuple[int, int]] = []
+
+    def lags(self, lag_samples: int) -> None:
+        """Say how late the drive is heard, of a device that declares its own losses."""
+        self.lag_samples, self.declares = lag_samples, True
+        self._finder.expect(lag_samples)
 
     @property
     def lost_samples(self) -> int:
@@ -86,7 +102,9 @@ class LossAccount:
         if block.place is None:
             block = replace(block, lost_before=self._short or block.lost_before)
             self._short = 0
+            self.lost_before = block.lost_before
         else:
+            self.lost_before = block.lost_before
             self._heard_to = block.place + len(block.codes)
             self._scale = (0.0, 0.0)
         volts = np.asarray(block.codes[:, self._column], np.float64) * self._scale[0] + self._scale[1]

@@ -72,24 +72,38 @@ class MotionWatch:
         self._constants = np.array([1.0 / rate_hz, low, leak, max(1.0, RINGING_S * rate_hz), fast])
         self._scale = mps2_per_code
         self._eighth = max(2, round(rate_hz / first_hz / 8))
+        self._cycle = np.zeros(max(2, round(rate_hz / first_hz)), np.int16)  # the last one
         self._state = np.zeros(_FIELDS)
         self._started = False
         nothing, nowhere = np.zeros(1, np.int16), np.zeros(1, np.bool_)
         _follow(nothing, 1.0, nowhere, self._constants, np.zeros(_FIELDS), nowhere.copy())  # compiled before all moves
 
-    def update(self, codes: NDArray[np.int16], landed: Mask | None = None) -> Motion:
+    def update(self, codes: NDArray[np.int16], landed: Mask | None = None, lost: int = 0) -> Motion:
         """The plate over the block with these accelerometer ``codes`` (n,).
 
-        ``landed`` (n,) says where the contact circuit closed: such an impact may ring too softly to be heard.
+        ``landed`` (n,) says where the contact circuit closed: such an impact may ring too softly to be heard. ``lost``
+        samples are missing before it: the plate is taken to have moved as it did a cycle earlier, since a hole in the
+        acceleration would be a jump of the velocity that nothing made.
         """
         codes = np.ascontiguousarray(codes)
         landed = np.zeros(codes.size, np.bool_) if landed is None else landed
         if not self._started and codes.size >= 2:
             self._started = True
             self._start(np.asarray(codes[: self._eighth], np.float64) * self._scale)
+        if lost and self._started:
+            self._bridge(lost)
         quiet = np.ones(codes.size, np.bool_)
         a, v, x, squares = _follow(codes, self._scale, landed, self._constants, self._state, quiet)
+        self._cycle = np.concatenate([self._cycle, codes])[-len(self._cycle) :]
         return Motion(a, v, x, squares, max(0, int(self._state[7])), quiet)
+
+    def _bridge(self, lost: int) -> None:
+        """Follow through ``lost`` samples by the last cycle; whole cycles of them change nothing."""
+        n = lost % len(self._cycle)
+        nowhere = np.zeros(n, np.bool_)
+        _follow(self._cycle[:n].copy(), self._scale, nowhere, self._constants, self._state, nowhere.copy())
+        self._state[7] += lost - n
+        self._cycle = np.roll(self._cycle, -n)
 
     def _start(self, a_mps2: Floats) -> None:
         """Rest is where the run starts: an offset, or gravity, is not motion."""

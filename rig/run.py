@@ -143,7 +143,7 @@ class _Run:
         self.why = ""
         drive = backend.channels.index("drive")
         self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None
-        self.account = LossAccount(profile, drive, backend.scales["drive"])
+        self.account = LossAccount(profile, drive, backend.scales["drive"], beside=not backend.simulated)
         self._programme: Programme = plan(profile)
         self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         self._sequencer = Sequencer(
@@ -178,7 +178,7 @@ class _Run:
     def drive(self) -> None:
         """Exchange blocks until the drive rests at zero."""
         if isinstance(self._backend, Lagging):
-            self.account.lag_samples, self.account.declares = round(self._backend.lag_samples), True
+            self.account.lags(round(self._backend.lag_samples))
         try:
             while not self._sequencer.done:
                 self._obey()
@@ -231,7 +231,7 @@ class _Run:
         circuit = self._interlock.circuit(block.codes)
         self._touching: NDArray[np.bool_] | None
         self._touching, landed = circuit if circuit is not None else (None, None)
-        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed)
+        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed, self.account.lost_before)
         self._measure(block)
         self._note_marks()
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)

@@ -21,7 +21,7 @@ def command(
     kind: str = typer.Argument(help="accelerometer, drive or contact; in this order on a new rig."),
     into: Path = typer.Option(..., "--into", metavar="PROFILE", help="The profile's file, used and written."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
-    seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The values for a machine; - prints them."),
     overwrite: Overwrite = False,
 ) -> None:

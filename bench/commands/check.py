@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def command(
     profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
-    seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The findings for a machine; - prints them."),
     overwrite: Overwrite = False,
 ) -> None:

@@ -21,7 +21,7 @@ def command(
     out: Path = typer.Option(..., "--out", metavar="REC.h5", help="The recording; never overwritten."),
     real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
-    seed: int = typer.Option(0, "--seed", help="Of the simulated rig's noise."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
     replay: Path | None = typer.Option(None, "--replay", metavar="REC.h5", help="What a replay back end plays."),
     note: str | None = typer.Option(None, "--note", help="The operator's note."),
     set_: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="A free key, as knob=3; repeatable."),
@@ -38,6 +38,7 @@ def command(
     was wrong.
     """
     import datetime
+    from contextlib import suppress
 
     from bench.commands.plan import planned, refusal
     from bench.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
@@ -71,9 +72,11 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(str(error), EXIT_FAILED)
-    write_json({"recording": out, "backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
+    kept = {"recording": out if summary.n_samples else None}
+    write_json(kept | {"backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
     if json != "-":
-        typer.echo(_sentence(summary, out))
+        with suppress(OSError):  # the terminal may be gone; the exit code tells
+            typer.echo(_sentence(summary, out))
     if summary.how != "complete":
         fail(f"{summary.how}: {summary.why}", EXIT_FAILED)
 
@@ -87,6 +90,8 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
         key, equals, value = setting.partition("=")
         if not key.strip() or not equals:
             raise InputError(f"--set {setting}: wanted KEY=VALUE, as amplifier_knob=3")
+        if key.strip() in keys:
+            raise InputError(f"--set {setting}: {key.strip()} was set before; give each key once")
         try:
             keys[key.strip()] = float(value)
         except ValueError:
@@ -102,9 +107,19 @@ def make_backend(
     real_time: bool = False,
     replay: Path | None = None,
 ) -> Backend:
-    """The back end that ``profile`` asks for, and no other. Raises `InputError`."""
+    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
     from daq.errors import InputError
 
+    kind = profile.backend.kind
+    unheeded = {
+        "--replay": replay is not None and kind != "replay",
+        "--scenario": scenario is not None and kind != "simulated",
+        "--real-time": real_time and kind != "simulated",
+    }
+    for option, given in unheeded.items():
+        if given:
+            wanted = "replay" if option == "--replay" else "simulated"
+            raise InputError(f"{option}: is for backend.kind = \"{wanted}\"; this profile's is \"{kind}\"")
     if profile.backend.kind == "replay":
         from rig.backends.replay import ReplayBackend
 
@@ -161,12 +176,16 @@ def record(
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
     """
+    from contextlib import nullcontext
+
     from bench.run_display import run_display
     from bench.signals import stop_on_signals
     from daq.recorder import RecorderProcess
     from daq.recording import RecordingWriter
+    from rig.priority import before_other_work
     from rig.ramp import plan
     from rig.run import run_ramp
+    from rig.sequencer import largest_block
 
     options: dict[str, Any] = {
         "profile_text": text,
@@ -181,16 +200,21 @@ def record(
     }
     if not backend.simulated:
         warm_up(profile)
-    with stop_on_signals() as request, run_display(quiet) as progress:
+    first = nullcontext() if backend.simulated else before_other_work()
+    with stop_on_signals() as request, first, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
-            block_samples = profile.backend.block_samples
+            block_samples = largest_block(plan(profile).clock, profile.backend.block_samples)
             writer: RecordingWriter | RecorderProcess = RecorderProcess(
                 out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
             )
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
-        return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+        try:
+            return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+        finally:
+            if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
+                out.unlink(missing_ok=True)
 
 
 def warm_up(profile: Profile) -> None:
@@ -216,6 +240,8 @@ def warm_up(profile: Profile) -> None:
 
 def _sentence(summary: RunSummary, out: Path) -> str:
     """What happened, in one line."""
+    if not summary.n_samples:
+        return f"{summary.how}: nothing was recorded, and no file is left"
     return (
         f"{summary.how}: {summary.steps_driven} of {summary.steps_planned} steps, {summary.n_samples} samples, "
         f"{summary.lost_samples} lost, in {summary.wall_s:.1f} s -> {out}"

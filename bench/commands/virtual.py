@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def command(
     profile: str = typer.Argument(help="A sound-card profile's path, or the name of a shipped one."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the plant hides."),
-    seed: int = typer.Option(0, "--seed", help="Of the plant's noise."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Of the plant's noise."),
     server: str = typer.Option("default", "--server", metavar="NAME", help="JACK server; started if it is not there."),
     period: int = typer.Option(256, "--period", min=16, help="Frames of one period of a server that is started here."),
     for_s: float | None = typer.Option(None, "--for", metavar="SECONDS", help="Leave by itself after so long."),

@@ -7,7 +7,6 @@ through without a drive, and nobody heard it.
 from __future__ import annotations
 
 import gc
-import os
 import shutil
 import subprocess
 import time
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError
 from rig.high_pass import HighPass
+from rig.priority import may_run_first
 from rig.profile import Profile
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
@@ -173,7 +173,7 @@ def jack_server(name: str, rate_hz: float, period: int) -> Iterator[bool]:
 def _started(jackd: str, name: str, rate_hz: float, period: int) -> subprocess.Popen[bytes]:
     """A server that answers: before all other work where that is allowed and works; raises `InputError`."""
     command: list[str] = []
-    for mode in [["-R", "-P", str(PRIORITY)], ["-r"]] if _may_run_first() else [["-r"]]:
+    for mode in [["-R", "-P", str(PRIORITY)], ["-r"]] if may_run_first(PRIORITY) else [["-r"]]:
         command = [jackd, *mode, "-n", name, "-d", "dummy", "-r", f"{rate_hz:.0f}", "-p", str(period)]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         until = time.monotonic() + START_S
@@ -187,19 +187,6 @@ def _started(jackd: str, name: str, rate_hz: float, period: int) -> subprocess.P
         f"JACK server {name!r} does not start: try  {' '.join(command)}  (servers that were killed keep their places: "
         "with none running, remove /dev/shm/jack*)"
     )
-
-
-def _may_run_first() -> bool:
-    """Whether this user may run a process before all others: the server then does so with its clients' callbacks."""
-    if not hasattr(os, "sched_setscheduler"):
-        return False
-    policy, own = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    except OSError:
-        return False
-    os.sched_setscheduler(0, policy, own)
-    return True
 
 
 def _answers(server: str) -> bool:

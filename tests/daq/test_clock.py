@@ -11,6 +11,7 @@ import pytest
 
 from daq.block import Block, BlockFlag
 from daq.clock import LossFinder
+from daq.loss_search import NOTHING, AtOnce, Beside, Found
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
 from daq.setup import Setup
 
@@ -116,3 +117,94 @@ def test_what_does_not_add_up_is_suspect(tmp_path: Path, setup: Setup) -> None:
         assert (report.suspect, report.lost_samples, report.state) == (suspect, 20, "complete")
         with open_recording(tmp_path / name) as recording:
             assert recording.attrs["expected_samples"] == expected
+
+
+def sample_path() -> ModuleType:
+    """The benchmark that counts the operations of the sample path."""
+    path = Path(__file__).parents[2] / "benchmarks" / "sample_path.py"
+    spec = importlib.util.spec_from_file_location("sample_path", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("case", ["clean", "lost", "dry", "unplugged", "storm"])
+def test_the_sample_path_does_bounded_work(case: str) -> None:
+    """No block takes over a tenth of its time in counted work, whatever happens; each loss and disturbance is told."""
+    bench = sample_path()
+    seen = bench.follow(case, seconds=6.0)
+    bench.require(seen, case)
+    third, half = round(2.0 * bench.RATE_HZ), round(3.0 * bench.RATE_HZ)
+    if case == "lost":
+        assert seen["lost"] == 777 and abs(seen["place"] - third) < 40
+    else:
+        assert seen["lost"] == 0
+    if case in ("clean", "lost"):
+        assert seen["filled"] == 0
+    if case == "dry":
+        assert 0 < seen["filled"] < 4 * bench.CHUNK and seen["last_filled"] < third + 4 * bench.CHUNK
+    if case in ("unplugged", "storm"):  # it recovers once the drive is back
+        assert seen["filled"] > 0.9 * (half - third) and seen["last_filled"] < half + 4 * bench.CHUNK
+
+
+def test_an_answer_that_comes_late_is_the_same() -> None:
+    """Searches beside the run, however slow, declare what searches at once declare, at the same samples."""
+
+    class Slow(Beside):
+        """Has no answer for a while."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.asked = 0
+
+        def answer(self, *, wait: bool) -> Found | None:
+            self.asked += 1
+            return super().answer(wait=wait) if wait or self.asked % 20 == 0 else None
+
+    t = np.arange(100_000) / RATE_HZ
+    played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
+    kept = np.r_[0:40_000, 40_200:70_000, 75_000 : len(played)]
+    gaps = []
+    for searcher in (AtOnce(), Slow()):
+        blocks = feed(LossFinder(RATE_HZ, searcher=searcher), played, played, kept)
+        gaps.append([(b.first_sample, b.lost_before, b.lost_uncertainty) for b in blocks if b.lost_before])
+        assert sum(len(b.codes) for b in blocks) == len(kept)
+    assert gaps[0] == gaps[1] and len(gaps[0]) == 2
+
+
+def test_an_answer_that_never_comes_costs_no_sample() -> None:
+    """A search that is kept from running: the frames are flagged and go on, in order, all of them."""
+
+    class Never(AtOnce):
+        """Takes every question and answers none while the run lasts."""
+
+        def answer(self, *, wait: bool) -> Found | None:
+            return NOTHING if wait else None
+
+    t = np.arange(150_000) / RATE_HZ
+    played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
+    heard = np.r_[played[:40_000], np.random.default_rng(0).standard_normal(9000), played[49_000:]]
+    finder = LossFinder(RATE_HZ, searcher=Never())
+    finder.expect(0)
+    blocks = feed(finder, played, heard)
+    assert [b.first_sample for b in blocks] == np.cumsum([0] + [len(b.codes) for b in blocks])[:-1].tolist()
+    assert sum(len(b.codes) for b in blocks) == 150_000 and not any(b.lost_before for b in blocks)
+    assert any(b.flags & BlockFlag.FILLED for b in blocks)
+
+
+def test_a_devices_own_count_rules_out_whole_periods() -> None:
+    """A disturbance that would fit a period lost is none where the device's own time knows of no loss."""
+    period = 800
+    t = np.arange(120_000)
+    played = np.sin(2 * np.pi * t / period) * np.minimum(t / 20_000, 1.0) * (1.0 + 1e-6 * t)
+    heard = played.copy()
+    heard[60_000:62_000] = played[60_000 + period : 62_000 + period]
+    finder, blocks = LossFinder(RATE_HZ), []
+    for i in range(0, len(played), 500):
+        finder.played(played[i : i + 500])
+        adc_ns = round(i / RATE_HZ * 1e9) + 10**9
+        blocks += finder.heard(Block(i, np.zeros((500, 3), np.int16), adc_ns=adc_ns), heard[i : i + 500])
+    blocks += finder.flush()
+    assert not any(b.lost_before for b in blocks) and sum(len(b.codes) for b in blocks) == 120_000

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 import subprocess
 import sys
@@ -15,8 +17,8 @@ import pytest
 from daq.block import STEP_DTYPE, Block
 from daq.errors import InputError
 from daq.recorder import RecorderProcess
-from daq.recording import CHANNELS, open_recording, verify
-from daq.ring import Ring
+from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.ring import FOLDER, NAME, Ring, clear_left_behind
 from daq.setup import Setup
 
 OPTIONS = {"profile_text": "", "channels": CHANNELS, "backend": "s", "simulated": True}
@@ -117,3 +119,69 @@ def test_the_operator_dies_the_recording_lives(tmp_path: Path) -> None:
     report = verify(path)
     assert (report.state, report.n_samples) == ("stopped", 20_000)
     assert "is gone" in report.where[0]
+
+
+def test_a_ring_without_room_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Full shared memory is an error with words at the start, not a bus error in the middle of a run."""
+    if not FOLDER.is_dir():
+        pytest.skip("shared memory has no folder here")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    before = set(FOLDER.iterdir())
+    with pytest.raises(OSError, match=r"no room for the 0\.0 MB between run and recorder"):
+        Ring(4, 100, 3)
+    assert set(FOLDER.iterdir()) <= before
+
+
+def test_leftovers_of_the_dead_are_cleared(tmp_path: Path) -> None:
+    """Segments of processes that are no more go, those of the living, the young and of others stay."""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("segments are files on Linux alone")
+    done = subprocess.Popen([sys.executable, "-c", ""])
+    done.wait()
+    names = [f"{NAME}-{done.pid}-aa", f"{NAME}-{os.getpid()}-bb", f"{NAME}-{done.pid}-cc", f"other-{done.pid}-dd"]
+    for name in names:
+        (tmp_path / name).write_bytes(b"")
+    for name in (names[0], names[1], names[3]):
+        os.utime(tmp_path / name, (1.0, 1.0))
+    assert clear_left_behind(tmp_path) == [names[0]]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
+
+
+def test_a_recorder_that_never_writes_ends_the_run(tmp_path: Path, setup: Setup) -> None:
+    """A ring that is full stops the run with words; what it holds is written once the recorder goes on."""
+    if not hasattr(signal, "SIGSTOP"):
+        pytest.skip("processes are stopped by signal on POSIX alone")
+    recorder = RecorderProcess(tmp_path / "a.h5", setup, ring_s=0.5, patience_s=0.0, **OPTIONS)
+    pid = recorder._process.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        with pytest.raises(OSError, match=r"has not written for [01] s"):
+            for i in range(200):
+                recorder.append(Block(1000 * i, CODES[:1000]))
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    n = recorder.n_samples
+    recorder.close("failed", "the recorder stood still", expected_samples=n)
+    report = verify(tmp_path / "a.h5")
+    assert (report.state, report.n_samples) == ("stopped", n) and n >= 4000
+
+
+def test_a_stepped_clock_moves_no_sample(
+    tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The system's clock set back by a day in the middle of a run: samples and their times stay what they were."""
+    writer = RecordingWriter(tmp_path / "a.h5", setup, **OPTIONS)
+    writer.append(Block(0, CODES[:1000], clock_ns=10**9))
+    monkeypatch.setattr("daq.writer.now_utc", lambda: "2001-01-01T00:00:00.000000Z")
+    monkeypatch.setattr(time, "time", lambda: 1e9)
+    writer.append(Block(1000, CODES[1000:2000], clock_ns=2 * 10**9))
+    writer.close("complete", expected_samples=2000)
+    report = verify(tmp_path / "a.h5")
+    assert (report.state, report.suspect, report.n_samples) == ("complete", False, 2000)
+    with open_recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_array_equal(recording.codes("drive"), CODES[:2000, 2])

@@ -69,8 +69,11 @@ class FakeRig:
         self.scales = dict.fromkeys(self.channels, (scale, 0.0))
         self.played: list[np.ndarray] = []
         self.running = False
-        self.dead_from = self.unplugged_from = self.open_from = 10**9
+        self.dead_from = self.unplugged_from = self.open_from = self.silent_from = 10**9
+        self.order = (0, 1, 2)  # of the inputs, as they are wired
+        self.flags = 0  # of blocks without drive
         self.gain = 1.0
+        self.noise_v, self._rng = 0.0, np.random.default_rng(0)
         self.ball_flies = False
         self.stalls_from, self.stall_s = 10**9, 0.0
 
@@ -91,12 +94,14 @@ class FakeRig:
         volts[:, 0] = 5.0 * ((index >= self.open_from) | (self.ball_flies & (drive_v > 0.5)))
         volts[:, 1] = np.where(index < self.dead_from, self.gain * drive_v * 2.0 * 0.1, 0.0)
         volts[:, 2] = drive_v
+        volts[index >= self.silent_from, 1:] = 0.0
+        volts = volts[:, self.order] + self.noise_v * self._rng.standard_normal(volts.shape)
         self.played.append(np.array(drive_v))
         if first >= self.stalls_from:
             time.sleep(self.stall_s)
             self.stall_s = 0.0
         codes = np.clip(np.rint(volts / volts_per_code(10.0)), -32768, 32767).astype(np.int16)
-        return Block(first_sample=first, codes=codes)
+        return Block(first_sample=first, codes=codes, flags=self.flags if first >= self.silent_from else 0)
 
     def stop(self) -> None:
         self.running = False

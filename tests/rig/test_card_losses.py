@@ -32,7 +32,7 @@ def run(account: LossAccount, losses: dict[int, int], blocks: int = 40) -> list[
 def test_steps_lie_where_their_drive_was_heard(make_profile: Callable[..., Profile]) -> None:
     """A played sample is recorded `LAG` frames later; after a declared loss, earlier by what was lost."""
     account = LossAccount(make_profile(), 0, (SCALE, 0.0))
-    account.lag_samples, account.declares = LAG, True
+    account.lags(LAG)
     blocks = run(account, {10: 30})
     assert account.lost_samples == 30 == sum(block.lost_before for block in blocks)
     assert sum(len(block.codes) for block in blocks) == 3970 and account.expected_samples == 4000
@@ -44,7 +44,7 @@ def test_steps_lie_where_their_drive_was_heard(make_profile: Callable[..., Profi
 def test_a_short_block_is_no_loss_of_its_own(make_profile: Callable[..., Profile]) -> None:
     """A device that declares may give frames late: nothing is counted that it did not declare."""
     account = LossAccount(make_profile(), 0, (SCALE, 0.0))
-    account.lag_samples, account.declares = LAG, True
+    account.lags(LAG)
     account.played(np.zeros(200))
     account.heard(Block(0, np.zeros((40, 1), np.int16)), 100)
     account.heard(Block(40, np.zeros((160, 1), np.int16)), 100)
@@ -60,7 +60,7 @@ def test_a_late_program_is_no_lost_period(make_profile: Callable[..., Profile], 
     """
     profile = make_profile()
     account = LossAccount(profile, 0, (SCALE, 0.0))
-    account.lag_samples, account.declares = 3 * LAG, True
+    account.lags(3 * LAG)
     rate_hz = profile.sampling.rate_hz
     drive = np.sin(2 * np.pi * np.arange(6000) / 79.0)
     heard = np.concatenate([np.zeros(3 * LAG), drive])

@@ -20,9 +20,10 @@ class Crooked:
 
     name, simulated, scenario_sha256 = "crooked", True, None
 
-    def __init__(self, late: int = 0, **factors: float) -> None:
+    def __init__(self, late: int = 0, order: tuple[int, ...] = (0, 1, 2), **factors: float) -> None:
         self._rig = SimulatedBackend(20000.0, Scenario("ideal"), 1)
         self.channels, self.rate_hz, self.scales = self._rig.channels, self._rig.rate_hz, self._rig.scales
+        self._order = list(order)
         self._late, self._factors = np.zeros((late, 3), np.int16), factors
 
     def start(self) -> None:
@@ -34,6 +35,7 @@ class Crooked:
         codes = self._rig.exchange(drive_v).codes.astype(float)
         for name, factor in self._factors.items():
             codes[:, self.channels.index(name)] *= factor
+        codes = codes[:, self._order]
         every = np.concatenate([self._late, codes.clip(-32768, 32767).astype(np.int16)])
         self._late = every[len(codes) :]
         return Block(0, every[: len(codes)])
@@ -87,6 +89,20 @@ def test_a_rig_as_its_profile_says_passes(ratio: int) -> None:
 def test_each_fault_has_its_line(backend: Crooked, bad: set[str]) -> None:
     """A turned or wrongly scaled channel, a missing cable, noise, too late a device: that line fails, no other."""
     assert failed(findings(backend)) == bad
+
+
+@pytest.mark.parametrize(
+    ("order", "seen"),
+    [
+        ((0, 2, 1), "the accelerometer input reads what the drive input should"),
+        ((2, 1, 0), "the continuity input reads what the drive input should"),
+        ((1, 0, 2), "the continuity input reads what the accelerometer input should"),
+    ],
+)
+def test_exchanged_inputs_are_named(order: tuple[int, ...], seen: str) -> None:
+    """Two plugs in each other's place: one line names both, whatever else fails with them."""
+    found = findings(Crooked(order=order))
+    assert found["inputs"].passed is False and found["inputs"].seen == seen
 
 
 def test_a_delay_within_a_cycle_passes() -> None:

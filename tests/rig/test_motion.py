@@ -74,3 +74,18 @@ def test_a_landing_too_soft_to_hear_is_marked_by_the_contact(make_profile) -> No
     motion = watch(make_profile).update(codes(), landed)
     assert not motion.quiet[25000:25040].any() and motion.quiet[25045]
     assert 40000 - 25000 - 60 < motion.since_impact <= 40000 - 25000
+
+
+def test_lost_samples_are_no_jump_of_the_plate(make_profile) -> None:
+    """A third of a cycle missing: displacement and velocity stay what they were, where a hole would make them jump."""
+    signal = codes()
+    cycle = round(20000 / 25.37)
+    whole = watch(make_profile)
+    usual = [whole.update(piece) for piece in np.split(signal, 20)][-1]
+    holed, blind = watch(make_profile), watch(make_profile)
+    before, after = signal[:30000], signal[30000 + cycle // 3 :]
+    for other in (holed, blind):
+        other.update(before)
+    bridged = holed.update(after[: 2 * cycle], lost=cycle // 3)
+    jumped = blind.update(after[: 2 * cycle])
+    assert bridged.displacement_m < 1.1 * usual.displacement_m < jumped.displacement_m

@@ -1,0 +1,209 @@
+"""Where in the played samples a piece of the looped-back drive was heard, to thousandths of a sample.
+
+What was heard is ``r[m] = a d(m + s) + b`` with ``d`` the played samples and ``s`` the slip (minus the latency, plus
+everything lost so far). Expanding ``d`` about a whole number of samples makes the fit linear in ``a``, ``a ds`` and
+``b``; ten sums over the samples are all it needs, so a piece may come block by block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+Floats = NDArray[np.float64]
+
+LARGEST = 20_000  # samples lost at once that are looked for
+LATENCY = 20_000  # samples between playing and hearing, at most
+UNSOLVABLE = 1e-12  # of a column's square sum: what is left of it once the others are taken out says nothing
+REFINED = 24  # places of least misfit that are fitted one by one
+ITERATIONS = 4  # of a fit whose guess was off by more than a sample
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Where in the played samples a piece was heard.
+
+    Attributes
+    ----------
+    samples, sigma
+        Slip and its standard deviation; infinite where the drive says nothing.
+    rms_v
+        What the fit leaves over.
+    gain
+        Heard volts a played volt.
+    """
+
+    samples: float
+    sigma: float
+    rms_v: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Played samples from index ``first`` on."""
+
+    first: int
+    held: Floats
+
+    @property
+    def stop(self) -> int:
+        """Index after the last sample."""
+        return self.first + len(self.held)
+
+    def piece(self, start: int, stop: int) -> Floats:
+        """Samples ``start .. stop``; beyond what is held the nearest is repeated."""
+        if self.first <= start and stop <= self.stop:
+            return self.held[start - self.first : stop - self.first]
+        index = np.clip(np.arange(start - self.first, stop - self.first), 0, len(self.held) - 1)
+        return self.held[index]
+
+
+class Played:
+    """The last played samples, by their index since the start; zero before it.
+
+    Parameters
+    ----------
+    keep
+        How many are kept, `LATENCY` at least.
+    """
+
+    def __init__(self, keep: int) -> None:
+        self._ring = np.zeros(max(keep, LATENCY))
+        self.stop = 0
+
+    @property
+    def first(self) -> int:
+        """Index of the first sample that is kept."""
+        return max(self.stop - len(self._ring), -LATENCY)
+
+    def add(self, drive_v: Floats) -> None:
+        """Append what was handed to the device."""
+        n = len(self._ring)
+        drive_v = drive_v[-n:]
+        place = (self.stop + max(len(drive_v) - n, 0)) % n
+        ahead = min(len(drive_v), n - place)
+        self._ring[place : place + ahead] = drive_v[:ahead]
+        self._ring[: len(drive_v) - ahead] = drive_v[ahead:]
+        self.stop += len(drive_v)
+
+    def piece(self, start: int, stop: int) -> Floats:
+        """Samples ``start .. stop``; beyond what is kept the nearest is repeated."""
+        low, high = (min(max(k, self.first), self.stop) for k in (start, stop))
+        n = len(self._ring)
+        place = low % n
+        ahead = min(high - low, n - place)
+        inside = np.concatenate([self._ring[place : place + ahead], self._ring[: high - low - ahead]])
+        if high - low == stop - start:
+            return inside
+        return Stretch(low, inside if len(inside) else self._ring[[(low - 1) % n]]).piece(start, stop)
+
+    def stretch(self, start: int, stop: int) -> Stretch:
+        """A copy of samples ``start .. stop``, as far as they are kept."""
+        low = min(max(start, self.first), self.stop - 1)
+        return Stretch(low, self.piece(low, min(max(stop, low + 1), self.stop)))
+
+
+class SlipFit:
+    """The fit of a piece that comes block by block, about one whole slip."""
+
+    def __init__(self, guess: int) -> None:
+        self.guess = guess
+        self._sums = np.zeros((4, 4))
+
+    def add(self, played: Played | Stretch, heard: Floats, first: int) -> None:
+        """Take in ``heard`` (n,), whose first frame is number ``first``."""
+        around = played.piece(first + self.guess - 1, first + self.guess + len(heard) + 1)
+        rows = np.empty((4, len(heard)))
+        rows[0] = around[1:-1]
+        np.subtract(around[2:], around[:-2], out=rows[1])
+        rows[1] *= 0.5
+        rows[2] = 1.0
+        rows[3] = heard
+        self._sums += rows @ rows.T
+
+    @property
+    def drive_v(self) -> float:
+        """Standard deviation of the played drive."""
+        n = max(float(self._sums[2, 2]), 1.0)
+        return float(np.sqrt(max(self._sums[0, 0] / n - (self._sums[0, 2] / n) ** 2, 0.0)))
+
+    def solve(self) -> Slip:
+        """The slip by all that was taken in."""
+        sums = self._sums
+        n = sums[2, 2]
+        means = sums[2] / max(n, 1.0)
+        moments = sums - n * np.outer(means, means)
+        (dd, ds, _, dh), (_, ss, _, sh) = moments[0], moments[1]
+        hh = max(float(moments[3, 3]), 0.0)
+        unknown = Slip(float(self.guess), np.inf, float(np.sqrt(hh / max(n, 1.0))), 0.0)
+        if n < 4 or dd <= UNSOLVABLE * sums[0, 0]:
+            return unknown
+        slope = ss - ds * ds / dd  # of which the drive itself is no part
+        if slope <= UNSOLVABLE * sums[1, 1]:
+            return unknown
+        turned = (sh - ds * dh / dd) / slope
+        gain = (dh - ds * turned) / dd
+        if gain == 0.0:
+            return unknown
+        rms_v = float(np.sqrt(max(hh - gain * dh - turned * sh, 0.0) / (n - 3)))
+        sigma = rms_v / (abs(gain) * float(np.sqrt(slope)))
+        return Slip(self.guess + float(turned / gain), sigma, rms_v, float(gain))
+
+
+def slip_at(
+    played: Played | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS
+) -> Slip:
+    """Slip of ``heard`` (its first frame is number ``first``) near ``guess``."""
+    best = Slip(float(guess), np.inf, float(np.std(heard)), 0.0)
+    for _ in range(iterations):
+        fit = SlipFit(guess)
+        fit.add(played, heard, first)
+        found = fit.solve()
+        if not np.isfinite(found.sigma):
+            return best
+        best = found
+        if abs(best.samples - guess) <= 1.0 or abs(best.samples - guess) > LARGEST:
+            return best
+        guess = round(best.samples)
+    return best
+
+
+def candidates(
+    played: Played | Stretch, heard: Floats, first: int, low: int, high: int, gain: float
+) -> list[Slip]:
+    """Slips between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
+
+    Parameters
+    ----------
+    gain
+        Known gain of the loop-back; 0 lets it be anything positive.
+    """
+    high = min(high, played.stop - first - len(heard))
+    if high < low:
+        return []
+    window = played.piece(first + low, first + high + len(heard))
+    centred = heard - heard.mean()
+    n = len(heard)
+    cross = fftconvolve(window, centred[::-1], mode="valid")
+    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (window, window**2))
+    energy = squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n
+    if gain:
+        misfit = centred @ centred - 2.0 * gain * cross + gain**2 * energy
+    else:
+        misfit = centred @ centred - np.maximum(cross, 0.0) ** 2 / np.maximum(energy, 1e-12 * (energy.max() + 1e-300))
+    inner = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
+    order = inner[np.argsort(misfit[inner])][:REFINED]
+    fits = [slip_at(played, heard, first, low + int(k)) for k in order]
+    fits = [f for f in fits if np.isfinite(f.sigma) and f.gain > 0]
+    if not fits:
+        return []
+    tolerance = 1.5 * min(f.rms_v for f in fits)
+    unique: dict[int, Slip] = {}
+    for f in fits:
+        if f.rms_v <= tolerance and (not gain or abs(f.gain / gain - 1.0) < 0.1):
+            unique.setdefault(round(f.samples), f)
+    return list(unique.values())
