@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TextIO
+from typing import IO, TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
     from rig.run import Status
@@ -31,7 +31,7 @@ class Screen(io.TextIOBase):
         self._stream: TextIO | None = stream
 
     @property
-    def encoding(self) -> str:
+    def encoding(self) -> str:  # type: ignore[override]  # an attribute of every real stream
         """The stream's."""
         return self._stream.encoding if self._stream is not None else "utf-8"
 
@@ -77,7 +77,7 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
     bar = Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     task = bar.add_task("", total=None)
     lines = Text(overflow="fold")
-    screen = Console(file=Screen(sys.stderr))
+    screen = Console(file=cast("IO[str]", Screen(sys.stderr)))
     narrow = screen.width < WIDTH
     with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4):
 

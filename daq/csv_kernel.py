@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
+from kernels import njit
 from numpy.typing import NDArray
 
 _FIRST_POWER, _LAST_POWER = -64, 64  # of ten, by table; what lies beyond is left to Python
@@ -74,7 +74,7 @@ def parse_rows(
     return table[:, :n], lines[:n], left[:m], wrong
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _high_low(a, b):  # type: ignore[no-untyped-def]
     """128-bit product of two 64-bit numbers."""
     low32, shift = np.uint64(0xFFFFFFFF), np.uint64(32)
@@ -84,7 +84,7 @@ def _high_low(a, b):  # type: ignore[no-untyped-def]
     return p11 + (p01 >> shift) + (p10 >> shift) + (middle >> shift), a * b
 
 
-@njit(cache=True)
+@njit()
 def _nearest(mantissa, power, powers):  # type: ignore[no-untyped-def]
     """Double nearest to ``mantissa * 10**power``, and whether that is certain (Eisel and Lemire)."""
     one = np.uint64(1)
@@ -113,7 +113,7 @@ def _nearest(mantissa, power, powers):  # type: ignore[no-untyped-def]
     return np.float64(np.int64(m)) * 2.0 ** np.float64(exponent - 52), True
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     """Number that starts at a place, the place after it, and whether it was understood."""
     at = start
@@ -163,7 +163,7 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     return (-value if negative else value), at, sure
 
 
-@njit(cache=True)
+@njit()
 def _parse(block, limit, decimal, width, role_of, powers, table, lines, left):  # type: ignore[no-untyped-def]
     n = m = at = line = 0
     size = block.shape[0]
