@@ -105,7 +105,7 @@ def _desk(
 
 def main() -> None:
     """Entry point of the console script."""
-    from bench.streams import make_safe
+    from bench.terminal.streams import make_safe
 
     make_safe()
     if os.environ.get("COLUMNS") == "0":

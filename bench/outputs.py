@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there; never an input.")]
 
@@ -131,7 +131,7 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
 
 def check_or_leave(*outputs: Output, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
     """`check_outputs`; a path that is refused leaves the program with status 2."""
-    from bench.console import EXIT_USAGE, fail
+    from bench.terminal.console import EXIT_USAGE, fail
 
     try:
         check_outputs(*outputs, inputs=inputs, overwrite=overwrite)
@@ -238,7 +238,7 @@ def _files(given: Path | str) -> list[Path]:
         if path.is_dir():
             return [path, *(p for p in path.iterdir() if p.is_file())]
         if isinstance(given, str) and not path.exists():
-            from bench.profiles import shipped_folder
+            from bench.profiles.find import shipped_folder
 
             return [path, shipped_folder() / f"{path.name.removesuffix('.toml')}.toml"]
     except OSError:

@@ -14,13 +14,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.stage import ROUNDING
+from model.flight.segment import ROUNDING
 from model.tones import Forcing
 
 PROVEN_PHASE = 1e-9
 """Largest uncertainty of a landing phase, radians: the last digit that is printed."""
 LARGEST_ANGLE = 1e6
-"""Up to which `model.compiled.sincos` is proven; a phase of the n-th harmonic goes up to ``4 pi n``."""
+"""Up to which `model.flight.numerics.sincos` is proven; a phase of the n-th harmonic goes up to ``4 pi n``."""
 MOST_ELASTIC = 0.99
 """Restitution beyond which speeds are taken to grow no further."""
 MOST_WINDOWS = 20_000

@@ -1,4 +1,4 @@
-"""A rig profile: what is measured with what (`daq.setup.Setup`), and how the plate is to be moved.
+"""A rig profile: what is measured with what (`daq.setup.setup.Setup`), and how the plate is to be moved.
 
 The rule kept here: a profile is checked whole before anything uses it, and what a *rig* can do is said by its
 ``[limits]``, not by the parser: any frequency and any ratio c >= 1 are profiles (other people's rigs are not ours).
@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from daq.setup import Frozen, Setup
-from daq.strict_toml import load_toml, parse_toml
+from daq.setup.setup import Frozen, Setup
+from daq.setup.strict_toml import load_toml, parse_toml
 
 MAX_STEPS = 100_000
 MOST_RATE_HZ = 1e6
@@ -59,7 +59,7 @@ Gammas = Annotated[
 
 
 class RampTable(Frozen):
-    """The amplitude programme as a person writes it; `rig.ramp.Programme` is what comes of it."""
+    """The amplitude programme as a person writes it; `rig.programme.ramp.Programme` is what comes of it."""
 
     gamma: Gammas = Field(description="{ start, stop, steps } or a list")
     order: Literal["up", "down", "up-and-down", "shuffled"] | None = Field(
@@ -185,7 +185,7 @@ def load_profile(path: Path | str) -> tuple[Profile, str]:
 
     Raises
     ------
-    daq.errors.InputError
+    daq.setup.errors.InputError
         When the file cannot be read or does not fit: the message lists every fault by its dotted key.
     """
     return load_toml(Path(path), Profile)
@@ -201,7 +201,7 @@ def load_setup(path: Path | str) -> tuple[Setup, str]:
 
     Raises
     ------
-    daq.errors.InputError
+    daq.setup.errors.InputError
         As `load_profile`.
     """
     whole, text = load_toml(Path(path), _MeasuringProfile)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.profiles import load
+from bench.profiles.find import load
 from rig.profile import Profile, parse_profile
 
 Started = tuple[Profile, str, subprocess.Popen[str]]

@@ -11,7 +11,7 @@ import re
 import tomllib
 from dataclasses import dataclass
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 
 @dataclass(frozen=True)

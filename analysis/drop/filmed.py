@@ -26,7 +26,7 @@ from analysis.drop.outcome import (
     pooled_height,
 )
 from analysis.drop.trajectory import SHAPES
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

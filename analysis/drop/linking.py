@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

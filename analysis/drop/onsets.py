@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 from daq.recording import open_recording
 
 Array = NDArray[np.float64]

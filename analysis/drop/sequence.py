@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.strays import ends_that_stray
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from analysis.drop.sequence import drops_of
 from analysis.drop.tables import read_grids
 from analysis.drop.tracking import Tracked, track_film
 from analysis.drop.video import FILMS, Progress
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

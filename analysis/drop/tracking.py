@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.linking import Track, ball_of
 from analysis.drop.video import SEARCH_WIDTH, Film, Image, Progress, Still, open_film, opencv, still_of
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from bench.calibrate import Measured
+    from bench.jobs.calibrate import Measured
     from rig.backends.base import Backend
     from rig.profile import Profile
 
@@ -39,11 +39,11 @@ def command(
     from dataclasses import asdict
 
     from bench.commands.ramp import make_backend
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, Edited, File, check_outputs
-    from bench.profile_edit import write_into
-    from bench.profiles import load
-    from daq.errors import InputError
+    from bench.profiles.edit import write_into
+    from bench.profiles.find import load
+    from daq.setup.errors import InputError
     from rig.backends.base import BackendError
 
     try:
@@ -67,7 +67,7 @@ def command(
 
 def measure(kind: str, profile: Profile, backend: Backend) -> list[Measured]:
     """The values of one kind of calibration (raises `InputError`, `BackendError`)."""
-    from bench import calibrate
+    from bench.jobs import calibrate
 
     if kind == "accelerometer":
         return calibrate.accelerometer(profile, backend, _ask)
@@ -84,7 +84,7 @@ def _show(profile: Profile, measured: list[Measured], into: Path) -> None:
     """Before and after, for a person."""
     from rich.table import Table
 
-    from bench.console import print_table
+    from bench.terminal.console import print_table
 
     table = Table("key", "before", "measured", "uncertainty", box=None, pad_edge=False)
     for one in measured:

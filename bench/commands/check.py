@@ -11,7 +11,7 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from rig.check import Finding
+    from rig.checks.check import Finding
 
 
 def command(
@@ -28,12 +28,12 @@ def command(
     Exits 0 when everything passed, 1 when something did not, 2 when the call was wrong.
     """
     from bench.commands.ramp import make_backend, warm_up
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
-    from bench.profiles import load
-    from daq.errors import InputError
+    from bench.profiles.find import load
+    from daq.setup.errors import InputError
     from rig.backends.base import BackendError
-    from rig.check import Check
+    from rig.checks.check import Check
 
     try:
         check_outputs(File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite)
@@ -60,7 +60,7 @@ def _show(findings: list[Finding]) -> None:
     """The table; the remedy only where it is needed."""
     from rich.table import Table
 
-    from bench.console import print_table
+    from bench.terminal.console import print_table
 
     table = Table("", "what", "seen", "what to do", box=None, pad_edge=False)
     words = {True: "[green]pass[/]", False: "[red]FAIL[/]", None: "[yellow]?[/]"}

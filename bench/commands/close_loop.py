@@ -11,8 +11,8 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from analysis.close_loop import Loop
-    from analysis.next_run import Ranked
+    from analysis.loop.close_loop import Loop
+    from analysis.loop.design import Ranked
 
 
 def command(
@@ -36,14 +36,14 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from analysis.close_loop import close_loop
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail
-    from bench.loop_display import keep, show
+    from analysis.loop.close_loop import close_loop
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
+    from bench.terminal.loop_display import keep, show
     from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
-    from bench.profiles import load_measuring
-    from bench.progress import progress_bar
-    from bench.until_clear import until_clear as repeat
-    from daq.errors import InputError
+    from bench.profiles.find import load_measuring
+    from bench.terminal.progress import progress_bar
+    from bench.jobs.adaptive_runs import until_clear as repeat
+    from daq.setup.errors import InputError
 
     quiet = json == "-"
     say: Callable[[str], None] = _nothing if quiet else typer.echo
@@ -93,35 +93,35 @@ def _outputs(
     ranked: list[Ranked] = []
 
     def rank() -> None:
-        from bench.next_profile import possible_runs
+        from bench.profiles.next_run import possible_runs
 
         ranked.extend(possible_runs(loop, recordings[0]))
         for run in ranked[:3]:
             say(f"  a next run worth {run.nats:.0f} nats: {run.design.words}")
 
     def write_verdict() -> None:
-        from analysis.close_loop import as_json
-        from analysis.next_run import as_json as runs_as_json
-        from bench.console import write_json
+        from analysis.loop.close_loop import as_json
+        from analysis.loop.design import as_json as runs_as_json
+        from bench.terminal.console import write_json
 
         write_json(as_json(loop, runs_as_json(ranked)), json)
 
     def write_page(folder: Path) -> None:
-        from analysis.loop_report import write_report
-        from bench.progress import progress_bar
+        from analysis.report.page import write_report
+        from bench.terminal.progress import progress_bar
 
         with progress_bar(json == "-") as bar:
             page = write_report(loop, recordings, folder, progress=bar)
         say(f"report: {page}")
 
     def write_profile(path: Path) -> None:
-        from bench.improved import write_improved
+        from bench.profiles.improved import write_improved
 
         for line in write_improved(loop, recordings[0], path, text):
             say(line)
 
     def write_next_run(path: Path) -> None:
-        from bench.next_profile import write_next
+        from bench.profiles.next_run import write_next
 
         if ranked:
             write_next(ranked, recordings[0], path)
@@ -141,8 +141,8 @@ def _outputs(
 
 def _warn_of_calibrations(recordings: list[Path]) -> None:
     """Say which scales nobody had measured lately when the recordings were made."""
-    from bench.console import warn
-    from daq.calibrations import recorded_doubts
+    from bench.terminal.console import warn
+    from daq.setup.calibration_age import recorded_doubts
     from daq.recording import open_recording
 
     for path in recordings:

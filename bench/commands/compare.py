@@ -10,8 +10,8 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from analysis.compare import Comparison, StepComparison
-    from analysis.gamma import GammaScale
+    from analysis.flights.compare import Comparison, StepComparison
+    from analysis.report.gamma import GammaScale
 
 
 def command(
@@ -26,14 +26,14 @@ def command(
 
     Example: bench compare run.h5 --profile better.toml --figures pictures
     """
-    from analysis.compare import compare
-    from analysis.doubts import doubts
-    from analysis.gamma import gamma_scale
+    from analysis.flights.compare import compare
+    from analysis.flights.plausibility import doubts
+    from analysis.report.gamma import gamma_scale
     from bench.commands.reprocess import draw, with_progress
-    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, Folder, check_outputs
-    from bench.profiles import load_measuring
-    from daq.errors import InputError
+    from bench.profiles.find import load_measuring
+    from daq.setup.errors import InputError
     from daq.recording import open_recording
 
     try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from analysis.close_loop import Loop
+    from analysis.loop.close_loop import Loop
     from rig.profile import Profile
     from rig.sim.scenario import Scenario
 
@@ -36,10 +36,10 @@ def command(
     import datetime
     import time
 
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
     from bench.outputs import Folder, check_outputs
-    from bench.profiles import find_scenario
-    from daq.errors import InputError
+    from bench.profiles.find import find_scenario
+    from daq.setup.errors import InputError
     from rig.sim.scenario import load_scenario
 
     started = time.perf_counter()
@@ -83,8 +83,8 @@ def command(
 def _simulated(name: str) -> tuple[Profile, str]:
     """The profile and its text; refused unless its back end is the simulated one and its limits allow the ramp."""
     from bench.commands.plan import planned, refusal
-    from bench.profiles import load
-    from daq.errors import InputError
+    from bench.profiles.find import load
+    from daq.setup.errors import InputError
 
     profile, text = load(name)
     if profile.backend.kind != "simulated":
@@ -102,7 +102,7 @@ def _sealed(seed: int) -> Scenario:
     """A scenario drawn by chance among the effects that have a name."""
     import numpy as np
 
-    from rig.sim.sealed import pool, sealed_scenario
+    from rig.sim.blind_scenarios import pool, sealed_scenario
 
     return sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong")
 
@@ -117,7 +117,7 @@ def _claim(folder: Path) -> None:
     """
     import shutil
 
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
 
     if folder.exists():
         if not folder.is_dir() or (any(folder.iterdir()) and not (folder / UNFINISHED).is_file()):
@@ -134,8 +134,8 @@ def _claim(folder: Path) -> None:
 def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -> Path:
     """Record the ramp on the simulated rig; an `InputError` tells why a run was not completed."""
     from bench.commands.ramp import record, warm_up
-    from bench.progress import progress_bar
-    from daq.errors import InputError
+    from bench.terminal.progress import progress_bar
+    from daq.setup.errors import InputError
     from rig.backends.simulated import SimulatedBackend
     from rig.sim.scenario import load_scenario
 
@@ -155,13 +155,13 @@ def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -
 
 def _reprocess(recording: Path, folder: Path) -> None:
     """Flights, pictures, and what the declared model makes of them."""
-    from analysis.compare import compare
-    from analysis.flight_table import write_csv
-    from analysis.flights import flights_of
-    from analysis.gamma import gamma_scale
+    from analysis.flights.compare import compare
+    from analysis.flights.table import write_csv
+    from analysis.flights.assemble import flights_of
+    from analysis.report.gamma import gamma_scale
     from bench.commands.compare import lines
     from bench.commands.reprocess import draw
-    from bench.progress import progress_bar
+    from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
 
     with open_recording(recording) as opened:
@@ -181,12 +181,12 @@ def _reprocess(recording: Path, folder: Path) -> None:
 
 def _close(recording: Path, folder: Path) -> tuple[Loop, bool]:
     """Close the loop, show the verdict, then write it; whether everything could be written."""
-    from analysis.close_loop import as_json, close_loop
-    from analysis.loop_report import write_report
-    from bench.console import write_json
-    from bench.improved import write_improved
-    from bench.loop_display import keep, show
-    from bench.progress import progress_bar
+    from analysis.loop.close_loop import as_json, close_loop
+    from analysis.report.page import write_report
+    from bench.terminal.console import write_json
+    from bench.profiles.improved import write_improved
+    from bench.terminal.loop_display import keep, show
+    from bench.terminal.progress import progress_bar
 
     typer.echo("4/4  close the loop: which missing effect explains the rest")
     with progress_bar() as say:

@@ -27,10 +27,10 @@ def command(
     """
     from serial.tools.list_ports import comports
 
-    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
-    from bench.profiles import load, shipped_names
-    from daq.errors import InputError
+    from bench.profiles.find import load, shipped_names
+    from daq.setup.errors import InputError
     from rig.backends.base import BackendError
     from rig.backends.portaudio import cards
 
@@ -67,7 +67,7 @@ def _show(cards: list[dict[str, Any]], ports: list[dict[str, Any]], why: str) ->
     """Two tables."""
     from rich.table import Table
 
-    from bench.console import print_lines, print_table
+    from bench.terminal.console import print_lines, print_table
 
     if cards:
         table = Table("sound card", "driver", "in", "out", "rate (Hz)", "profiles that fit", box=None, pad_edge=False)

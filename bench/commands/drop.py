@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.console import EXIT_USAGE, fail, write_json
+from bench.terminal.console import EXIT_USAGE, fail, write_json
 from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_or_leave
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def _units(paths: list[Path2D], options: tuple[Any, ...]) -> Any:
     import numpy as np
 
     from analysis.drop.filmed import Units
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
 
     fps, scale, ball_size, scale_sigma, fps_sigma, gravity = options
     stated = {item.frame_s for item in paths}
@@ -193,7 +193,7 @@ def _target(out: Path, name: str, what: str) -> Path:
 def _declare(profile: Path, outcome: Outcome) -> None:
     """Write what was measured into a rig profile, and check that the profile still reads."""
     from analysis.drop.declare import declare
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
     try:

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from bench.console import EXIT_USAGE, fail, print_table, readable, write_json
+from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, write_json
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
 
 
@@ -40,9 +40,9 @@ def command(
 
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
-    from daq.errors import InputError
-    from daq.foreign import open_source, parse_map
-    from daq.importing import import_recording
+    from daq.setup.errors import InputError
+    from daq.importers.columns import open_source, parse_map
+    from daq.importers.import_recording import import_recording
     from rig.profile import load_setup
 
     try:
@@ -70,8 +70,8 @@ def command(
 
 def _selection(channel: list[str]) -> dict[str, str]:
     """``--channel`` as ``{"": value}`` or ``{role: value}``."""
-    from daq.errors import InputError
-    from daq.foreign import CHANNEL_ROLES
+    from daq.setup.errors import InputError
+    from daq.importers.columns import CHANNEL_ROLES
 
     if len(channel) == 1 and channel[0].partition("=")[0] not in CHANNEL_ROLES:
         return {"": channel[0]}
@@ -131,7 +131,7 @@ def _print(payload: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from daq.foreign import listed
+    from daq.importers.columns import listed
 
     console = Console(highlight=False, markup=False, emoji=False)
     console.print(

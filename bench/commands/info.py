@@ -11,7 +11,7 @@ from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
     from daq.recording import Recording
-    from daq.verify import VerifyReport
+    from daq.recording.verify import VerifyReport
 
 ROOT = ("note", "started", "ended", "ended_at", "why", "simulated", "backend", "software_version", "software_commit",
         "recovered", "recovered_from", "imported_from")  # fmt: skip
@@ -29,11 +29,11 @@ def command(
 
     Example: bench info run.h5
     """
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
     from daq.recording import open_recording
-    from daq.verify import verify
+    from daq.recording.verify import verify
 
     try:
         check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
@@ -56,7 +56,7 @@ def command(
 
 def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
-    from daq.block import STEP_DTYPE
+    from daq.recording.tables import STEP_DTYPE
 
     setup = opened.setup
     return {
@@ -91,7 +91,7 @@ def _print(told: dict[str, Any]) -> None:
     from rich import box
     from rich.table import Table
 
-    from bench.console import print_lines, print_table
+    from bench.terminal.console import print_lines, print_table
 
     print_lines(f"{told['file']}", f"  verdict   {told['state']}", *(f"            {line}" for line in told["where"]))
     if "steps" not in told:

@@ -11,7 +11,7 @@ from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
     from rig.profile import Profile
-    from rig.ramp import Peaks, Programme, Step
+    from rig.programme.ramp import Peaks, Programme, Step
 
 
 def command(
@@ -23,10 +23,10 @@ def command(
 
     Example: bench plan simulated
     """
-    from bench.console import EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
-    from bench.profiles import load
-    from daq.errors import InputError
+    from bench.profiles.find import load
+    from daq.setup.errors import InputError
 
     try:
         check_outputs(File("--json", json, JSON), inputs=[profile], overwrite=overwrite)
@@ -43,7 +43,7 @@ def command(
 
 def planned(profile: Profile) -> tuple[Programme, list[tuple[Step, Peaks]], list[str]]:
     """The programme, what each step asks for, and one line for each limit that a step would exceed."""
-    from rig.ramp import forbidden, peaks, plan
+    from rig.programme.ramp import forbidden, peaks, plan
 
     programme = plan(profile)
     by_gamma = {gamma: peaks(profile, gamma) for gamma in {step.gamma for step in programme.steps}}
@@ -94,7 +94,7 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from bench.console import print_lines, print_table
+    from bench.terminal.console import print_lines, print_table
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s^2)", "speed\n(m/s)", "displ\n(mm)",

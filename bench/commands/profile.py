@@ -23,9 +23,9 @@ def list_profiles(
     """
     from rich.table import Table
 
-    from bench.console import print_lines, print_table, write_json
+    from bench.terminal.console import print_lines, print_table, write_json
     from bench.outputs import JSON, File, check_or_leave
-    from bench.profiles import load, scenario_names, shipped_folder, shipped_names
+    from bench.profiles.find import load, scenario_names, shipped_folder, shipped_names
 
     check_or_leave(File("--json", json, JSON), overwrite=overwrite)
     rows: list[dict[str, Any]] = []
@@ -56,8 +56,8 @@ def show(
     """
     import sys
 
-    from bench.console import EXIT_USAGE, fail
-    from daq.errors import InputError
+    from bench.terminal.console import EXIT_USAGE, fail
+    from daq.setup.errors import InputError
 
     try:
         text = _text_of(name)
@@ -76,9 +76,9 @@ def new(
 
     Example: bench profile new my_rig.toml --like soundcard
     """
-    from bench.console import EXIT_USAGE, fail, print_lines
+    from bench.terminal.console import EXIT_USAGE, fail, print_lines
     from bench.outputs import PROFILE, File, check_outputs
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
     try:
@@ -95,9 +95,9 @@ def new(
 
 def _text_of(name: str) -> str:
     """The text of a profile, by shipped name, path, or recording (raises `InputError`)."""
-    from bench.next_profile import profile_text
-    from bench.profiles import find_profile
-    from daq.errors import InputError
+    from bench.profiles.next_run import profile_text
+    from bench.profiles.find import find_profile
+    from daq.setup.errors import InputError
 
     path = Path(name)
     if path.is_file() and path.suffix.lower() in (".h5", ".hdf5"):
@@ -117,7 +117,7 @@ def _named(text: str, name: str, source: str) -> str:
     import tomlkit
     from tomlkit.exceptions import ParseError
 
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
 
     try:
         document = tomlkit.parse(text)

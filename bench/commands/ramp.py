@@ -13,7 +13,7 @@ from bench.outputs import Overwrite
 if TYPE_CHECKING:
     from rig.backends.base import Backend
     from rig.profile import Profile
-    from rig.run import RunSummary
+    from rig.execution.run import RunSummary
 
 
 def command(
@@ -41,12 +41,12 @@ def command(
     from contextlib import suppress
 
     from bench.commands.plan import planned, refusal
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
     from bench.outputs import HDF5, JSON, File, check_outputs
-    from bench.profiles import load
-    from bench.resume import continued
-    from daq.calibrations import doubts
-    from daq.errors import InputError
+    from bench.profiles.find import load
+    from bench.jobs.resume import continued
+    from daq.setup.calibration_age import doubts
+    from daq.setup.errors import InputError
 
     try:
         check_outputs(
@@ -83,7 +83,7 @@ def command(
 
 def free_keys(settings: list[str]) -> dict[str, Any]:
     """``KEY=VALUE`` texts as a mapping; a value that reads as a number is one. Raises `InputError`."""
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
 
     keys: dict[str, Any] = {}
     for setting in settings:
@@ -108,7 +108,7 @@ def make_backend(
     replay: Path | None = None,
 ) -> Backend:
     """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
 
     kind = profile.backend.kind
     unheeded = {
@@ -140,7 +140,7 @@ def make_backend(
             return of_profile(profile)
         except BackendError as error:
             raise InputError(str(error)) from error
-    from bench.profiles import find_scenario
+    from bench.profiles.find import find_scenario
     from rig.backends.simulated import SimulatedBackend
     from rig.sim.scenario import Scenario, load_scenario
 
@@ -178,14 +178,14 @@ def record(
     """
     from contextlib import nullcontext
 
-    from bench.run_display import run_display
-    from bench.signals import stop_on_signals
-    from daq.recorder import RecorderProcess
+    from bench.terminal.run_display import run_display
+    from bench.terminal.signals import stop_on_signals
+    from daq.recording.recorder_process import RecorderProcess
     from daq.recording import RecordingWriter
-    from rig.priority import before_other_work
-    from rig.ramp import plan
-    from rig.run import run_ramp
-    from rig.sequencer import largest_block
+    from rig.execution.priority import before_other_work
+    from rig.programme.ramp import plan
+    from rig.execution.run import run_ramp
+    from rig.programme.sequencer import largest_block
 
     options: dict[str, Any] = {
         "profile_text": text,
@@ -223,7 +223,7 @@ def warm_up(profile: Profile) -> None:
 
     from daq.recording import RecordingWriter
     from rig.backends.simulated import SimulatedBackend
-    from rig.run import run_ramp
+    from rig.execution.run import run_ramp
     from rig.sim.scenario import Scenario
 
     short = profile.ramp.model_copy(

@@ -10,8 +10,8 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from analysis.classify import StepClass
-    from analysis.flights import Flights
+    from analysis.flights.classify import StepClass
+    from analysis.flights.assemble import Flights
     from daq.recording import Recording
 
 
@@ -26,12 +26,12 @@ def command(
 
     Example: bench reprocess run.h5 --flights flights.csv --figures pictures
     """
-    from analysis.classify import classify
-    from analysis.doubts import doubts
-    from analysis.flight_table import write_csv
-    from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from analysis.flights.classify import classify
+    from analysis.flights.plausibility import doubts
+    from analysis.flights.table import write_csv
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
-    from daq.errors import InputError
+    from daq.setup.errors import InputError
     from daq.recording import open_recording
 
     try:
@@ -63,7 +63,7 @@ def with_progress(opened: Recording, *, quiet: bool) -> Flights:
     from rich.console import Console
     from rich.progress import Progress
 
-    from analysis.flights import flights_of
+    from analysis.flights.assemble import flights_of
 
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
         task = progress.add_task(f"reading {opened.path.name}", total=1.0)
@@ -72,9 +72,9 @@ def with_progress(opened: Recording, *, quiet: bool) -> Flights:
 
 def draw(opened: Recording, table: Flights, folder: Path) -> None:
     """Every picture of a recording."""
-    from analysis.compare import compare
-    from analysis.pictures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
-    from analysis.pictures_plate import draw_plate
+    from analysis.flights.compare import compare
+    from analysis.report.figures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
+    from analysis.report.figures_plate import draw_plate
 
     draw_plate(opened, table, folder)
     if len(table):
@@ -85,7 +85,7 @@ def draw(opened: Recording, table: Flights, folder: Path) -> None:
 
 def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> dict[str, Any]:
     """Steps, plate and flights in counts, for a machine."""
-    from analysis.flights import FlightFlag
+    from analysis.flights.assemble import FlightFlag
 
     report = table.edges
     witness = report.witness
@@ -149,8 +149,8 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
     from rich import box
     from rich.table import Table
 
-    from analysis.flights import FlightFlag
-    from bench.console import print_lines, print_table
+    from analysis.flights.assemble import FlightFlag
+    from bench.terminal.console import print_lines, print_table
 
     title = f"{opened.path.name}{' (simulated rig)' if opened.attrs.get('simulated') else ''}"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from bench.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
 from bench.outputs import JSON, File, Overwrite, check_outputs
 
 
@@ -22,8 +22,8 @@ def command(
 
     Example: bench verify run.h5
     """
-    from daq.errors import InputError
-    from daq.verify import verify
+    from daq.setup.errors import InputError
+    from daq.recording.verify import verify
 
     try:
         check_outputs(File("--json", json_out, JSON), inputs=[recording], overwrite=overwrite)

@@ -41,8 +41,8 @@ class Job:
 
 def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
-    from analysis.close_loop import as_json, close_loop
-    from analysis.errors_of import errors_on, judged_rows, noise_floor_us
+    from analysis.loop.close_loop import as_json, close_loop
+    from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
     from model.effects import effect
 
     with tempfile.TemporaryDirectory() as name:
@@ -86,7 +86,7 @@ def _unit_landings(world: Any, values: Any) -> NDArray[np.float64]:
 
 def size_of(world: Any, values: Any) -> dict[str, float]:
     """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out."""
-    from analysis.errors_of import fragile
+    from analysis.residuals.prediction_errors import fragile
 
     u, r, ev = world.uncertainty(values), world.residuals(values), world.evidence
     firm, out = ~fragile(world, values), {}
@@ -110,8 +110,8 @@ def _beyond_noise(z: NDArray[np.float64]) -> float:
 # -- the other plant ----------------------------------------------------------------------------------------------
 def _other(job: Job, folder: Path) -> Path:
     """A foreign recording (CSV of volts, no step table), imported with its profile."""
-    from daq.foreign import open_source
-    from daq.importing import import_recording
+    from daq.importers.columns import open_source
+    from daq.importers.import_recording import import_recording
     from rig.profile import load_setup
 
     plant = _load(ROOT / "tests" / "blind" / "other_plant.py")
@@ -185,8 +185,8 @@ def _load(path: Path) -> ModuleType:
 def _own(job: Job, folder: Path) -> Path:
     """A ramp on the simulated rig, as `bench ramp` drives it."""
     from bench.commands.ramp import make_backend, record
-    from bench.profiles import load
-    from rig.sim.sealed import sealed_scenario
+    from bench.profiles.find import load
+    from rig.sim.blind_scenarios import sealed_scenario
 
     rng = np.random.default_rng(job.seed)
     strength = "weak" if job.kind == "weak" else "strong"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import CHANNELS, Block
+from daq.recording.tables import CHANNELS, Block
 from rig.backends.base import BackendError, checked_drive
 from rig.profile import Profile
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import Block
-from daq.errors import InputError
+from daq.recording.tables import Block
+from daq.setup.errors import InputError
 from daq.recording import Recording, open_recording
 from rig.backends.base import BackendError, checked_drive
 
@@ -22,7 +22,7 @@ class ReplayBackend:
 
     Raises
     ------
-    daq.errors.InputError
+    daq.setup.errors.InputError
         When the file is no recording, or holds volts instead of codes (an imported one).
     """
 

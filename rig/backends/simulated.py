@@ -10,7 +10,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.block import Block
+from daq.recording.tables import Block
 from rig.backends.base import BackendError, checked_drive
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, parameter_dtype
 
 DRIFT = "parameter_drift"
@@ -197,10 +197,10 @@ def load_scenario(path: Path) -> Scenario:
     if unknown or wrong:
         found = ", ".join([*sorted(unknown), *wrong])
         wanted = "name, nonce, and the tables [rig], [effects.NAME]"
-        raise InputError(f"{path}: {found}: wanted {wanted}; see docs/scenarios.md")
+        raise InputError(f"{path}: {found}: wanted {wanted}; see docs/reference/scenarios.md")
     effects = dict(tables["effects"])
     drift = effects.pop(DRIFT, {})
     try:
         return Scenario(str(raw.get("name", path.stem)), effects, tables["rig"], drift, str(raw.get("nonce", "")))
     except ValueError as error:
-        raise InputError(f"{path}: {error}; see docs/scenarios.md for the names") from error
+        raise InputError(f"{path}: {error}; see docs/reference/scenarios.md for the names") from error

@@ -18,9 +18,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
-from rig.high_pass import HighPass
-from rig.priority import may_run_first
+from daq.setup.errors import InputError
+from rig.execution.high_pass import HighPass
+from rig.execution.priority import may_run_first
 from rig.profile import Profile
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario

@@ -16,10 +16,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
+from daq.setup.errors import InputError
 from rig.profile import Profile
 from rig.sim.scenario import Scenario
-from rig.sim.serial_device import SerialDevice
+from rig.fakes.serial_device import SerialDevice
 from rig.virtual.jack import jack_client
 
 HELD_PERIODS = 4  # of frames that the device holds for a reader that is late
@@ -37,7 +37,7 @@ class JackSerialPlant:
     server
         Name of the JACK server.
     ppm, ppm_per_minute
-        As for `rig.sim.serial_device.SerialDevice`.
+        As for `rig.fakes.serial_device.SerialDevice`.
 
     Attributes
     ----------

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.block import Block, step_row
+from daq.recording.tables import Block, step_row
 from daq.recording import RecordingWriter
-from daq.setup import Setup
+from daq.setup.setup import Setup
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from analysis import evidence
-from analysis.compare import compare
-from daq.errors import InputError
+from analysis.residuals import observations
+from analysis.flights.compare import compare
+from daq.setup.errors import InputError
 
 
 def test_a_plate_at_a_million_g_is_not_compared() -> None:
@@ -27,6 +27,6 @@ def test_recordings_of_unlike_c_are_not_judged_together(monkeypatch: pytest.Monk
     def opened(path: Path):
         yield SimpleNamespace(setup=SimpleNamespace(forcing=SimpleNamespace(ratio=len(path.stem))))
 
-    monkeypatch.setattr(evidence, "open_recording", opened)
+    monkeypatch.setattr(observations, "open_recording", opened)
     with pytest.raises(InputError, match=r"recordings of one c .* one\.h5: 3, three\.h5: 5"):
-        evidence.evidence_of([Path("one.h5"), Path("three.h5")])
+        observations.evidence_of([Path("one.h5"), Path("three.h5")])

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from bench.cli import COMMANDS, app
 from bench.outputs import CSV, HDF5, JSON, PACKED_CSV, PICTURE, Edited, File, Folder, check_outputs
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 READ = {
     "profile", "profiles", "scenario", "replay", "resume", "recording", "recordings", "raw", "files", "like", "name",
@@ -201,7 +201,7 @@ def test_a_missing_input_is_no_name_for_an_output(tmp_path: Path) -> None:
 
 def test_a_shipped_profile_is_an_input_by_its_name() -> None:
     """The file behind a shipped name is not written over."""
-    from bench.profiles import shipped_folder
+    from bench.profiles.find import shipped_folder
 
     path = shipped_folder() / "simulated.toml"
     assert "is an input" in refused(File("--json", path, JSON), inputs=["simulated"], overwrite=True)

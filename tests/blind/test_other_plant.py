@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from daq.setup import Setup
+from daq.setup.setup import Setup
 
 
 def _load() -> ModuleType:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from bench.commands.ramp import make_backend
-from bench.profiles import load
-from daq.block import Block
+from bench.profiles.find import load
+from daq.recording.tables import Block
 from daq.recording import RecordingWriter
 from rig.backends.base import Backend, BackendError, Running
 from rig.backends.nidaqmx import NiDaqmxBackend
@@ -22,11 +22,11 @@ from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
 from rig.backends.soundcard import SoundcardBackend
-from rig.sim.daqmx import Bench
-from rig.sim.faults import FaultyBackend
+from rig.fakes.fake_nidaqmx import Bench
+from rig.fakes.faults import FaultyBackend
 from rig.sim.scenario import Scenario
-from rig.sim.serial_device import SerialDevice
-from rig.sim.wired import WiredCard, WiredPort
+from rig.fakes.serial_device import SerialDevice
+from rig.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE_HZ = 20000.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.setup import Setup
+from daq.setup.setup import Setup
 
 RATE_HZ = 2000.0
 

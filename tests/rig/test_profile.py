@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.profiles import find_profile, load, load_measuring, shipped_folder, shipped_names
-from daq.errors import InputError
-from daq.setup import Setup
+from bench.profiles.find import find_profile, load, load_measuring, shipped_folder, shipped_names
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
 from rig.profile import json_schema, load_profile, load_setup, parse_profile
 
 SHIPPED = ("c2", "c3", "paper", "simulated", "slow_sweep", "soundcard")

@@ -13,7 +13,7 @@ from analysis.drop.filmed import Units, of_camera
 from analysis.drop.flights import Clip
 from analysis.drop.linking import ball_of
 from analysis.drop.tracking import track_film
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 SCALE_M = 1.5e-4
 

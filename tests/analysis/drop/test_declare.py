@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 from analysis.drop.declare import Measured, declare
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 DAY = datetime.date(2026, 11, 21)
 E0 = Measured("restitution", "e0", 0.514, 0.02, 'drop "one"')

@@ -12,10 +12,10 @@ from analysis.drop.onsets import read_wav, sound_onsets
 from analysis.drop.rows import Drop
 from analysis.drop.sequence import bounces_of
 from analysis.drop.sources import load
-from daq.block import Block
-from daq.errors import InputError
+from daq.recording.tables import Block
+from daq.setup.errors import InputError
 from daq.recording import RecordingWriter
-from daq.setup import Setup
+from daq.setup.setup import Setup
 
 
 def test_onsets_to_the_sample(synthetic: ModuleType) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from analysis.drop.readings import Points, read_table
 from analysis.drop.tables import read_grids
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 TIMES = [1.5, 1.9, 2.26, 2.58]
 EVENTS = {

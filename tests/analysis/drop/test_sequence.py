@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.drop.sequence import bounces_of, drops_of
-from daq.errors import InputError
+from daq.setup.errors import InputError
 
 
 def _impacts(ratio: float, first: float = 0.5, n: int = 10, start: float = 1.0) -> np.ndarray:

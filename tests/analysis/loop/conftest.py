@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.evidence import Evidence, Steps
-from analysis.fit import Fitter, priors_of
-from analysis.likelihood import Key, World
-from analysis.next_run import Design, rehearse
-from analysis.platedata import GAIN, PHASE, PlateData
-from daq.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
-from model.roll import Measured, PlateSteps
+from analysis.residuals.observations import Evidence, Steps
+from analysis.attribution.fit import Fitter, priors_of
+from analysis.residuals.forward_model import Key, World
+from analysis.loop.design import Design, rehearse
+from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
+from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
+from model.integrator.one_step import Measured, PlateSteps
 
 GAMMAS = tuple(np.random.default_rng(2).permutation(np.linspace(0.3, 1.4, 14)).tolist())
 EDGE_S, TONE_MPS2, PLATE = 8e-6, 0.004, 4e-4  # one sigma of edges, of each quadrature of a tone, of gain and phase

@@ -1,0 +1,1 @@
+"""TODO what attribution is for."""

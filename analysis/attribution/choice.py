@@ -1,0 +1,121 @@
+"""Which candidate stands: what passes, what is refused and why, and what cannot be told apart.
+
+The rule kept here: an effect is added only when steps it was not fitted on gain beyond doubt and no channel gets
+worse; nothing is refused without a reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.hypothesis import Explanation, Rejected
+from analysis.attribution.comparison import Compared, thriftiest
+from analysis.residuals.lack_of_fit import plate_ratio_of
+from analysis.thresholds import FROZEN, Thresholds
+
+TRIFLE = 0.05  # of a gain, that plate data may lose as long as they remain noise
+LEAST_NATS = 1.0  # a refusal of less needs no reason
+FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
+
+
+class Judge:
+    """Comparison of explanations by steps that their fits did not see.
+
+    Parameters
+    ----------
+    train
+        Steps that selection may see, shape (m,).
+    limits
+        Thresholds of the verdict.
+    """
+
+    def __init__(self, train: NDArray[np.bool_], limits: Thresholds = FROZEN) -> None:
+        self.train, self.limits = train, limits
+
+    def gain(self, worse: Explanation, better: Explanation) -> Compared:
+        """Gain of one explanation over another."""
+        return Compared.of(worse.per_step, better.per_step, self.train)
+
+    def finds(self, best: Explanation, x: Explanation) -> bool:
+        """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
+        found = x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1]
+        return best.whitener.lost and found and self.gain(best, x).gain > PLENTY_NATS
+
+    def tied(self, best: Explanation, x: Explanation) -> bool:
+        """Whether the data cannot tell ``x`` from ``best``."""
+        lead = self.gain(x, best)
+        return not self.finds(x, best) and not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
+
+    def refusal(self, best: Explanation, x: Explanation, depth: int) -> str | None:
+        """What forbids ``x`` in place of ``best``, in words; None where nothing does."""
+        limits = self.limits
+        nats, sigmas = (
+            (limits.gain_nats, limits.gain_sigmas) if depth == 0 else (limits.again_nats, limits.again_sigmas)
+        )
+        gain = self.gain(best, x)
+        if not gain.gain > nats:
+            return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
+        if not gain.beyond(nats, 1.0 if self.finds(best, x) else sigmas):
+            return (
+                f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and {gain.even:.0f} +- "
+                f"{gain.even_error:.0f} with no step counted for more than 12; wanted {nats:g} and {sigmas:g} "
+                "standard errors"
+            )
+        for channel in x.losses:
+            change = Compared.of(x.losses[channel], best.losses[channel], self.train)
+            if change.beyond(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
+                return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
+        if x.candidates[-1].free and not x.fitted.differs(x.candidates[-1].free):
+            return "the 95 % intervals of its parameters hold the values at which it does nothing"
+        return None
+
+    def _trifling(self, x: Explanation, channel: str, loss: Compared, gain: Compared) -> bool:
+        """Whether plate data that lose a trifle of what the events gain are still noise.
+
+        While events were lost, calibrations could follow the plate's noise; found events hold them.
+        """
+        if channel != "plate" or loss.gain > TRIFLE * gain.gain:
+            return False
+        return plate_ratio_of(x.fitted.fitter.world, x.fitted.values) < self.limits.quiet_ratio
+
+    def choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
+        """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
+
+        Every parameter has a price, and calibrations that have to be bent for it count against an explanation.
+        """
+        passing = [x for x in found if self.refusal(best, x, depth) is None]
+        if not passing:
+            return None
+        top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
+        close = [x for x in passing if self.tied(top, x)]
+        costs = [x.fitted.strain + self.limits.tie_nats * len(x.free) for x in close]
+        return close[thriftiest(top.per_step, [x.per_step for x in close], costs, self.train)]
+
+    def rejected(
+        self, best: Explanation, found: Sequence[Explanation], depth: int, chosen: Explanation | None
+    ) -> Rejected | None:
+        """The refused candidate of the greatest gain, if it gains more than what was chosen; None where there is none.
+
+        Parameters
+        ----------
+        best
+            What the candidates were added to.
+        found
+            The candidates of one round.
+        depth
+            How many effects had been named before.
+        chosen
+            What was accepted in that round, if anything.
+        """
+        least = 0.0 if chosen is None else self.gain(best, chosen).gain
+        for x in sorted(found, key=lambda x: float(x.per_step[self.train].sum())):
+            gain = self.gain(best, x)
+            if not gain.gain > max(least, LEAST_NATS):
+                break
+            reason = self.refusal(best, x, depth)
+            if reason is not None:
+                return Rejected(x.candidates[-1].names, gain.gain, gain.error, reason)
+        return None

@@ -1,0 +1,372 @@
+"""Fit of a set of effects to the evidence: robust, bounded, with priors on what is known, judged on held-out steps.
+
+The rule kept here: calibrations and nuisances are always free within what is known of them, so an effect must explain
+what they cannot; a fit is judged only on steps it did not see.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from analysis.residuals.forward_model import DRIFT, Key, World
+from analysis.residuals.noise_model import robust_loss, robust_weight
+from analysis.residuals.whitening import Whitener, step_losses
+from daq.setup.setup import Setup
+from model.effects import Parameter, effect, registry
+
+Array = NDArray[np.float64]
+
+RELATIVE_STEP = 0.004  # of a parameter's typical size, for finite differences
+MOST_ITERATIONS = 12
+LEAP_S = 1e-3  # a prediction that moves by more within such a difference has met another event
+ENOUGH = 0.1  # nats: a step that gains less ends the fit
+FOLDS = 3
+FARTHEST_SIGMAS = 2.5  # by which a calibration may be off without being an effect
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter before the run: in the parameter's own unit."""
+
+    mean: float
+    sigma: float
+
+
+def priors_of(setup: Setup) -> dict[Key, Prior]:
+    """Priors of calibrations, nuisances and declared effects, from the profile and from the effects' own files."""
+    out = {
+        (r.effect.name, q.name): Prior(q.absent, q.calibration)
+        for r in registry()
+        for q in r.effect.parameters
+        if q.calibration > 0.0 and r.effect.library
+    }
+    drive, accelerometer = setup.drive, setup.channels.accelerometer
+    if drive.g_per_volt is None:
+        out["drive_gain", "relative"] = Prior(0.0, 10.0)
+        out["phase_lag", "delay_s"] = Prior(0.0, 1.0)
+    else:
+        if drive.g_per_volt.uncertainty > 0:
+            out["drive_gain", "relative"] = Prior(0.0, drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value))
+        if drive.phase_deg.uncertainty > 0:
+            seconds = math.radians(drive.phase_deg.uncertainty) / (2 * math.pi * setup.forcing.frequency_hz)
+            out["phase_lag", "delay_s"] = Prior(0.0, seconds)
+    if accelerometer.sensitivity.uncertainty > 0:
+        relative = accelerometer.sensitivity.uncertainty / abs(accelerometer.sensitivity.value)
+        out["accelerometer_gain", "relative"] = Prior(0.0, relative)
+    if setup.g_mps2.uncertainty > 0:
+        out["local_gravity", "excess_mps2"] = Prior(0.0, setup.g_mps2.uncertainty)
+    for name, table in setup.declared.items():
+        for key, quantity in table.items():
+            if quantity.uncertainty > 0:
+                out[name, key] = Prior(quantity.value, quantity.uncertainty)
+            else:
+                out.pop((name, key), None)
+    return out
+
+
+def parameter_of(key: Key) -> Parameter:
+    """The parameter behind a key; a trend has the size of its parameter and no bound but that."""
+    name, q = key
+    parameter = effect(name).effect.parameter(q.removesuffix(DRIFT))
+    if not q.endswith(DRIFT):
+        return parameter
+    span = parameter.high - parameter.low
+    return Parameter(q, parameter.unit, -span, span, parameter.typical, meaning="change over the run")
+
+
+class Fitter:
+    """Fits sets of parameters to one world.
+
+    Parameters
+    ----------
+    world
+    priors
+        Of everything that is always free.
+    train
+        True for the steps that fits and selection may see, shape (m,).
+    """
+
+    def __init__(self, world: World, priors: Mapping[Key, Prior], train: NDArray[np.bool_]) -> None:
+        self.world, self.priors, self.train = world, dict(priors), train
+        spread = np.flatnonzero(train)
+        self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
+
+    # -- coordinates: one typical size is one unit -------------------------------------------------------------
+    def _scale(self, key: Key) -> float:
+        q = parameter_of(key)
+        return float(q.typical ** (1.0 / q.power))
+
+    def bounds(self, key: Key, *, released: bool) -> tuple[float, float]:
+        """Bounds of a coordinate: what is physically possible, and for a calibration what its uncertainty allows.
+
+        A calibration that would have to be farther off is an effect, to be named; it must not be absorbed.
+        """
+        q, prior = parameter_of(key), self.priors.get(key)
+        low, high = q.low, q.high
+        if prior is not None and not released and not effect(key[0]).effect.nuisance:
+            reach = FARTHEST_SIGMAS * prior.sigma
+            low, high = max(low, prior.mean - reach), min(high, prior.mean + reach)
+        return self._to_x(key, low), self._to_x(key, high)
+
+    def _to_x(self, key: Key, value: float) -> float:
+        power = parameter_of(key).power
+        return float(np.sign(value) * abs(value) ** (1.0 / power)) / self._scale(key)
+
+    def _to_value(self, key: Key, x: float) -> float:
+        q, y = parameter_of(key), x * self._scale(key)
+        return float(min(max(np.sign(y) * abs(y) ** q.power, q.low), q.high))
+
+    def values(self, keys: Sequence[Key], x: Array) -> dict[Key, float]:
+        """Parameter values at the coordinates ``x``."""
+        return {k: self._to_value(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
+
+    def _prior_rows(self, keys: Sequence[Key], released: frozenset[Key]) -> tuple[Array, Array]:
+        """Means and inverse widths of the priors in coordinates; width 0 where nothing is known."""
+        mean, inverse = np.zeros(len(keys)), np.zeros(len(keys))
+        for i, key in enumerate(keys):
+            prior = self.priors.get(key)
+            if prior is not None and key not in released:
+                mean[i] = self._to_x(key, prior.mean)
+                inverse[i] = self._scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)
+        return mean, inverse
+
+    # -- the fit ----------------------------------------------------------------------------------------------
+    def fit(
+        self,
+        whitener: Whitener,
+        free: Sequence[Key],
+        start: Mapping[Key, float],
+        slopes: Mapping[Key, Array] | None = None,
+    ) -> Fitted:
+        """Levenberg-Marquardt on the robust loss from ``start``.
+
+        Parameters
+        ----------
+        whitener
+            Weights of the residuals, kept fixed.
+        free
+            Parameters without prior; those of ``self.priors`` are always free within theirs.
+        start
+            Where to begin; missing ones begin at their prior's mean or absent value.
+        slopes
+            Known derivatives of the bare residuals, for parameters that are not free: they save predictions where the
+            point has not moved far.
+        """
+        always = [k for k in self.priors if k not in free]
+        keys = [*free, *always]
+        x = np.array(
+            [
+                self._to_x(k, start.get(k, self.priors[k].mean if k in self.priors else parameter_of(k).absent))
+                for k in keys
+            ]
+        )
+        state = _State(self, whitener, keys, *self._prior_rows(keys, frozenset(free)))
+        raw = state.raw(x)
+        loss = state.loss(raw, x)
+        bare = np.zeros((len(raw), len(keys)))
+        known = dict(slopes or {})
+        for j, key in enumerate(keys):
+            if key in known and j >= len(free):
+                bare[:, j] = known[key]
+            else:
+                state.fill(bare, x, raw, (j,))
+        damping = 1e-3
+        for i in range(MOST_ITERATIONS):
+            if i > 0:
+                state.fill(bare, x, raw, range(len(free)))
+            normal, gradient = state.normal(bare, raw, x, state.mask)
+            gained = 0.0
+            for _ in range(6):
+                trial = x + _solve(normal, gradient, damping, state.low - x, state.high - x)
+                raw_trial = state.raw(trial)
+                loss_trial = state.loss(raw_trial, trial)
+                if loss_trial < loss:
+                    gained = loss - loss_trial
+                    x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
+                    break
+                damping *= 8.0
+            if gained < ENOUGH:
+                break
+        return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
+
+    def linear_step(
+        self, best: Fitted, free: Sequence[Key], shapes: Mapping[Key, float] | None = None
+    ) -> tuple[float, dict[Key, float]]:
+        """Where freeing ``free`` would lead, and the loss that it would save, if residuals were linear: nats, values.
+
+        What only shapes an effect stays where ``shapes`` puts it.
+        """
+        keys = [*free, *(k for k in best.keys if k not in free)]
+        at = {**best.values, **(shapes or {})}
+        x = np.array([self._to_x(k, at.get(k, parameter_of(k).absent)) for k in keys])
+        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
+        bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
+        state.fill(bare, x, best.raw, [j for j, k in enumerate(free) if not parameter_of(k).shape])
+        normal, gradient = state.normal(bare, best.raw, x, state.mask)
+        step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
+        return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
+
+    def detectable(self, best: Fitted, key: Key, nats: float) -> float:
+        """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.
+
+        The derivative is taken a typical size away from where the effect is absent; what is known of the parameter
+        beforehand is left out, everything else stays free.
+        """
+        keys = [key, *(k for k in best.keys if k != key)]
+        q = parameter_of(key)
+        at = {**best.values, key: min(max(best.values.get(key, q.absent) + q.typical, q.low), q.high)}
+        x = np.array([self._to_x(k, at.get(k, parameter_of(k).absent)) for k in keys])
+        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
+        bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
+        state.fill(bare, x, state.raw(x), (0,))
+        normal, _ = state.normal(bare, best.raw, x, state.mask)
+        others = normal[1:, 1:] + 1e-12 * np.eye(len(keys) - 1)
+        information = float(normal[0, 0] - normal[0, 1:] @ np.linalg.lstsq(others, normal[1:, 0], rcond=None)[0])
+        if information <= 1e-9:
+            return math.inf
+        return float((math.sqrt(2.0 * nats / information) * self._scale(key)) ** q.power)
+
+
+class _State:
+    """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""
+
+    def __init__(self, fitter: Fitter, whitener: Whitener, keys: Sequence[Key], mean: Array, inverse: Array) -> None:
+        self.fitter, self.whitener, self.keys = fitter, whitener, list(keys)
+        self.mean, self.inverse = mean, inverse
+        self.step = np.concatenate([whitener.step, fitter.world.evidence.plate.step])
+        self.mask = fitter.train[self.step]
+        bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
+        self.low, self.high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
+
+    def point(self, x: Array) -> dict[Key, float]:
+        return self.fitter.values(self.keys, x)
+
+    def raw(self, x: Array) -> Array:
+        """Bare residuals at ``x``, stacked."""
+        return self.whitener.stacked(self.fitter.world.residuals(self.point(x)))
+
+    def loss(self, raw: Array, x: Array) -> float:
+        """Robust loss of the training steps, priors included."""
+        z = self.whitener.white_all(raw)
+        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.strain(x)
+
+    def strain(self, x: Array) -> float:
+        """What the priors say against ``x``, nats."""
+        return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
+
+    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
+        """Finite differences of the bare residuals, one column a parameter."""
+        for j in columns:
+            h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
+            moved = x.copy()
+            moved[j] += h
+            change = self.raw(moved) - raw
+            n = len(self.whitener.step)
+            change[:n][np.abs(change[:n]) > LEAP_S] = 0.0  # another event was met: no slope
+            bare[:, j] = change / h
+
+    def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
+        z, jacobian = self.whitener.white_all(raw), self.whitener.white_slopes(slopes, raw)
+        weight = np.where(mask, robust_weight(z, self.whitener.odds), 0.0)
+        weighted = jacobian * weight[:, None]
+        pull = self.inverse**2
+        return weighted.T @ jacobian + np.diag(pull), -(weighted.T @ z) - pull * (x - self.mean)
+
+
+def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: Array) -> Array:
+    """Step that lowers the quadratic model within ``below <= step <= above``: what hits a bound stays on it."""
+    diagonal = np.diag(normal).copy()
+    diagonal[diagonal <= 0] = 1e-12
+    damped = normal + np.diag(damping * diagonal + 1e-12)
+    step, loose = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
+    for _ in range(len(gradient)):
+        push = gradient[loose] - damped[np.ix_(loose, ~loose)] @ step[~loose]
+        step[loose] = np.linalg.lstsq(damped[np.ix_(loose, loose)], push, rcond=None)[0]
+        beyond = loose & ((step < below) | (step > above))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step, below, above)[beyond]
+        loose &= ~beyond
+    return step
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit with all that held-out judgement and intervals need."""
+
+    fitter: Fitter
+    state: _State
+    free: tuple[Key, ...]
+    keys: list[Key]
+    x: Array
+    raw: Array
+    loss: float
+    bare: Array
+
+    @property
+    def slopes(self) -> dict[Key, Array]:
+        """Derivatives of the bare residuals, by parameter."""
+        return {k: self.bare[:, j] for j, k in enumerate(self.keys)}
+
+    def _normal(self, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+        return self.state.normal(self.bare, self.raw, self.x, mask)
+
+    @property
+    def values(self) -> dict[Key, float]:
+        """Fitted and fixed values."""
+        return self.state.point(self.x)
+
+    @property
+    def strain(self) -> float:
+        """How far calibrations and nuisances had to be bent from what was known of them, nats."""
+        return self.state.strain(self.x)
+
+    def covariance(self) -> Array:
+        """Of all coordinates."""
+        normal, _ = self._normal(self.state.mask)
+        return np.asarray(np.linalg.pinv(normal, rcond=1e-14))
+
+    def sigma(self, key: Key) -> float:
+        """Standard deviation of a fitted value, in its own unit."""
+        j = self.keys.index(key)
+        q, scale = parameter_of(key), self.fitter._scale(key)
+        spread = math.sqrt(max(self.covariance()[j, j], 0.0)) * scale
+        if q.power == 1.0:
+            return spread
+        y = abs(self.x[j] * scale)
+        return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
+
+    def differs(self, keys: Sequence[Key]) -> bool:
+        """Whether sizes among ``keys`` together differ from those at which nothing happens, by 95 % (Wald's test).
+
+        What only shapes an effect has no such value.
+        """
+        sizes = [k for k in keys if not parameter_of(k).shape]
+        rows = [self.keys.index(k) for k in sizes]
+        away = self.x[rows] - np.array([self.fitter._to_x(k, parameter_of(k).absent) for k in sizes])
+        covariance = self.covariance()[np.ix_(rows, rows)]
+        distance = float(away @ np.linalg.pinv(covariance, rcond=1e-14, hermitian=True) @ away)
+        return distance > float(chi2.isf(0.05, len(sizes)))
+
+    def held_out(self, whitener: Whitener) -> dict[str, Array]:
+        """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.
+
+        Each fold's fit is one step from the common one, on the other folds' steps; its residuals are then exact.
+        """
+        world = self.fitter.world
+        out: dict[str, Array] = {}
+        for fold in self.fitter.folds:
+            mask = self.state.mask & ~fold[self.state.step]
+            normal, gradient = self._normal(mask)
+            x = self.x + _solve(normal, gradient, 1e-6, self.state.low - self.x, self.state.high - self.x)
+            losses = step_losses(world, whitener, world.residuals(self.state.point(x)))
+            for channel, values in losses.items():
+                out[channel] = out.get(channel, np.zeros_like(values)) + np.where(fold, values, 0.0)
+        return out

@@ -1,0 +1,1 @@
+"""TODO what discovery is for."""

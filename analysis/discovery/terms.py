@@ -1,0 +1,280 @@
+"""Missing terms as splines: what they act on, what they may depend on, and the world with one of them in it.
+
+The rule kept here: a term is a smooth curve between its knots and constant beyond them; it enters the same
+one-event-ahead prediction as any named effect, either as a number of each flight or as a force within it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.discovery.spline_basis import basis_of, penalty_of
+from analysis.residuals.covariates import COVARIATES
+from analysis.residuals.forward_model import Key, Values, World
+from model.effects import offsets
+from model.effects.smooth_force import KNOTS
+
+Array = NDArray[np.float64]
+
+USUAL = 0.05  # roughness: how far second differences may go, relative to the spread of the curve
+FIRST_KNOTS, MOST_INSIDE = 12, 23  # of a term within the flight, at first and at most
+POINTS = 45  # at which a curve is told
+
+
+@dataclass(frozen=True)
+class Term:
+    """Something that may be missing.
+
+    Attributes
+    ----------
+    name
+        ``force``, ``friction``, ``threshold`` or ``restitution``.
+    of
+        Covariate it depends on: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
+    unit, words
+        As printed for a person.
+    low, high
+        Bounds of its value.
+    nudge
+        For finite differences.
+    columns
+        Parameters that it sets: one value for each flight. Empty for a term within the flight.
+    effect
+        For a term within the flight: the effect that carries it, with its fixed parameters.
+    """
+
+    name: str
+    of: str
+    unit: str
+    words: str
+    low: float
+    high: float
+    nudge: float
+    columns: tuple[Key, ...] = ()
+    effect: str = ""
+    fixed: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def against_motion(self) -> bool:
+        """Whether it is carried by a force that follows the motion's sign, in m/s^2."""
+        return ("against", 1.0) in self.fixed
+
+
+FRICTION = (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))
+REPLACED: dict[str, tuple[Key, ...]] = {
+    "friction": FRICTION,
+    "restitution": (("restitution", "e0"), ("restitution", "e1_s_per_m")),
+    "threshold": (("adhesion", "a_mps2"), ("adhesion", "dwell_s")),
+}
+IN_FLIGHT_WORDS = {
+    "height_m": ("height", "mm", 1e3),
+    "speed_mps": ("velocity", "m/s", 1.0),
+    "velocity_mps": ("velocity", "m/s", 1.0),
+    "absolute_velocity_mps": ("absolute velocity", "m/s", 1.0),
+    "since_takeoff_s": ("time since take-off", "ms", 1e3),
+    "since_impact_s": ("time since impact", "ms", 1e3),
+    "impact_mps": ("impact speed", "m/s", 1.0),
+}
+AT_THE_IMPACT = {"previous_flight_s": "flight time", "earlier_flight_s": "previous flight"}
+
+EVENT_GRIDS: dict[str, Array] = {
+    "force": np.sinh(np.linspace(-4.0, 4.0, 19)) / np.sinh(4.0) * 5.0,
+    "friction": np.concatenate([[0.0], np.geomspace(0.004, 1.2, 14)]),
+    "threshold": np.concatenate([[0.0], np.geomspace(0.05, 15.0, 13)]),
+    "restitution": np.concatenate([[0.0], np.geomspace(0.004, 0.15, 18), np.linspace(0.19, 0.92, 14)]),
+}
+
+
+def event_term(name: str, of: str) -> Term:
+    """A term with one value for each flight."""
+    if name == "force":
+        return Term(name, of, "m/s^2", "a downward pull", -8.0, 8.0, 0.02, (("local_gravity", "excess_mps2"),))
+    if name == "friction":
+        return Term(name, of, "g", "dry friction", 0.0, 2.0, 0.002, FRICTION)
+    if name == "threshold":
+        return Term(name, of, "m/s^2", "the take-off threshold", 0.0, 30.0, 0.02, (("adhesion", "a_mps2"),))
+    if name == "restitution":
+        return Term(name, of, "1", "restitution", 0.0, 0.95, 0.003, (("restitution", "e0"),))
+    raise ValueError(f"no term is called {name!r}; known are {', '.join(EVENT_GRIDS)}")
+
+
+def _within(name: str, of: str, effect: str, place: float, against: bool = False) -> Term:
+    fixed = {"of": place} | ({"against": 1.0} if against else {})
+    unit, nudge = ("g", 0.003) if effect == "smooth_friction" else ("m/s^2", 0.03)
+    low, high, words = (0.0, 20.0, "dry friction") if name == "friction" else (-200.0, 200.0, "a force")
+    return Term(name, of, unit, words, low, high, nudge, (), effect, tuple(fixed.items()))
+
+
+IN_FLIGHT: tuple[Term, ...] = (
+    _within("friction", "height_m", "smooth_friction", 1.0),
+    _within("friction", "speed_mps", "smooth_friction", 2.0),
+    _within("friction", "since_impact_s", "smooth_force", 5.0, against=True),
+    _within("force", "height_m", "smooth_force", 1.0),
+    _within("force", "velocity_mps", "smooth_force", 2.0),
+    _within("force", "absolute_velocity_mps", "smooth_force", 3.0),
+    _within("force", "since_takeoff_s", "smooth_force", 4.0),
+    Term("restitution", "impact_mps", "1", "restitution", 0.0, 0.95, 0.003, (), "smooth_restitution"),
+)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A term with its knots (k,), its values there (k,) and a basis (k columns) that makes a table of it.
+
+    The rows of the table are the flights, of a term that has one value for each; else the points of the effect that
+    carries it, evenly between the outer knots.
+    """
+
+    term: Term
+    knots: Array
+    values: Array
+    basis: Array
+    roughness: float = USUAL
+
+    @classmethod
+    def even(cls, term: Term, span: tuple[float, float], k: int = FIRST_KNOTS) -> Curve:
+        """A term within the flight, nothing as yet, with ``k`` even knots."""
+        knots = np.linspace(span[0], span[1], k)
+        return cls(term, knots, np.zeros(k), basis_of(np.linspace(span[0], span[1], KNOTS), knots))
+
+    def moved(self, values: Array) -> Curve:
+        """The same with other values, kept within bounds."""
+        return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis, self.roughness)
+
+    @property
+    def bend(self) -> float:
+        """How much the curve turns, over its mean slope: 0 for a straight line, 4 for a hump."""
+        span = float(np.ptp(self.values))
+        if len(self.values) < 3 or span == 0.0:
+            return 0.0
+        place = np.linspace(self.knots[0], self.knots[-1], len(self.knots))
+        turns = np.abs(np.diff(self.at(place), 2)).sum() * (len(place) - 1)
+        return float(turns / span)
+
+    def finer(self) -> Curve:
+        """The same within the flight with a knot more between any two, as many as can be: a bend may be sharp."""
+        k = 2 * len(self.knots) - 1
+        if self.term.columns or k > MOST_INSIDE:
+            return self
+        finer = Curve.even(self.term, (float(self.knots[0]), float(self.knots[-1])), k)
+        return finer.moved(self.at(finer.knots))
+
+    def flat(self, n: int) -> Curve:
+        """The same term without its covariate, at its middle, for ``n`` flights."""
+        middle = float(np.median(self.values)) / (9.81 if self.term.against_motion else 1.0)
+        sign = -1.0 if self.term.name == "force" and not self.term.columns else 1.0
+        term = event_term(self.term.name, self.term.of)
+        return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((n, 1)))
+
+    def at(self, x: Array) -> Array:
+        """Value of the term where the covariate is ``x``."""
+        return np.asarray(np.clip(basis_of(x, self.knots) @ self.values, self.term.low, self.term.high))
+
+    @property
+    def table(self) -> Array:
+        """Value of the term in each row of the basis."""
+        return np.asarray(np.clip(self.basis @ self.values, self.term.low, self.term.high))
+
+    @property
+    def penalty(self) -> Array:
+        """What bending costs, (k, k)."""
+        return penalty_of(self.knots)
+
+    @property
+    def points(self) -> Array:
+        """Where the curve is told: its knots where they are few values of the covariate, else evenly between them."""
+        return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], POINTS)
+
+
+def spoken(term: Term) -> tuple[str, str, float]:
+    """Words for what a term depends on, the unit in which a person reads it, and the factor to it from SI."""
+    if not term.columns:
+        return IN_FLIGHT_WORDS[term.of]
+    known = COVARIATES[term.of]
+    words = AT_THE_IMPACT.get(term.of, known.words) if term.name == "restitution" else known.words
+    return words, known.unit, known.scale
+
+
+def event_terms(name: str) -> tuple[Term, ...]:
+    """The terms of one kind, one for each covariate that is known in time; a rebound knows nothing of the take-off."""
+    late = ("dwell_s", "takeoff_phase_rad", "plate_speed_at_takeoff_mps", "flights_since_rest")
+    names = [k for k, c in COVARIATES.items() if c.ahead and not (name == "restitution" and k in late)]
+    return tuple(event_term(name, k) for k in names)
+
+
+def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[str, tuple[float, float]]:
+    """Where the quantities within a flight lie, by name."""
+
+    def most(name: str) -> float:
+        return float(np.nanquantile(tables[name][judged], 0.99))
+
+    hit, lasts = most("impact_mps"), most("flight_s")
+    fastest = max(most("plate_speed_at_takeoff_mps"), 0.5 * hit)
+    return {
+        "height_m": (0.0, most("height_m")),
+        "speed_mps": (0.0, hit),
+        "velocity_mps": (-hit, 0.6 * hit),
+        "absolute_velocity_mps": (-hit, fastest),
+        "since_takeoff_s": (0.0, lasts),
+        "since_impact_s": (0.0, lasts + most("dwell_s")),
+        "impact_mps": (0.0, hit),
+    }
+
+
+class Spliced(World):
+    """A world whose predictions hold a term more.
+
+    Parameters
+    ----------
+    world
+        The world without it.
+    curves
+        The terms.
+    dwell_s
+        Time from impact to take-off of each flight, (n,), for what depends on the time since the impact.
+
+    Attributes
+    ----------
+    without : World
+        The world without the terms.
+    """
+
+    def __init__(self, world: World, curves: Sequence[Curve], dwell_s: Array) -> None:
+        base: dict[str, dict[str, float]] = {}
+        for (name, key), value in world.base.items():
+            base.setdefault(name, {})[key] = value
+        super().__init__(world.evidence, base)
+        self.without = world
+        self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
+
+    def rows(self, values: Values) -> Array:
+        """Parameters of each event with the terms in, (P + 1,) where they are the same for all, else (n, P + 1)."""
+        out = super().rows(values)
+        if out.ndim == 1 and any(c.term.columns or c.term.of == "since_impact_s" for c in self.curves):
+            out = np.repeat(out[None, :], len(self.evidence), axis=0)
+        for curve in self.curves:
+            _put(out, curve, self.dwell_s)
+        return out
+
+
+def _put(out: Array, curve: Curve, dwell_s: Array) -> None:
+    """Set the parameters that carry a curve; a friction or restitution takes the place of a constant one."""
+    term, place = curve.term, offsets()
+    for key in REPLACED.get(term.name, ()):
+        out[..., place[key]] = 0.0
+    if term.columns:
+        for key in term.columns:
+            out[:, place[key]] += curve.table
+        return
+    for name, number in term.fixed:
+        out[..., place[term.effect, name]] = number
+    if term.of == "since_impact_s":
+        out[:, place[term.effect, "lag_s"]] = dwell_s
+    out[..., place[term.effect, "start"]] = curve.knots[0]
+    out[..., place[term.effect, "spacing"]] = (curve.knots[-1] - curve.knots[0]) / (KNOTS - 1)
+    first = place[term.effect, "c0"]
+    out[..., first : first + KNOTS] = curve.table

@@ -1,0 +1,1 @@
+"""TODO what events is for."""

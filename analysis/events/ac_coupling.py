@@ -1,0 +1,190 @@
+"""Continuity behind a coupling capacitor: which edge went which way, and the level put back.
+
+The rule kept here: only signed edges say what the contact does. Behind a high-pass with time constant ``T`` a level is
+``x = y + l`` with ``y`` what was recorded and ``T dl/dt = x - l`` (the low-passed level that the capacitor holds).
+``x`` has two values, so once an edge has decided which, ``l`` follows without integrating the noise, and everything
+that reads levels (thresholds, RC shapes, brief contacts) works as behind a wire. Edges must alternate: a second one the
+same way says that the one between was missed; it is declared, and the level starts again from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.events.edges import Levels
+from analysis.signals.stream import PAD, Piece
+from analysis.events.impact_template import white_noise
+from kernels import njit
+
+Floats = npt.NDArray[np.float64]
+Volts = npt.NDArray[np.float32]
+
+STEP_S = 2e-4  # over which an edge rises, at most
+EDGE = 0.4  # of the declared swing that makes a rise an edge
+AROUND_S = 1.2e-3  # without another edge, for an edge that is measured
+CHUNK_S = 4e-4  # averaged where the droop is measured
+MIN_CHUNKS = 100
+MIN_EDGES = 8
+USUAL_CORNER_HZ = 5.0  # assumed where no edge shows it
+FOLLOW_S = 5e-3  # within which the level follows what the model of the capacitor leaves
+NEAR = 0.25  # of the swing: what lies further from its level is an edge on its way
+AGAIN = 0.5  # of the swing beyond a level: an edge the same way as the last
+PERSISTS_S = 1.5e-4  # that it must lie there: a spike is no edge
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """The high-pass before the converter, measured on the recording.
+
+    Attributes
+    ----------
+    levels : Levels
+        Closed 0 V, open the height of an edge, and the noise.
+    corner_hz : float
+    edges : int
+        Edges that were measured; below `MIN_EDGES` the declared swing and the usual corner stand.
+    """
+
+    levels: Levels
+    corner_hz: float
+    edges: int
+
+
+def measure_coupling(pieces: Sequence[Floats], swing_v: float, rate_hz: float) -> Coupling:
+    """Height of the edges, corner and noise from unbroken pieces of continuity volts.
+
+    Parameters
+    ----------
+    pieces
+        Volts, each shape (n,).
+    swing_v
+        Declared ``open_v - closed_v``; negative where open is the lower level.
+    rate_hz
+        Sampling rate.
+    """
+    found = [_edges(y, swing_v, rate_hz) for y in pieces]
+    corner_hz = _corner_hz(pieces, found, rate_hz)
+    decay = 2.0 * np.pi * (corner_hz or USUAL_CORNER_HZ) / rate_hz
+    heights = np.concatenate([_heights(y, at, decay, rate_hz) for y, at in zip(pieces, found, strict=True)])
+    noise_v = max(float(np.median([white_noise(y) for y in pieces])), 1e-6 * abs(swing_v))
+    if heights.size < MIN_EDGES or corner_hz is None:
+        return Coupling(Levels(0.0, swing_v, noise_v), USUAL_CORNER_HZ, heights.size)
+    height_v = float(np.copysign(np.median(np.abs(heights)), swing_v))
+    return Coupling(Levels(0.0, height_v, noise_v), corner_hz, heights.size)
+
+
+def _samples(seconds: float, rate_hz: float) -> int:
+    """A span in samples, at least two."""
+    return max(2, round(seconds * rate_hz))
+
+
+def _edges(y: Floats, swing_v: float, rate_hz: float) -> npt.NDArray[np.int64]:
+    """Samples at which ``y`` is amid an edge: local extremes of its rise over `STEP_S`."""
+    step = _samples(STEP_S, rate_hz)
+    if y.size < 8 * step:
+        return np.zeros(0, np.int64)
+    rise = np.abs(y[step:] - y[:-step])
+    at = np.flatnonzero(rise > EDGE * abs(swing_v))
+    groups = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
+    return np.array([int(g[np.argmax(rise[g])]) + step // 2 for g in groups], np.int64)
+
+
+def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float) -> Floats:
+    """Signed heights of the edges that have `AROUND_S` to themselves, the droop on both sides put back."""
+    step, around = _samples(STEP_S, rate_hz), _samples(AROUND_S, rate_hz)
+    apart = np.diff(np.concatenate([[0], at, [y.size]])) > around
+    alone = at[apart[:-1] & apart[1:]]
+    span = np.arange(around - 2 * step)
+    middle = step + 0.5 * (span.size - 1)
+    after, before = (y[alone[:, None] + sign * (step + span)].mean(axis=1) for sign in (1, -1))
+    return np.asarray(after * np.exp(decay * middle) - before * np.exp(-decay * middle))
+
+
+def _corner_hz(
+    pieces: Sequence[Floats], found: Sequence[npt.NDArray[np.int64]], rate_hz: float
+) -> float | None:
+    """Corner from how means of chunks without an edge decay; the chunk before is the instrument: noise does no bias."""
+    top = bottom = 0.0
+    chunks, chunk = 0, _samples(CHUNK_S, rate_hz)
+    for y, at in zip(pieces, found, strict=True):
+        n = y.size // chunk
+        means = y[: n * chunk].reshape(n, chunk).mean(axis=1)
+        free = np.ones(n, np.bool_)
+        for shift in (-chunk, 0, chunk):
+            free[np.clip((at + shift) // chunk, 0, max(n - 1, 0))] = False
+        whole = free[:-2] & free[1:-1] & free[2:]
+        old, now, new = means[:-2][whole], means[1:-1][whole], means[2:][whole]
+        top, bottom, chunks = top + float(old @ new), bottom + float(old @ now), chunks + int(whole.sum())
+    if chunks < MIN_CHUNKS or not 0.0 < top < bottom:
+        return None
+    return float(-np.log(top / bottom)) * rate_hz / (2.0 * np.pi * chunk)
+
+
+class LevelRestorer:
+    """Pieces of drooping continuity, in order, to fractions of the swing: 0 closed, 1 open.
+
+    Attributes
+    ----------
+    missed : list of int
+        Samples by which an edge must have been missed since the one before.
+    """
+
+    def __init__(self, coupling: Coupling, rate_hz: float) -> None:
+        self.missed: list[int] = []
+        self._swing_v = coupling.levels.swing_v
+        self._rate_hz, self._persists = rate_hz, _samples(PERSISTS_S, rate_hz)
+        self._rates = np.array([1.0 - np.exp(-2.0 * np.pi * coupling.corner_hz / rate_hz), 1.0 / (FOLLOW_S * rate_hz)])
+        self._state = np.zeros(3)  # decided level, low-passed level, samples beyond a level
+        self._before: Volts | None = None
+
+    def restore(self, piece: Piece) -> Volts:
+        """Fractions for the continuity volts of a piece, its neighbours included; pieces come in order."""
+        volts, count = piece.channels["continuity"], piece.count
+        fraction = (volts * np.float32(1.0 / self._swing_v)).astype(np.float32)
+        if self._before is None:
+            self._begin(fraction[PAD : PAD + count])
+        missed = np.empty(count + PAD, np.int64)
+        n = _restore(fraction[PAD : PAD + count], self._rates, self._persists, self._state, missed)
+        self.missed += [piece.first + int(k) for k in missed[:n]]
+        _restore(fraction[PAD + count :], self._rates, self._persists, self._state.copy(), missed)
+        fraction[:PAD] = fraction[PAD] if self._before is None else self._before
+        self._before = fraction[count : count + PAD].copy()
+        return fraction
+
+    def _begin(self, own: Volts) -> None:
+        """The level at the start, by the first edge: what rises was closed."""
+        edges, step = _edges(own.astype(np.float64), 1.0, self._rate_hz), _samples(STEP_S, self._rate_hz)
+        falls = edges.size and own[min(edges[0] + step, own.size - 1)] < own[max(edges[0] - step, 0)]
+        level = 1.0 if falls else 0.0
+        self._state[:] = level, level - float(own[0]), 0.0
+
+
+@njit(error_model="numpy")
+def _restore(x, rates, persists, state, missed):  # type: ignore[no-untyped-def]
+    """Put the level back in place; returns how many edges must have been missed, their samples in ``missed``."""
+    leak, follow = rates
+    level, held, beyond = state
+    n = 0
+    for i in range(x.shape[0]):
+        value = x[i] + held
+        off = value - level
+        if off * (1.0 - 2.0 * level) > 0.5:
+            level = 1.0 - level
+            off = value - level
+        beyond = beyond + 1 if off * (1.0 - 2.0 * level) < -AGAIN else 0
+        if beyond == persists:
+            held -= off
+            value, off = level, 0.0
+            missed[n] = i
+            n += 1
+            beyond = 0
+        held += leak * (level - held)
+        if abs(off) < NEAR:
+            held -= follow * off
+        x[i] = value
+    state[0], state[1], state[2] = level, held, beyond
+    return n

@@ -1,0 +1,1 @@
+"""TODO what flights is for."""

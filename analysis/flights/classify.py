@@ -1,0 +1,218 @@
+"""What the flights of a step amount to: an n-cycle, irregular, or too little to tell; modes; forbidden bands.
+
+The rule kept here: every verdict comes with the statistic it rests on, and a step with too few flights is undecided.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import poisson
+
+from analysis.flights.table import FlightFlag, Flights
+from analysis.plate.motion import StepPlate
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST = 8  # flights of the longest cycle looked for
+REPEATS = 3  # cycles that must be seen
+TIGHT = 5.0  # times the measurement's own uncertainty within which flights repeat
+SLACK = 0.004  # of a forcing period: jitter allowed in a cycle whatever its cause
+LOOSE = 0.25  # of the flights' own spread above which nothing repeats
+LOCKED = 0.001  # of a forcing period: how close to a whole number a locked 1-cycle's flight is
+MODE_WIDTH = 0.02  # of a forcing period: width with which modes are told apart
+
+
+@dataclass(frozen=True)
+class StepClass:
+    """The verdict on one step.
+
+    Attributes
+    ----------
+    step : int
+    kind : str
+        ``rest`` (no flights), ``cycle``, ``irregular`` or ``undecided``.
+    n : int
+        Flights of the cycle; 0 otherwise.
+    locked : bool
+        A 1-cycle whose flight lasts a whole number of forcing periods.
+    flights, double_hits : int
+        True flights in the hold, double hits apart: the cycle is that of the flights between them.
+    repeat_s : float
+        The statistic: median change of a flight time after one cycle of the best n, per flight; NaN without flights.
+    expected_s : float
+        What the measurement's uncertainty alone makes of it.
+    spread_s : float
+        The same between flights taken at random.
+    modes : int
+        Peaks in the distribution of flight times.
+    mean_s : float
+        Mean flight time.
+    """
+
+    step: int
+    kind: Literal["rest", "cycle", "irregular", "undecided"]
+    n: int
+    locked: bool
+    flights: int
+    double_hits: int
+    repeat_s: float
+    expected_s: float
+    spread_s: float
+    modes: int
+    mean_s: float
+
+    @property
+    def label(self) -> str:
+        """For a person."""
+        if self.kind != "cycle":
+            return self.kind
+        return f"{self.n}-cycle{' locked' if self.locked else ''}"
+
+
+def classify(flights: Flights) -> tuple[StepClass, ...]:
+    """The verdict on every step of the recording."""
+    return tuple(_classify_step(flights, step) for step in range(len(flights.plate.steps)))
+
+
+def _classify_step(flights: Flights, step: int) -> StepClass:
+    """The verdict on one step."""
+    poor = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
+    chosen = (flights.step == step) & ~flights.has(poor)
+    rebound = flights.has(FlightFlag.DOUBLE_HIT)
+    doubles = int((chosen & rebound).sum())
+    chosen &= ~rebound  # a cycle with double hits is still that cycle
+    tau, sigma = flights.duration_s[chosen], flights.uncertainty_s[chosen]
+    fitted = flights.plate.steps[step]
+    period = 1.0 / fitted.frequency_hz if fitted is not None else float("nan")
+    nan = float("nan")
+    kind: Literal["rest", "cycle", "irregular", "undecided"] = "undecided"
+    if tau.size == 0:
+        seen = fitted is not None and flights.edges.levels is not None
+        kind = "rest" if seen and fitted is not None and not _in_air(flights, fitted) else "undecided"
+        return StepClass(step, kind, 0, False, 0, doubles, nan, nan, nan, 0, nan)
+    own = float(np.median(sigma))
+    pairs = np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)]
+    spread = float(np.median(pairs)) if pairs.size else nan
+    mean, modes = float(tau.mean()), count_modes(tau, max(MODE_WIDTH * period, 3.0 * own))
+    repeats = np.array([_repeat(tau, n) for n in range(1, LONGEST + 1)])
+    allowed = max(TIGHT * own, SLACK * period)
+    n = next((k + 1 for k, r in enumerate(repeats) if r < allowed), 0)
+    best = float(np.nanmin(repeats)) if np.isfinite(repeats).any() else nan
+    if n:
+        kind, best = "cycle", float(repeats[n - 1])
+    elif tau.size >= REPEATS * LONGEST // 2 and best > LOOSE * spread and best > 2.0 * allowed:
+        kind = "irregular"
+    whole = mean / period
+    locked = n == 1 and abs(whole - round(whole)) < LOCKED and round(whole) > 0
+    return StepClass(step, kind, n, locked, tau.size, doubles, best, 0.954 * own, spread, modes, mean)
+
+
+def _in_air(flights: Flights, plate: StepPlate) -> bool:
+    """Whether the circuit says that the ball was in the air through part of the hold (a landing nobody saw, then)."""
+    rate_hz = flights.plate.rate_hz
+    begin, end = plate.first_sample / rate_hz, plate.last_sample / rate_hz
+    true = ~flights.has(FlightFlag.FALSE)
+    return bool(np.any(true & (flights.takeoff_s < end) & (flights.landing_s > begin)))
+
+
+def _repeat(tau: Floats, n: int) -> float:
+    """Median change of a flight time over ``n`` flights (per flight); NaN below `REPEATS` cycles."""
+    if tau.size < REPEATS * n:
+        return float("nan")
+    return float(np.median(np.abs(tau[n:] - tau[:-n])) / np.sqrt(2.0))
+
+
+def count_modes(tau: Floats, width: float) -> int:
+    """Peaks of the smoothed distribution of flight times that rise by a tenth of the highest above their valleys."""
+    if tau.size == 0:
+        return 0
+    grid = np.linspace(tau.min() - 4 * width, tau.max() + 4 * width, 600)
+    density = np.exp(-0.5 * ((grid[:, None] - tau[None, :]) / width) ** 2).sum(axis=1)
+    peaks = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:])) + 1
+    kept = 0
+    valley = 0.0
+    for i, k in enumerate(peaks):
+        after = density[k : peaks[i + 1]].min() if i + 1 < peaks.size else 0.0
+        if density[k] - max(valley, after) > 0.1 * density.max():
+            kept += 1
+        valley = after
+    return kept
+
+
+@dataclass(frozen=True)
+class BandTest:
+    """Flights in a band that the model forbids.
+
+    Attributes
+    ----------
+    step : int
+    low_s, high_s : float
+    observed : int
+        Flights inside, by more than their uncertainty.
+    expected : float
+        What the flights just below and above the band would lead to expect if nothing forbade it.
+    p_value : float
+        Chance of so few or fewer.
+    """
+
+    step: int
+    low_s: float
+    high_s: float
+    observed: int
+    expected: float
+    p_value: float
+
+
+def band_test(flights: Flights, step: int, low_s: float, high_s: float) -> BandTest:
+    """Count the flights of a step in a forbidden band against its neighbourhood (half its width on either side)."""
+    chosen = (flights.step == step) & flights.good()
+    tau, sigma = flights.duration_s[chosen], flights.uncertainty_s[chosen]
+    half = 0.5 * (high_s - low_s)
+    inside = int(((tau > low_s + 2.0 * sigma) & (tau < high_s - 2.0 * sigma)).sum())
+    beside = int(((tau > low_s - half) & (tau < high_s + half)).sum()) - inside
+    return BandTest(step, low_s, high_s, inside, float(beside), float(poisson.cdf(inside, beside)))
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the measured motion between two neighbouring steps, in the order of the run."""
+
+    type: str
+    before: StepClass
+    after: StepClass
+    gamma_before: float
+    gamma_after: float
+
+
+def changes(classes: tuple[StepClass, ...], gammas: Floats) -> tuple[Change, ...]:
+    """Typed changes along the run; undecided steps are passed over, so the bracket widens there."""
+    out = []
+    last: tuple[StepClass, float] | None = None
+    for own, gamma in zip(classes, gammas, strict=True):
+        if own.kind == "undecided" or not np.isfinite(gamma):
+            continue
+        if last is not None and own.label != last[0].label:
+            out.append(Change(_type(last[0], own), last[0], own, last[1], float(gamma)))
+        last = own, float(gamma)
+    return tuple(out)
+
+
+def _type(before: StepClass, after: StepClass) -> str:
+    """The name of a change, in the model's words."""
+    if before.kind == "rest":
+        return "take-off"
+    if after.kind == "rest":
+        return "landing for good"
+    if before.kind == "cycle" and after.kind == "cycle":
+        if before.n == after.n == 1:
+            return "lock" if after.locked else "unlock"
+        if after.n == 2 * before.n:
+            return "period doubling"
+        if before.n == 2 * after.n:
+            return "period halving"
+        return "other cycle"
+    return "to irregular" if after.kind == "irregular" else "to a cycle"

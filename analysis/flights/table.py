@@ -1,0 +1,145 @@
+"""The table of flights as a value: columns, flags, what may be compared, and its CSV.
+
+The rule kept here: nothing is dropped. A false flight is marked, a double hit is marked, a boundary that only the
+accelerometer saw is marked, and an interval in the air that hides a landing nobody saw is marked as unsure.
+"""
+
+from __future__ import annotations
+
+import csv
+import enum
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.events.edges import EdgeShape, Levels
+from analysis.events.impact_detection import WitnessOffset
+from analysis.plate.motion import PlateMotion
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+
+class FlightFlag(enum.IntFlag):
+    """What is to be known about a flight before it is used."""
+
+    FALSE = 1
+    """Contact bounce or a glitch, not a flight."""
+    DOUBLE_HIT = 2
+    """Left the plate while the plate was pushing, by rebound, and was back within half a forcing period."""
+    RELAUNCHED = 4
+    """Took off where it had just landed, launched by the plate at once."""
+    WITNESS = 8
+    """A boundary comes from the accelerometer."""
+    GAP = 16
+    """Touches lost samples."""
+    SETTLING = 32
+    """In a step's fade or settle part."""
+    CUT = 64
+    """Cut by the start, the end or a change of step."""
+    UNSURE = 128
+    """A landing may be hidden: the ball should have met the plate in between, or an edge was missed since the last."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """Flights of a recording, arrays of equal length in order of take-off, and the plate they flew over.
+
+    Times in seconds on the recording's axis, uncertainties one standard deviation, phases in [0, 2 pi) of
+    ``phi = w t`` (0 where the first tone's displacement crosses zero going up; NaN where the plate is unknown).
+    ``contact_s`` is how long the ball lay on the plate before the flight (0: launched at once; NaN: not seen).
+    """
+
+    takeoff_s: Floats
+    landing_s: Floats
+    takeoff_uncertainty_s: Floats
+    landing_uncertainty_s: Floats
+    takeoff_phase: Floats
+    landing_phase: Floats
+    step: Ints
+    gamma: Floats
+    contact_s: Floats
+    impact: Floats
+    flags: npt.NDArray[np.int32]
+    plate: PlateMotion
+    edges: EdgeReport
+
+    @property
+    def duration_s(self) -> Floats:
+        """Flight times."""
+        return self.landing_s - self.takeoff_s
+
+    @property
+    def uncertainty_s(self) -> Floats:
+        """Uncertainty of the flight times."""
+        return np.hypot(self.takeoff_uncertainty_s, self.landing_uncertainty_s)
+
+    def __len__(self) -> int:
+        return self.takeoff_s.size
+
+    def has(self, flag: FlightFlag) -> npt.NDArray[np.bool_]:
+        """Which flights carry any of the flags."""
+        return np.asarray(self.flags & int(flag), dtype=bool)
+
+    def select(self, chosen: npt.NDArray[np.bool_]) -> Flights:
+        """The chosen flights, same plate."""
+        columns = {
+            f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("plate", "edges")
+        }
+        return Flights(**columns, plate=self.plate, edges=self.edges)
+
+    def good(self) -> npt.NDArray[np.bool_]:
+        """Flights fit for a comparison: true, whole, in the hold of a step, no gap, nothing hidden."""
+        bad = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.UNSURE
+        return ~self.has(bad)
+
+
+@dataclass(frozen=True)
+class EdgeReport:
+    """What the edges and the second witness were worth in this recording.
+
+    Attributes
+    ----------
+    levels : Levels or None
+        None where there is no continuity channel.
+    opening, closing : EdgeShape
+    witness : WitnessOffset or None
+        None where the accelerometer shows no impacts.
+    dips : int
+        Contacts that only dented the continuity voltage.
+    missed : int
+        Edges that an AC-coupled circuit must have had and did not show.
+    """
+
+    levels: Levels | None
+    opening: EdgeShape
+    closing: EdgeShape
+    witness: WitnessOffset | None
+    dips: int
+    missed: int = 0
+
+
+COLUMNS = (
+    "takeoff_s", "landing_s", "duration_s", "uncertainty_s", "takeoff_phase", "landing_phase", "step", "gamma", "flags",
+)
+
+
+def flag_names(flags: int) -> str:
+    """Names joined by ``|``; empty when there are none."""
+    return "|".join(str(f.name) for f in FlightFlag if flags & f)
+
+
+def write_csv(flights: Flights, path: Path) -> None:
+    """Write the table of flights, one row a flight, times to the nanosecond."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(COLUMNS)
+        duration, sigma = flights.duration_s, flights.uncertainty_s
+        for i in range(len(flights)):
+            out.writerow([
+                f"{flights.takeoff_s[i]:.9f}", f"{flights.landing_s[i]:.9f}", f"{duration[i]:.9f}", f"{sigma[i]:.9f}",
+                f"{flights.takeoff_phase[i]:.6f}", f"{flights.landing_phase[i]:.6f}",
+                int(flights.step[i]), f"{flights.gamma[i]:.6f}", flag_names(int(flights.flags[i])),
+            ])

@@ -1,0 +1,1 @@
+"""TODO what loop is for."""

@@ -1,0 +1,250 @@
+"""Which run would separate explanations that the data cannot tell apart.
+
+The rule kept here: every candidate run is rehearsed in the model under the best explanation, its rivals are fitted to
+that rehearsal, and the run is worth what the best-fitting rival still loses, in nats.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.loop.close_loop import Loop
+from analysis.residuals.observations import Evidence, Steps
+from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.fit import Fitter, Prior, priors_of
+from analysis.residuals.forward_model import DRIFT, Key, World
+from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
+from analysis.residuals.whitening import Whitener
+from daq.setup.setup import Setup
+from model.effects import effect
+from model.effects.base import COMPILED_HOOKS
+from model.integrator.one_step import Measured, PlateSteps, march
+
+Array = NDArray[np.float64]
+
+STEPS = 14
+SETTLE_CYCLES, HOLD_CYCLES = 20, 30
+RIVALS = 3
+
+
+@dataclass(frozen=True)
+class Design:
+    """A run that could be made next.
+
+    Attributes
+    ----------
+    words
+        For a person.
+    ratio, gammas, order
+        Of the ramp; ``gammas`` rise from start to stop.
+    priors
+        What a calibration beside the run would tell (flip test, drop test), by parameter: standard deviations.
+    """
+
+    words: str
+    ratio: int
+    gammas: tuple[float, ...]
+    order: str = "up"
+    priors: Mapping[Key, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A design and what it would tell: the least loss of any rival, in nats, and the rival that survives longest."""
+
+    design: Design
+    nats: float
+    hardest: tuple[str, ...]
+
+
+def designs_for(evidence: Evidence) -> list[Design]:
+    """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations beside."""
+    gamma, ratio = evidence.steps.gamma, int(evidence.steps.ratio[0])
+    low, high = float(np.min(gamma)), float(np.max(gamma))
+
+    def over(stop: float, c: int) -> tuple[float, ...]:
+        threshold = 1.0 / (1.0 + c**2) if c > 1 else 0.5
+        scale = threshold * (1.0 + ratio**2 if ratio > 1 else 2.0)  # in units of the threshold of the present ratio
+        return tuple(float(g) for g in np.linspace(1.05 * low * scale, stop * scale, STEPS))
+
+    same = tuple(float(g) for g in np.linspace(low, high, STEPS))
+    out = [Design(f"c = {c}, the same range over the threshold", c, over(high, c)) for c in (1, 2, 3) if c != ratio]
+    out.append(Design("farther into the irregular range", ratio, over(2.0 * high, ratio)))
+    out.append(Design("c = 2, farther into the irregular range", 2, over(2.0 * high, 2)))
+    out.append(Design("the same steps, shuffled", ratio, same, "shuffled"))
+    flip = {("accelerometer_gain", "relative"): 1e-3}
+    out.append(Design("the same ramp after a flip test of the accelerometer", ratio, same, priors=flip))
+    drop = {
+        ("restitution", "e0"): 5e-3,
+        ("coulomb_friction", "mu_up"): 1e-2,
+        ("coulomb_friction", "mu_down"): 1e-2,
+    }
+    out.append(Design("the same ramp after a drop test along the rod", ratio, same, priors=drop))
+    return out
+
+
+def rank(loop: Loop, designs: Sequence[Design] | None = None) -> list[Ranked]:
+    """Designs by what they would tell, best first; empty when there is nothing to separate."""
+    best, rivals = loop.best, loop.attribution.ties[1 : 1 + RIVALS]
+    if not rivals:
+        return []
+    out = []
+    for design in designs or designs_for(loop.world.evidence):
+        world = World(rehearse(design, loop.world, best), _base(loop.world))
+        priors = _priors(loop.world.evidence.setup, design, best)
+        fitter = Fitter(world, priors, np.ones(len(world.evidence.steps), dtype=bool))
+        whitener = Whitener.of(world, best.fitted.values)
+        losses = [(_loss(fitter, whitener, rival), rival.names) for rival in rivals]
+        nats, names = min(losses)
+        out.append(Ranked(design, nats, names))
+    return sorted(out, key=lambda r: -r.nats)
+
+
+def _loss(fitter: Fitter, whitener: Whitener, rival: Explanation) -> float:
+    """Loss that the rival cannot get rid of on the rehearsed run."""
+    return float(fitter.fit(whitener, rival.free, rival.fitted.values).loss)
+
+
+def _base(world: World) -> dict[str, dict[str, float]]:
+    out: dict[str, dict[str, float]] = {}
+    for (name, q), value in world.base.items():
+        out.setdefault(name, {})[q] = value
+    return out
+
+
+def _priors(setup: Setup, design: Design, best: Explanation) -> dict[Key, Prior]:
+    """Priors of the next run: the profile's, and what the calibration beside it would find if the best one is true."""
+    priors = priors_of(setup)
+    for key, sigma in design.priors.items():
+        priors[key] = Prior(best.fitted.values.get(key, effect(key[0]).effect.parameter(key[1]).absent), sigma)
+    return priors
+
+
+def rehearse(design: Design, world: World, best: Explanation) -> Evidence:
+    """The evidence that the design would give, without noise, if the best explanation were true."""
+    ev = world.evidence
+    values = world.start(best.fitted.values)
+    setup = ev.setup
+    omega = 2 * math.pi * setup.forcing.frequency_hz
+    tones = replace_ratio(setup, design.ratio).forcing.displacement_tones()
+    gammas = np.array(design.gammas)
+    if design.order == "shuffled":
+        gammas = np.random.default_rng(1).permutation(gammas)
+    m, k = len(gammas), len(tones)
+    z = np.zeros((m, ev.steps.sigma_mps2.shape[1]), complex)
+    w = np.ones_like(z, dtype=float)
+    for j, (multiple, amplitude) in enumerate(tones):
+        z[:, j] = -setup.g_mps2.value * gammas * multiple**2 * amplitude
+        w[:, j] = multiple * omega
+    plate = PlateSteps(w, z, np.full(m, 2 * math.pi / omega))
+    spread = np.zeros((m, 2 * z.shape[1], z.shape[1]), complex)
+    for j in range(2 * k):
+        spread[:, j, j // 2] = (1.0, 1j)[j % 2] * float(np.median(ev.steps.sigma_mps2[ev.steps.forcing]))
+    part = (np.arange(m) + 0.5) / m - 0.5
+    forcing = np.zeros(w.shape, dtype=bool)
+    forcing[:, :k] = True
+    steps = Steps(
+        np.zeros(m, dtype=np.int64), np.arange(m), gammas, np.full(m, design.ratio), part, plate, spread, forcing
+    )
+    measured = _flights(values, plate, part, setup.g_mps2.value)
+    n = len(measured.landing_s)
+    opening_sigma, landing_sigma = (np.full(n, float(np.median(x))) for x in (ev.opening_sigma_s, ev.landing_sigma_s))
+    data = _plate_rows(ev.plate, steps, k)
+    made = replace(
+        ev,
+        measured=measured,
+        opening_sigma_s=opening_sigma,
+        landing_sigma_s=landing_sigma,
+        judged=measured.wanted,
+        time_s=measured.landing_s,
+        weak_mps=np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
+        steps=steps,
+        plate=data,
+        swells=None,
+    )
+    truth = World(made, _base(world))
+    return replace(made, plate=replace(data, value=expected(data, truth.by_step(best.fitted.values))))
+
+
+def replace_ratio(setup: Setup, ratio: int) -> Setup:
+    """The setup with another c."""
+    return setup.model_copy(update={"forcing": setup.forcing.model_copy(update={"ratio": ratio})})
+
+
+def _flights(values: Mapping[Key, float], plate: PlateSteps, part: Array, g_mps2: float) -> Measured:
+    """Flights of every step, flown by the model with drifting parameters at their value in the step."""
+    columns: list[list[Array]] = [[], [], [], [], [], []]
+    for i in range(len(part)):
+        effects: dict[str, dict[str, float]] = {}
+        for (name, q), value in values.items():
+            entry = effect(name)
+            if q.endswith(DRIFT) or not entry.hooks.keys() & set(COMPILED_HOOKS):
+                continue
+            parameter = entry.effect.parameter(q)
+            moved = value + values.get((name, q + DRIFT), 0.0) * part[i]
+            effects.setdefault(name, {})[q] = float(np.clip(moved, parameter.low, parameter.high))
+        period = plate.period_s[i]
+        orbit = march(
+            effects,
+            g_mps2=g_mps2,
+            period_s=period,
+            omega_radps=plate.omega_radps[i],
+            acceleration_mps2=plate.acceleration_mps2[i],
+            flights=600,
+            unseen_s=1e-3,
+        )
+        keep = (orbit.takeoff_s > SETTLE_CYCLES * period) & (orbit.landing_s < (SETTLE_CYCLES + HOLD_CYCLES) * period)
+        n = int(keep.sum())
+        first = np.arange(n) == 0
+        for column, x in zip(
+            columns,
+            (
+                orbit.takeoff_s[keep],
+                orbit.landing_s[keep],
+                ~orbit.after_rest[keep] & ~first,
+                ~first,
+                np.full(n, i, dtype=np.int64),
+                np.arange(n) > 1,
+            ),
+            strict=True,
+        ):
+            column.append(x)
+    return Measured(*(np.concatenate(c) for c in columns))  # type: ignore[arg-type]
+
+
+def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
+    """The kinds of plate data that the present run gave, with their typical uncertainty, for each step of a new one."""
+    m = len(steps)
+    rows: list[tuple[float, ...]] = []
+    for kind in np.unique(seen.kind):
+        like = seen.kind == kind
+        sigma, omega = float(np.median(seen.sigma[like])), float(np.median(seen.omega_radps[like]))
+        for i in range(m):
+            scale = float(np.abs(steps.plate.acceleration_mps2[i, 0]))
+            for j in range(tones if kind in (GAIN, PHASE) else 1):
+                tone = steps.plate.omega_radps[i, j] if kind in (GAIN, PHASE) else omega
+                rows.append((kind, i, 0.0, sigma, tone, scale / 9.80665, scale))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+    multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
+    value, error, omega_radps, asked, first = table[:, 2:].T
+    ratio, share = steps.ratio[step], np.ones(len(step), dtype=np.complex128)
+    return PlateData(kind, step, value, error, omega_radps, asked, first, multiple, ratio, share)
+
+
+def as_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:
+    """The ranking for a machine, or None where there is nothing to separate."""
+    if not ranked:
+        return None
+    return {
+        "best": ranked[0].design.words,
+        "ratio": ranked[0].design.ratio,
+        "gammas": list(ranked[0].design.gammas),
+        "order": ranked[0].design.order,
+        "ranked": [{"run": r.design.words, "nats": r.nats, "hardest_rival": list(r.hardest)} for r in ranked],
+    }

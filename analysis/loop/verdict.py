@@ -1,0 +1,96 @@
+"""The verdict of a closed loop, and the tests that it rests on.
+
+"Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from analysis.residuals.prediction_errors import Errors
+from analysis.residuals.lack_of_fit import Remainder
+from analysis.residuals.noise_model import SHARED_S
+from analysis.thresholds import Thresholds
+
+Verdict = Literal["explained", "unexplained", "nothing_missing"]
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A test of the verdict that was not passed.
+
+    Attributes
+    ----------
+    test
+        ``flights`` and ``plate``: residuals of all steps over their uncertainty, rms. ``landings`` and ``takeoffs``:
+        errors of held-out events, us.
+    found, allowed
+        What was found and the most that the test allows, in the same unit.
+    """
+
+    test: Literal["flights", "plate", "landings", "takeoffs"]
+    found: float
+    allowed: float
+
+
+def failed_tests(
+    named: bool,
+    left: Remainder,
+    after: Errors,
+    floors_us: tuple[float, float],
+    limits: Thresholds,
+    chance_us: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Failed, ...]:
+    """Tests that forbid to call a recording explained; empty where all are passed.
+
+    Parameters
+    ----------
+    named
+        Whether an effect has been added. Held-out events are tested only then: without a name, structure beyond the
+        noise is what the tests of the remainder are for.
+    left
+        What remains, on all steps.
+    after, floors_us
+        Errors on the held-out steps, and the noise floors of landings and take-offs there.
+    limits
+    chance_us
+        Root mean squares that noise alone hardly exceeds there, see `analysis.residuals.prediction_errors.noise_quantiles_us`.
+
+    Notes
+    -----
+    The contact circuit may shift all edges of a step by `SHARED_S`, so that no floor counts for less. Of take-offs the
+    smaller of both measures counts: a few are hidden by a bounce, and where few steps open from rest, the middle one of
+    them is no robust value. Nor may chance decide: the tones of a few steps err for all of their flights.
+    """
+    out = []
+    if left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio:
+        out.append(Failed("flights", left.ratio, limits.lack_ratio))
+    if left.plate_ratio > limits.plate_ratio:
+        out.append(Failed("plate", left.plate_ratio, limits.plate_ratio))
+    if named:
+        landing, takeoff = (
+            max(limits.clean_bill * math.hypot(floor, 1e6 * SHARED_S), chance)
+            for floor, chance in zip(floors_us, chance_us, strict=True)
+        )
+        if after.landing_rms_us > landing:
+            out.append(Failed("landings", after.landing_rms_us, landing))
+        missed = min(after.takeoff_robust_us, after.takeoff_rms_us)
+        if missed > takeoff:
+            out.append(Failed("takeoffs", missed, takeoff))
+    return tuple(out)
+
+
+def verdict_of(
+    named: bool,
+    left: Remainder,
+    after: Errors,
+    floors_us: tuple[float, float],
+    limits: Thresholds,
+    chance_us: tuple[float, float] = (0.0, 0.0),
+) -> Verdict:
+    """The verdict; parameters are those of `failed_tests`."""
+    if failed_tests(named, left, after, floors_us, limits, chance_us):
+        return "unexplained"
+    return "explained" if named else "nothing_missing"

@@ -1,0 +1,1 @@
+"""TODO what plate is for."""

@@ -1,0 +1,279 @@
+"""Accelerometer volts to what the plate really did: every tone of every step, against the drive.
+
+The rule kept here: an amplitude is stated with its covariance, impacts are masked for as long as they ring, and what
+belongs to contact and to flight is also fitted apart. Phases refer to sample 0 of the recording; positive is up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.plate.contact_flight_fit import Sides
+from analysis.plate.fit_mask import Kept
+from daq.lock_in import ToneFit
+from model.tones import Plate
+
+Floats = npt.NDArray[np.float64]
+TWO_PI = 2.0 * np.pi
+CHANCE = 1e-5  # of a slow line in noise alone, below which it is reported
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in the plate's motion below the forcing: frequency, amplitude, and odds of seeing it in noise alone."""
+
+    frequency_hz: float
+    amplitude_mps2: float
+    false_alarm: float
+
+
+@dataclass(frozen=True)
+class SlowMotion:
+    """What is left of the acceleration below the forcing, at a low rate: ``mps2`` at ``time_s``; NaN: masked."""
+
+    time_s: Floats
+    mps2: Floats
+
+
+def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[Line, ...]:
+    """Lines below 0.9 of the forcing that stand out of the residual's background, strongest first, at most three."""
+    known = np.isfinite(slow.mps2)
+    if known.sum() < 16:
+        return ()
+    step_s = float(np.median(np.diff(slow.time_s)))
+    x = np.where(known, slow.mps2 - np.nanmean(slow.mps2), 0.0) * np.hanning(slow.mps2.size)
+    gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
+    spectrum = np.abs(np.fft.rfft(x, 4 * x.size)) / gain
+    f = np.fft.rfftfreq(4 * x.size, step_s)
+    band = (f > 2.0 / (x.size * step_s)) & (f < 0.9 * frequency_hz)
+    if band.sum() < 8:
+        return ()
+    power = np.where(band, spectrum, 0.0) ** 2
+    background = float(np.median(power[band])) / np.log(2.0)
+    cells = max(band.sum() / 8.0, 1.0)
+    found = []
+    for _ in range(3):
+        k = int(np.argmax(power))
+        chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
+        if chance > CHANCE:
+            break
+        found.append(Line(float(f[k]), float(np.sqrt(power[k])), float(chance)))
+        power[max(k - 12, 0) : k + 13] = 0.0
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The tones' amplitudes within a step, a few cycles at a time: slow modulation shows here.
+
+    Attributes
+    ----------
+    time_s : array, shape (w,)
+        Middle of each window.
+    length_s : float
+    amplitudes : complex array, shape (w, tones)
+        m/s^2, same phase reference as the step's fit; NaN where too much is masked.
+    uncertainty_mps2 : array, shape (w, tones)
+        Of each quadrature, from the noise within windows.
+    drive_v, drive_uncertainty_v : arrays, shape (w, tones)
+        The drive's own, V; zeros where it was not recorded.
+    """
+
+    time_s: Floats
+    length_s: float
+    amplitudes: npt.NDArray[np.complex128]
+    uncertainty_mps2: Floats
+    drive_v: npt.NDArray[np.complex128]
+    drive_uncertainty_v: Floats
+
+    def swell(
+        self, tones: npt.NDArray[np.complex128], drive: npt.NDArray[np.complex128] | None = None
+    ) -> tuple[Floats, Floats]:
+        """By how much all tones together are larger than ``tones`` (tones,), relatively, and its uncertainty, (w,).
+
+        With the step's ``drive`` amplitudes (tones,), what the drive itself asks for in a window is no deviation.
+        """
+        power, wanted = float(np.sum(np.abs(tones) ** 2)), np.broadcast_to(tones, self.amplitudes.shape)
+        variance = np.sum(np.abs(tones) ** 2 * self.uncertainty_mps2**2, axis=1)
+        if drive is not None and np.all(np.abs(drive) > 0.0):
+            wanted = tones * self.drive_v / drive
+            variance = variance + np.sum(np.abs(tones) ** 4 * (self.drive_uncertainty_v / np.abs(drive)) ** 2, axis=1)
+        value = np.sum((np.conj(wanted) * (self.amplitudes - wanted)).real, axis=1) / power
+        return np.asarray(value), np.asarray(np.sqrt(variance) / power)
+
+
+@dataclass(frozen=True)
+class StepPlate:
+    """The plate in the hold part of one step.
+
+    Attributes
+    ----------
+    step : int
+    first_sample, last_sample : int
+        The part that was fitted, ``[first, last)``.
+    frequency_hz, frequency_uncertainty_hz : float
+        Of the first tone, on the recording's clock (measured on the drive where that tells more than the step table).
+    nominal_hz : float
+        The step table's.
+    ratio : int
+        c.
+    multiples : tuple of int
+        Which multiple of the frequency each of the first fitted tones is; mains lines follow after them.
+    acceleration : ToneFit
+        m/s^2, masked after impacts.
+    drive : ToneFit or None
+        V, looped back; None where it was not recorded.
+    gamma, gamma_uncertainty : float
+        ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
+    gamma_peak : float
+        ``max(-a_p) / g`` of the fitted motion.
+    gamma_drive : float
+        The same gamma from drive volts and ``g_per_volt``; NaN where that is unknown.
+    phase0_rad : float
+        ``phi(t) = 2 pi f t + phase0`` is zero where the first tone's displacement crosses zero going up.
+    masked : float
+        Fraction of the hold left out after impacts.
+    windows : Windows
+    slow : SlowMotion
+    kept : Kept
+        What of the hold the fits have seen.
+    """
+
+    step: int
+    first_sample: int
+    last_sample: int
+    frequency_hz: float
+    frequency_uncertainty_hz: float
+    nominal_hz: float
+    ratio: int
+    multiples: tuple[int, ...]
+    acceleration: ToneFit
+    drive: ToneFit | None
+    sides: Sides
+    gamma: float
+    gamma_uncertainty: float
+    gamma_peak: float
+    gamma_drive: float
+    phase0_rad: float
+    masked: float
+    windows: Windows
+    slow: SlowMotion
+    kept: Kept
+
+    @cached_property
+    def _apart(self) -> tuple[ToneFit | None, ToneFit | None]:
+        return self.sides.solve()
+
+    @property
+    def contact(self) -> ToneFit | None:
+        """The forcing's tones and the offset in contact, m/s^2; None where there is too little of either side."""
+        return self._apart[0]
+
+    @property
+    def flight(self) -> ToneFit | None:
+        """The same in flight."""
+        return self._apart[1]
+
+    @cached_property
+    def lines(self) -> tuple[Line, ...]:
+        """Lines below the forcing that stand out of the background, strongest first, at most three."""
+        return slow_lines(self.slow, self.frequency_hz)
+
+    @property
+    def omega_radps(self) -> float:
+        """Angular frequency of the first tone, on the recording's clock."""
+        return TWO_PI * self.frequency_hz
+
+    def tone(self, multiple: int) -> tuple[complex, Floats]:
+        """Amplitude of a multiple of the forcing (m/s^2) and its 2 x 2 covariance of (Re, Im)."""
+        i = self.multiples.index(multiple)
+        fit, own = self.acceleration, slice(2 * i, 2 * i + 2)
+        return complex(fit.amplitudes[i]), fit.covariance[own, own]
+
+    @property
+    def forcing_multiples(self) -> tuple[int, ...]:
+        """``(1,)`` at c = 1, else ``(1, c)``."""
+        return (1,) if self.ratio == 1 else (1, self.ratio)
+
+    def swell(self) -> tuple[Floats, Floats]:
+        """Relative deviation of the forcing's amplitude in each window beyond the drive's own; its uncertainty."""
+        rows = [self.multiples.index(m) for m in self.forcing_multiples]
+        drive = None if self.drive is None else self.drive.amplitudes[rows]
+        return self.windows.swell(self.acceleration.amplitudes[rows], drive)
+
+    def plate(self, significance: float = 4.0) -> Plate:
+        """The fitted motion: the forcing's tones, and harmonics and mains lines that stand out by ``significance``."""
+        fit = self.acceleration
+        strong = np.abs(fit.amplitudes) > significance * fit.amplitude_sigma()
+        strong[[i for i, m in enumerate(self.multiples) if m in self.forcing_multiples]] = True
+        return Plate(TWO_PI * fit.frequencies_hz[strong], fit.amplitudes[strong])
+
+    def forcing(self) -> Plate:
+        """The forcing's tones alone, as measured."""
+        rows = [self.multiples.index(m) for m in self.forcing_multiples]
+        fit = self.acceleration
+        return Plate(TWO_PI * fit.frequencies_hz[rows], fit.amplitudes[rows])
+
+
+@dataclass(frozen=True)
+class PlateMotion:
+    """The plate over a whole recording; ``steps[k]`` is None where a step has too little to fit."""
+
+    steps: tuple[StepPlate | None, ...]
+    noise_mps2: float
+    rate_hz: float
+    gaps: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+
+    @property
+    def ratio(self) -> int:
+        """The forcing's c in the last fitted step (1 where none was)."""
+        return next((p.ratio for p in reversed(self.steps) if p is not None), 1)
+
+    def true_time_s(self, time_s: npt.ArrayLike) -> Floats:
+        """Recording time with the lost samples counted: the clock on which tones keep their phase through gaps."""
+        t = np.asarray(time_s, dtype=np.float64)
+        if not len(self.gaps):
+            return t
+        lost = np.concatenate([[0], np.cumsum(self.gaps[:, 1])])
+        return np.asarray(t + lost[np.searchsorted(self.gaps[:, 0] / self.rate_hz, t, side="right")] / self.rate_hz)
+
+    def phase(self, time_s: npt.ArrayLike, step: npt.ArrayLike) -> Floats:
+        """Phase of the plate's displacement at times within steps, in [0, 2 pi); NaN where the step was not fitted."""
+        omega, phase0 = self._table()
+        k = np.asarray(step, dtype=np.int64)
+        inside = (k >= 0) & (k < len(self.steps))
+        k = np.where(inside, k, 0)
+        if not len(self.steps):
+            return np.full(k.shape, np.nan)
+        phase = np.where(inside, omega[k] * self.true_time_s(time_s) + phase0[k], np.nan)
+        return np.asarray(np.mod(phase, TWO_PI))
+
+    def frequency_hz(self, step: npt.ArrayLike) -> Floats:
+        """Frequency of the first tone in each of the given steps; NaN where the step was not fitted."""
+        k = np.asarray(step, dtype=np.int64)
+        omega = np.append(self._table()[0], np.nan)
+        return np.asarray(omega[np.where((k >= 0) & (k < len(self.steps)), k, -1)] / TWO_PI)
+
+    def acceleration_mps2(self, time_s: Floats, step: npt.NDArray[np.int64]) -> Floats:
+        """Plate acceleration at times within steps (the forcing's tones), m/s^2; NaN where the step was not fitted."""
+        omega, z = np.full((2, len(self.steps) + 1), np.nan), np.zeros((2, len(self.steps) + 1), dtype=np.complex128)
+        for k, fitted in enumerate(self.steps):
+            if fitted is not None:
+                for row, multiple in enumerate(fitted.forcing_multiples):
+                    at = fitted.multiples.index(multiple)
+                    omega[row, k] = TWO_PI * fitted.acceleration.frequencies_hz[at]
+                    z[row, k] = fitted.acceleration.amplitudes[at]
+                if len(fitted.forcing_multiples) == 1:
+                    omega[1, k] = 0.0
+        row_of = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
+        turned = np.exp(1j * omega[:, row_of] * self.true_time_s(time_s))
+        return np.asarray((z[:, row_of] * turned).real.sum(axis=0))
+
+    def _table(self) -> tuple[Floats, Floats]:
+        omega = np.array([np.nan if s is None else s.omega_radps for s in self.steps])
+        phase0 = np.array([np.nan if s is None else s.phase0_rad for s in self.steps])
+        return omega, phase0

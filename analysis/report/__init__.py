@@ -1,0 +1,1 @@
+"""TODO what report is for."""

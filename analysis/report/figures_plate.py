@@ -1,0 +1,117 @@
+"""Drive against accelerometer: what was asked of the plate and what it did, step by step, and one period of it.
+
+The rule kept here: the drive's version needs ``g_per_volt``; where nobody measured it, only the shapes are compared.
+"""
+
+from __future__ import annotations
+
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.report import style
+from analysis.flights.table import Flights
+from analysis.report.gamma import gamma_scale
+from analysis.plate.motion import StepPlate
+from daq.recording import Recording
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST = 400_000  # samples folded into one period
+TONES = (  # colour (Okabe and Ito's, which the colour-blind tell apart), mark and line of each harmonic
+    ("#0072b2", "o", "-"), ("#d55e00", "s", "--"), ("#000000", "^", ":"), ("#cc79a7", "D", "-."), ("#009e73", "v", "-"),
+    ("#e69f00", "P", "--"), ("#56b4e9", "X", ":"),
+)  # fmt: skip
+
+
+def draw_plate(recording: Recording, flights: Flights, folder: Path) -> None:
+    """Gain and lag of the plate against the drive at each step, and one period of the largest step."""
+    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
+    if not plates:
+        return
+    scale = gamma_scale(recording.setup.forcing, plates[-1].ratio)
+    x = scale.factor * np.array([p.gamma for p in plates])
+    with style.figure(
+        folder, "plate", style.badge_of(recording), nrows=2, ncols=2, figsize=(9.0, 6.0)
+    ) as (_, axes):
+        _gain(axes[0, 0], plates, x)
+        _lag(axes[1, 0], plates, x)
+        axes[1, 0].set_xlabel(scale.label)
+        _period(axes[0, 1], recording, plates[-1])
+        axes[0, 1].set_title(rf"${scale.symbol}$ = {x[-1]:.3f}", fontsize=9)
+        _harmonics(axes[1, 1], plates, x)
+        axes[1, 1].set_xlabel(scale.label)
+
+
+def _transfer(plates: list[StepPlate]) -> tuple[Floats, Floats, npt.NDArray[np.complex128]]:
+    """Plate over drive at the forcing's strongest tone, (m/s^2)/V, and its relative uncertainty."""
+    values, sigmas, which = [], [], []
+    for p in plates:
+        rows = [p.multiples.index(m) for m in p.forcing_multiples]
+        k = rows[int(np.argmax(np.abs(p.acceleration.amplitudes[rows])))]
+        drive = p.drive.amplitudes[k] if p.drive is not None else np.nan
+        values.append(p.acceleration.amplitudes[k] / drive)
+        sigmas.append(p.acceleration.amplitude_sigma()[k] / np.abs(p.acceleration.amplitudes[k]))
+        which.append(float(k))
+    return np.array(which), np.array(sigmas), np.array(values, dtype=np.complex128)
+
+
+def _gain(ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Plate over drive, relative to its middle."""
+    _, sigma, transfer = _transfer(plates)
+    size = np.abs(transfer)
+    middle = float(np.nanmedian(size)) if np.isfinite(size).any() else 1.0
+    deviation = 100.0 * (size / middle - 1.0)
+    ax.errorbar(x, deviation, 100.0 * sigma, fmt="o", ms=3.5, lw=0.8, color=style.MEASURED, label="measured")
+    ax.axhline(0.0, lw=1.2, color=style.MODEL, label="a linear shaker")
+    ax.set_ylabel("plate / drive, deviation (%)")
+    ax.set_title(f"middle {middle:.4g} (m/s$^2$)/V", fontsize=9)
+    ax.legend(fontsize=8, frameon=False)
+
+
+def _lag(ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Phase of the plate behind the drive."""
+    _, sigma, transfer = _transfer(plates)
+    ax.errorbar(x, np.degrees(np.angle(transfer)), np.degrees(sigma), fmt="o", ms=3.5, lw=0.8, color=style.MEASURED)
+    ax.axhline(0.0, lw=1.2, color=style.MODEL)
+    ax.set_ylabel("plate ahead of drive (deg)")
+
+
+def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
+    """One period of the step, all its samples folded, with the fitted tones."""
+    first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + LONGEST)
+    channel = recording.setup.channels.accelerometer
+    zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
+    a = (recording.read_v("accelerometer", first, last) - zero_v) / channel.volts_per_mps2 - plate.acceleration.offset
+    t = np.arange(first, last) / recording.rate_hz
+    place = np.mod(plate.frequency_hz * t + plate.phase0_rad / (2.0 * np.pi), 1.0)
+    keep = slice(None, None, max(1, a.size // 12000))
+    ax.plot(place[keep], a[keep], ".", ms=1.0, mew=0, color=style.MEASURED, rasterized=True, label="accelerometer")
+    grid = np.linspace(0.0, 1.0, 400)
+    start = (grid - plate.phase0_rad / (2.0 * np.pi)) / plate.frequency_hz
+    ax.plot(grid, plate.plate().acceleration_at(start), "-", lw=1.4, color=style.MODEL, label="fitted tones")
+    ax.set(xlabel="forcing period", ylabel="acceleration (m/s$^2$)", xlim=(0.0, 1.0))
+    ax.legend(fontsize=8, frameon=False, markerscale=6)
+
+
+def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Harmonics and slow lines, relative to the forcing."""
+    tones = [m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples]
+    for m, (colour, mark, dashes) in zip(tones, cycle(TONES)):
+        own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
+        whole = np.array([np.abs(p.acceleration.amplitudes).max() for p in plates])
+        ax.plot(
+            x, 100.0 * own / whole, mark, ls=dashes, ms=4.5, mfc="white", mew=1.1, lw=0.9, color=colour, label=f"{m} f"
+        )
+    for p, at in zip(plates, x, strict=True):
+        for line in p.lines:
+            size = 100.0 * line.amplitude_mps2 / float(np.abs(p.acceleration.amplitudes).max())
+            ax.plot(at, size, "v", color="k", ms=4)
+            ax.annotate(f"{line.frequency_hz:.1f} Hz", (float(at), size), fontsize=6)
+    ax.set(ylabel="harmonics, of the forcing (%)", yscale="log")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend above the lines
+    ax.legend(fontsize=8, frameon=False, ncol=4, loc="upper right", handlelength=3.2)

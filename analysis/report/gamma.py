@@ -1,0 +1,58 @@
+"""The one measure of forcing that a reader is shown: gamma, or at c = 1 gamma_peak, with its definition.
+
+Everything is computed in ``gamma = A w^2 / g`` of one tone. At c = 1 both tones are one sine, and the paper's
+experimental axis is its peak acceleration, ``gamma_peak``: a constant multiple of gamma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from daq.setup.setup import Forcing
+
+PEAK_TEX = r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$"
+GAMMA_TEX = r"$\Gamma = A\omega^2/g$"
+
+
+@dataclass(frozen=True)
+class GammaScale:
+    """How gamma is shown.
+
+    Attributes
+    ----------
+    factor
+        Shown value over gamma.
+    name, symbol
+        Its name in plain text and in TeX.
+    label
+        Of an axis, with the definition, in TeX.
+    definition
+        One sentence.
+    """
+
+    factor: float
+    name: str
+    symbol: str
+    label: str
+    definition: str
+
+
+def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:
+    """The measure shown for steps driven at the frequency ratios ``ratios``: gamma_peak where all are 1, else gamma."""
+    own = np.unique(np.asarray(ratios, dtype=np.int64))
+    if own.tolist() == [1]:
+        factor = float(abs(forcing.displacement_tones()[0][1])) if forcing.ratio == 1 else 2.0
+        sense = f"gamma_peak = max(-a)/g = {factor:.4g} A w^2/g"
+        return GammaScale(
+            factor, "gamma_peak", r"\Gamma_{\mathrm{peak}}",
+            f"{PEAK_TEX}   (c = 1)",
+            f"{sense}: the greatest downward acceleration of the plate's sine over gravity (c = 1).",
+        )  # fmt: skip
+    told = f"   (c = {own[0]})" if len(own) == 1 else ""
+    return GammaScale(
+        1.0, "gamma", r"\Gamma", f"{GAMMA_TEX}{told}",
+        "gamma = A w^2/g: the acceleration amplitude of the first tone over gravity, before the second is added.",
+    )  # fmt: skip

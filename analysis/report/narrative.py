@@ -1,0 +1,113 @@
+"""The chain of reasoning in words: which residual, of what size, which candidates, why this one, and why this verdict.
+
+Every sentence is made of numbers that are in the verdict's JSON or its pictures; none is a guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from analysis.loop.close_loop import Loop
+from analysis.residuals.covariates import COVARIATES
+from analysis.residuals.plate_observables import KINDS
+from analysis.thresholds import FROZEN, Thresholds
+from analysis.loop.verdict import Failed
+from analysis.report.wording import microseconds, plain, probability, rejected_in_words
+from model.effects import effect
+
+LISTED = 3
+
+
+def reasoning(loop: Loop, limits: Thresholds = FROZEN) -> list[str]:
+    """Sentences in the order of the argument."""
+    return [*_what_was_off(loop, limits), *_what_was_tried(loop), *why_this_verdict(loop)]
+
+
+def gains(loop: Loop) -> Mapping[str, tuple[float, float]]:
+    """Held-out gain and standard error of every candidate added alone, in nats: of each set its best, largest first."""
+    best: dict[str, tuple[float, float]] = {}
+    for names, compared in loop.attribution.tried:
+        name = " + ".join(plain(n) for n in names)
+        if name not in best or compared.gain > best[name][0]:
+            best[name] = (compared.gain, compared.error)
+    return dict(sorted(best.items(), key=lambda item: -item[1][0]))
+
+
+def _what_was_off(loop: Loop, limits: Thresholds) -> list[str]:
+    """The residuals of the declared model, channel by channel."""
+    values = loop.attribution.before.fitted.values
+    world = loop.world
+    residuals = world.residuals(values)
+    out = []
+    landing = residuals.landing_s[world.evidence.judged]
+    opening = residuals.opening_s[world.opens]
+    for event, found, floor in (
+        ("landings", landing, loop.noise_floor_us), ("take-offs", opening, loop.takeoff_floor_us)
+    ):  # fmt: skip
+        known = 1e6 * found[np.isfinite(found)]
+        if not len(known):
+            out.append(f"no {event} were seen.")
+            continue
+        middle = float(np.median(known))
+        when = "later" if middle > 0 else "earlier"
+        size = 1.4826 * float(np.median(np.abs(known)))
+        out.append(
+            f"{event} came {microseconds(abs(middle))} us {when} than the declared model says (median); they miss it "
+            f"by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."
+        )
+    data = world.evidence.plate
+    far = {KINDS[k]: float(np.sqrt(np.mean(z**2))) for k in np.unique(data.kind)
+           if len(z := (residuals.plate / data.sigma)[data.kind == k])}  # fmt: skip
+    odd = sorted((n for n, z in far.items() if z > limits.plate_ratio), key=lambda n: -far[n])
+    if odd:
+        out.append("the plate differs from what the drive asks: " + ", ".join(
+            f"{n} by {far[n]:.1f} standard deviations (rms)" for n in odd[:LISTED]) + ".")  # fmt: skip
+    elif far:
+        out.append("the plate moves as the drive asks, within its uncertainty.")
+    return out
+
+
+def _what_was_tried(loop: Loop) -> list[str]:
+    """The candidates of the first round, and what each further one brought."""
+    ranked = gains(loop)
+    out = []
+    if ranked:
+        listed = ", ".join(f"{n} {round(g)} +- {e:.0f}" for n, (g, e) in list(ranked.items())[:LISTED])
+        out.append(f"of {len(ranked)} candidates added alone, these gain most on steps not fitted (nats): {listed}.")
+    out += [f"{words}." for words in loop.attribution.rounds]
+    if loop.rejected is not None:
+        out.append(f"{rejected_in_words(loop)}.")
+    for name in map(plain, loop.best.names):
+        rivals = [plain(o) for o in effect(name.replace(" ", "_")).effect.confused_with]
+        behind = [
+            f"{o} by {ranked[name][0] - ranked[o][0]:.0f} nats"
+            for o in rivals
+            if name in ranked and o in ranked and ranked[o][0] < ranked[name][0]
+        ]
+        if behind:
+            out.append(f"of what is easily taken for {name}, it leaves behind: {', '.join(behind)}.")
+    return out
+
+
+def why_this_verdict(loop: Loop) -> list[str]:
+    """The tests that the verdict rests on."""
+    left, floor = loop.remainder, loop.noise_floor_us
+    if loop.failed:
+        return [f"called unexplained because {'; '.join(_failure(loop, f) for f in loop.failed)}."]
+    held = f"on held-out steps landings are missed by {microseconds(loop.after.landing_rms_us)} us rms, noise "
+    return [f"{held}{microseconds(floor)} us; what is left looks like noise ({probability(left.p_lack_of_fit)})."]
+
+
+def _failure(loop: Loop, failed: Failed) -> str:
+    """A failed test in words."""
+    left = loop.remainder
+    if failed.test == "flights":
+        with_what = f", and goes with {COVARIATES[left.covariate].words}" if left.covariate else ""
+        return f"what is left is {failed.found:.2f} times the noise ({probability(left.p_lack_of_fit)}){with_what}"
+    if failed.test == "plate":
+        return f"the plate is off by {failed.found:.2f} standard deviations rms ({failed.allowed:g} allowed)"
+    event = "landings" if failed.test == "landings" else "take-offs"
+    size, most = microseconds(failed.found), microseconds(failed.allowed)
+    return f"on held-out steps {event} are missed by {size} us, where noise allows {most} us"

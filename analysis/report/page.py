@@ -1,0 +1,355 @@
+"""The report of a closed loop: one page with its pictures, and the same as JSON.
+
+The page says what was added, on what evidence, what else it could be, and what is left; every number on it is also in
+the JSON.
+"""
+
+from __future__ import annotations
+
+import base64
+import datetime
+import html
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.flights.classify import Change
+from analysis.loop.close_loop import Loop, as_json, declared_after
+from analysis.flights.compare import FirstBifurcation, compare
+from analysis.residuals.covariates import COVARIATES
+from analysis.flights.assemble import flights_of
+from analysis.report.gamma import GammaScale, gamma_scale
+from analysis.report.style import badge_of
+from analysis.report.figures_terms import draw_discovery
+from analysis.report.figures_loop import draw_candidates, draw_errors
+from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
+from analysis.report.narrative import reasoning
+from analysis.thresholds import FROZEN
+from analysis.report.wording import (
+    interval,
+    microseconds,
+    moved_calibrations,
+    others_in_words,
+    plain,
+    probability,
+    rejected_in_words,
+    unit_of,
+    verdict_line,
+)
+from daq.setup.errors import InputError
+from daq.recording.provenance import software_commit, software_version
+from daq.recording import Recording, open_recording
+from model.effects import effect, resolve
+
+STYLE = """
+body{font:16px/1.5 Georgia,serif;max-width:52rem;margin:2rem auto;padding:0 1rem;color:#1d2630}
+h1{font-size:1.6rem;margin-bottom:.2rem} h2{font-size:1.15rem;margin-top:2rem;border-bottom:1px solid #ccd}
+table{border-collapse:collapse;margin:.6rem 0}
+td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #e3e7ee}
+th:first-child,td:first-child{text-align:left} img{width:100%;margin:.5rem 0} code{font-size:.9em}
+.verdict{font-size:1.25rem;padding:.6rem 1rem;border-left:6px solid var(--c);background:#f5f7fa}
+.meta{font-size:.9em} .meta td{text-align:left;vertical-align:top}
+.badge{color:#fff;padding:.1rem .5rem;font-size:.8rem;border-radius:4px;background:#2d6a4f}
+.simulated{background:#a4161a}
+"""
+COLOURS = {"explained": "#2d6a4f", "unexplained": "#a4161a", "nothing_missing": "#12355b"}
+
+Progress = Callable[[str, float], None]
+
+
+def write_report(loop: Loop, recordings: Sequence[Path], folder: Path, *, progress: Progress | None = None) -> Path:
+    """Write ``report.html``, ``report.json`` and the pictures into ``folder``; returns the page's path.
+
+    Parameters
+    ----------
+    loop, recordings
+        The closed loop, and what it was closed on.
+    folder
+        Made where it does not exist.
+    progress
+        Called with what is being done and the fraction done.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written.
+    """
+    say = progress or (lambda what, part: None)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with open_recording(recordings[0]) as opened:
+            badge = badge_of(opened)
+        say("report: first bifurcations", 0.0)
+        payload = as_json(loop)
+        payload["first_bifurcation"] = first = _bifurcations(loop, recordings[0])
+        payload["recordings"] = made = [_provenance(path) for path in recordings]
+        payload["report"] = {
+            "date": datetime.date.today().isoformat(),
+            "software_version": software_version(),
+            "software_commit": software_commit(),
+        }
+        (folder / "report.json").write_text(json.dumps(payload, indent=1) + "\n", encoding="utf-8")
+        pictures: list[tuple[str, Callable[[], None]]] = [
+            ("errors", lambda: draw_errors(loop, folder, badge)),
+            ("landings", lambda: draw_landings(loop, folder, badge)),
+            ("take-offs", lambda: draw_takeoffs(loop, folder, badge)),
+            ("plate", lambda: draw_plate(loop, folder, badge)),
+            ("candidates", lambda: draw_candidates(loop, folder, badge, FROZEN)),
+        ]
+        for i, (name, draw) in enumerate(pictures):
+            say(f"report: picture of {name}", 0.4 + 0.6 * i / len(pictures))
+            draw()
+        if loop.discovered is not None:
+            draw_discovery(loop.discovered, folder, badge)
+        page = folder / "report.html"
+        page.write_text(_page(loop, made, payload["report"], folder, first), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
+    return page
+
+
+def _provenance(path: Path) -> dict[str, Any]:
+    """Where a recording comes from: date, rig, note and software."""
+    with open_recording(path) as opened:
+        return {"file": path.name, "rig": _rig(opened)} | {
+            key: opened.attrs.get(key, "")
+            for key in ("started", "backend", "simulated", "note", "software_version", "software_commit")
+        }
+
+
+def _rig(opened: Recording) -> str:
+    """Name and description of the rig's profile."""
+    setup = opened.setup
+    return f"{setup.name} ({setup.description})" if setup.description else setup.name
+
+
+def _bifurcations(loop: Loop, recording: Path) -> dict[str, object] | None:
+    """First bifurcation in the data, by the declared model and by the improved one; None without enough flights."""
+    setup = loop.world.evidence.setup
+    with open_recording(recording) as opened:
+        opened.measure_with(setup)
+        flights, table = flights_of(opened), opened.steps
+    declared, improved = resolve(setup.declared_values()), declared_after(loop)
+    try:
+        before = compare(flights, setup, effects=declared, steps_table=table).first
+        after = before if improved == declared else compare(flights, setup, effects=improved, steps_table=table).first
+    except (ValueError, InputError):
+        return None
+    return {"measured": _bracket(before.measured), "before": _predicted(before), "after": _predicted(after)}
+
+
+def _bracket(change: Change | None) -> dict[str, object] | None:
+    if change is None:
+        return None
+    low, high = sorted((change.gamma_before, change.gamma_after))
+    return {"type": change.type, "gamma_low": low, "gamma_high": high}
+
+
+def _predicted(first: FirstBifurcation) -> dict[str, object]:
+    def plain(x: float) -> float | None:
+        return float(x) if np.isfinite(x) else None
+
+    return {
+        "type": first.predicted_type,
+        "gamma": plain(first.predicted_gamma),
+        "same_type_gamma": plain(first.same_type_gamma),
+    }
+
+
+def _picture(folder: Path, name: str) -> str:
+    path = folder / f"{name}.png"
+    if not path.exists():
+        return ""
+    return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
+
+
+def _page(
+    loop: Loop, made: Sequence[dict[str, Any]], report: dict[str, str], folder: Path, first: dict[str, object] | None
+) -> str:
+    scale = gamma_scale(loop.world.evidence.setup.forcing, loop.world.evidence.steps.ratio)
+    simulated = any(m["simulated"] for m in made)
+    mark = (
+        '<span class="badge simulated">simulated rig</span>'
+        if simulated
+        else '<span class="badge">measured on a rig</span>'
+    )
+    names = html.escape(", ".join(m["file"] for m in made))
+    parts = [
+        "<!doctype html><html lang='en'><meta charset='utf-8'>",
+        f"<title>Closed loop: {names}</title>",
+        f"<style>{STYLE}</style><h1>Closed loop</h1><p>{mark} {names}</p>",
+        f"<p class='verdict' style='--c:{COLOURS[loop.verdict]}'><b>{html.escape(verdict_line(loop))}</b></p>",
+        f"<p>{_html(_capital(rejected_in_words(loop)))}.</p>" if loop.rejected is not None else "",
+        _provenance_table(made, report),
+        f"<p>{_html(_definition(loop, scale))}</p>",
+        _errors_table(loop),
+        _picture(folder, "errors"),
+        _effects_table(loop),
+        _bifurcation_words(first, scale),
+        "<h2>Why</h2>",
+        _reasoning(loop),
+        _picture(folder, "candidates"),
+        _picture(folder, "discovered"),
+        "<h2>What else it could be</h2>",
+        _alternatives(loop),
+        "<h2>What remains</h2>",
+        _remains(loop),
+        "<h2>What this run could not have shown</h2>",
+        _hidden(loop),
+        "<h2>Residuals against what might cause them</h2>",
+        "<p>Every event is predicted from the one before it. Grey: the noise floor. Line: medians. Triangles: "
+        "residuals beyond the axis, drawn at its edge; their number stands beside them.</p>",
+        _picture(folder, "residuals"),
+        _picture(folder, "takeoffs"),
+        _picture(folder, "plate"),
+        "</html>",
+    ]
+    return "\n".join(p for p in parts if p)
+
+
+def _html(text: str) -> str:
+    """Plain text as HTML, with the signs that the pictures have for microseconds, gamma and plus or minus."""
+    signs = {r" us\b": " &micro;s", r"w\^2": "&omega;&sup2;", r"\+-": "&plusmn;",
+             r"\bgamma_peak\b": "&Gamma;<sub>peak</sub>", r"\bgamma\b": "&Gamma;"}  # fmt: skip
+    text = html.escape(text)
+    for plain_sign, sign in signs.items():
+        text = re.sub(plain_sign, sign, text)
+    return text
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _definition(loop: Loop, scale: GammaScale) -> str:
+    """What the page means by gamma, once."""
+    also = loop.discovered is not None and loop.discovered.of == "gamma" and scale.factor != 1.0
+    return scale.definition + (" The discovered curve alone is over gamma = A w^2/g." if also else "")
+
+
+def _provenance_table(made: Sequence[dict[str, Any]], report: dict[str, str]) -> str:
+    """Date, rig, note and versions of each recording, and of this page."""
+
+    def software(of: dict[str, Any]) -> str:
+        commit = str(of["software_commit"])
+        return f"shakerbench {of['software_version']}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
+
+    rows = []
+    for m in made:
+        note = f"; note: {m['note']}" if m["note"] else ""
+        when = str(m["started"])[:19].replace("T", " ")
+        told = f"{m['rig']}, back end {m['backend']}; {when + ' UTC' if when else 'date unknown'}; {software(m)}{note}"
+        rows.append((m["file"], told))
+    rows.append(("this page", f"{report['date']}; {software(report)}"))
+    body = "".join(f"<tr><td>{html.escape(a)}</td><td>{html.escape(b)}</td></tr>" for a, b in rows)
+    return f"<table class='meta'>{body}</table>"
+
+
+def _errors_table(loop: Loop) -> str:
+    b, a, floor = loop.before, loop.after, loop.noise_floor_us
+    def us(value: float, low: float | None = None, high: float | None = None) -> str:
+        band = "" if low is None or high is None else f" ({microseconds(low)} .. {microseconds(high)})"
+        return f"{microseconds(value)}{band} &micro;s"
+
+    rms = [us(e.landing_rms_us, e.landing_rms_us_low, e.landing_rms_us_high) for e in (b, a)]
+    rows = [
+        ("landing times, rms", *rms, us(floor)),
+        ("landing times, robust", us(b.landing_robust_us), us(a.landing_robust_us), ""),
+        ("take-off times, robust", us(b.takeoff_robust_us), us(a.takeoff_robust_us), us(loop.takeoff_floor_us)),
+        (
+            "flight times, relative", f"{100 * b.flight_time_relative:.3f} %", f"{100 * a.flight_time_relative:.3f} %",
+            "",
+        ),
+    ]  # fmt: skip
+    body = "".join(f"<tr><td>{n}</td><td>{x}</td><td>{y}</td><td>{z}</td></tr>" for n, x, y, z in rows)
+    return (
+        f"<table><tr><th>{a.flights} flights of {len(loop.held_out)} held-out steps</th><th>before</th><th>after</th>"
+        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; {100 * a.left_out:.1f} % of "
+        "the flights were left out because their landing (grazing) could not be predicted from what was measured.</p>"
+    )
+
+
+def _effects_table(loop: Loop) -> str:
+    if not loop.effects:
+        return ""
+    rows = "".join(
+        f"<tr><td>{plain(f.name)}</td><td><code>{k}</code></td><td>{interval(v, lo, hi)} {unit_of(f.name, k)}</td></tr>"
+        for f in loop.effects
+        for k, (v, lo, hi) in f.parameters.items()
+    )
+    return f"<table><tr><th>added</th><th>parameter</th><th>value (95 % interval)</th></tr>{rows}</table>"
+
+
+def _bifurcation_words(first: dict[str, object] | None, scale: GammaScale) -> str:
+    if first is None:
+        return ""
+
+    def say(x: object) -> str:
+        if not isinstance(x, dict):
+            return "none found"
+        if "gamma_low" in x:
+            low, high = (scale.factor * x[k] for k in ("gamma_low", "gamma_high"))
+            return f"{x['type']} between {scale.name} {low:.4f} and {high:.4f}"
+        found = x["gamma"]
+        return "none in the range" if found is None else f"{x['type']} at {scale.name} {scale.factor * found:.4f}"
+
+    measured, before, after = (say(first[k]) for k in ("measured", "before", "after"))
+    return _html(f"First bifurcation: in the data {measured}; before: {before}; after: {after}.").join(("<p>", "</p>"))
+
+
+def _reasoning(loop: Loop) -> str:
+    summaries = [
+        f"<li><b>{plain(f.name)}</b>: {html.escape(effect(f.name).effect.summary)}.</li>" for f in loop.effects
+    ]
+    lines = [f"<li>{_html(_capital(r))}</li>" for r in reasoning(loop)]
+    return f"<ol>{''.join(lines)}</ol>" + (f"<ul>{''.join(summaries)}</ul>" if summaries else "")
+
+
+def _alternatives(loop: Loop) -> str:
+    others = others_in_words(loop)
+    if not others:
+        return "<p>No other named set of effects predicts the held-out steps as well.</p>"
+    hints = "".join(
+        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {html.escape(how)}</li>"
+        for f in loop.effects
+        for o, how in effect(f.name).effect.confused_with.items()
+        if any(plain(o) in x for x in others)
+    )
+    listed = "; ".join(html.escape(o) for o in others)
+    return f"<p>The data cannot tell it from: {listed}.</p>" + (
+        f"<p>What would separate them:</p><ul>{hints}</ul>" if hints else ""
+    )
+
+
+def _remains(loop: Loop) -> str:
+    left = loop.remainder
+    words = (
+        f"<p>Excess over the noise floor: {left.ratio:.2f} times (flights), {left.plate_ratio:.2f} times (plate); "
+        f"so much lack of fit by chance: {html.escape(probability(left.p_lack_of_fit))}.</p>"
+    )
+    if left.covariate:
+        words += f"<p>What is left goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
+    if loop.discovered is not None:
+        words += f"<p>Discovered: {html.escape(loop.discovered.in_words)}.</p>"
+    notes = "".join(f"<li>{_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))
+    return words + (f"<ul>{notes}</ul>" if notes else "")
+
+
+def _hidden(loop: Loop) -> str:
+    """Detection limits of effects that were not added, and what no size would have shown."""
+    rows = "".join(
+        f"<tr><td>{plain(name.partition('.')[0])}</td><td><code>{name.partition('.')[2]}</code></td>"
+        f"<td>{size:.2g} {unit_of(*name.split('.', 1))}</td></tr>"
+        for name, size in sorted(loop.detection.items())
+    )
+    blind = ", ".join(map(plain, loop.not_identifiable)) or "none"
+    return (
+        "<p>An effect smaller than this would not have gained what is needed to be named, even alone:</p>"
+        f"<table><tr><th>effect</th><th>parameter</th><th>hidden below</th></tr>{rows}</table>"
+        f"<p>Not identifiable on this run at any size: {html.escape(blind)}.</p>"
+    )
+

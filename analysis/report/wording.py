@@ -1,0 +1,109 @@
+"""The verdict in words, and one form for every kind of number, for the page, the pictures and the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from analysis.loop.calibrations import fitted_calibrations
+from analysis.loop.close_loop import Found, Loop
+from analysis.residuals.forward_model import DRIFT
+from model.effects import effect
+
+VERDICTS = {
+    "explained": "Explained",
+    "unexplained": "Unexplained: something is left that no named effect accounts for",
+    "nothing_missing": "Nothing is missing: the declared model explains the recording",
+}
+DRIFT_EFFECT = "parameter_drift"  # its parameters are those of other effects, relative to their middle
+BELOW = 1e-4  # a number smaller than this is written with an exponent
+
+
+def interval(value: float, low: float, high: float) -> str:
+    """A value with its interval, all to the same place: two significant digits of half the interval's width.
+
+    Example: ``0.1178 (0.1100 .. 0.1255)``.
+    """
+    if not all(math.isfinite(x) for x in (value, low, high)):
+        return f"{value:.4g} ({low:.4g} .. {high:.4g})"
+    half, largest = 0.5 * (high - low), max(abs(value), abs(low), abs(high))
+    place = 1 - math.floor(math.log10(half)) if half > 0.0 else 6
+    if 0.0 < largest < BELOW:
+        exponent = math.floor(math.log10(largest))
+        digits = max(place + exponent, 0)
+        shown = [f"{x / 10.0**exponent:.{digits}f}e{exponent}" for x in (value, low, high)]
+    else:
+        shown = [f"{x:.{min(max(place, 0), 9)}f}" for x in (value, low, high)]
+    return f"{shown[0]} ({shown[1]} .. {shown[2]})"
+
+
+def microseconds(value: float) -> str:
+    """Microseconds to a tenth, without a unit; a dash where there is none."""
+    return f"{value:.1f}" if math.isfinite(value) else "-"
+
+
+def probability(p: float) -> str:
+    """A probability as ``p = 0.03``; what is too small to be told from zero as a bound."""
+    return f"p = {p:.2g}" if p >= 1e-9 else "p < 1e-9"
+
+
+def plain(name: str) -> str:
+    """The name of an effect for a person."""
+    return name.replace("_", " ")
+
+
+def unit_of(name: str, parameter: str) -> str:
+    """Unit of a parameter as printed; empty where it has none."""
+    if name == DRIFT_EFFECT:
+        return ""
+    unit = effect(name).effect.parameter(parameter.removesuffix(DRIFT)).unit
+    return "" if unit == "1" else unit
+
+
+def size_of(found: Found) -> str:
+    """Every parameter of an added effect with its 95 % interval and unit."""
+    return ", ".join(
+        f"{k} = {interval(v, lo, hi)} {unit_of(found.name, k)}".rstrip() for k, (v, lo, hi) in found.parameters.items()
+    )
+
+
+def verdict_line(loop: Loop) -> str:
+    """The verdict in one line, with the size of every added effect and its 95 % interval."""
+    words = VERDICTS[loop.verdict]
+    if not loop.effects:
+        return words
+    added = "; ".join(f"{plain(f.name)}, {size_of(f)}".removesuffix(", ") for f in loop.effects)
+    return f"{words}; best so far, not believed: {added}" if loop.verdict == "unexplained" else f"{words} by {added}"
+
+
+def others_in_words(loop: Loop) -> list[str]:
+    """Sets of effects that the data cannot tell from the best one."""
+    return [" + ".join(plain(n) for n in x.names) for x in loop.attribution.ties[1:]]
+
+
+def rejected_in_words(loop: Loop) -> str:
+    """The best candidate that was refused, with its gain and the reason; empty where none gained anything."""
+    x = loop.rejected
+    if x is None:
+        return ""
+    names = " + ".join(plain(n) for n in x.names)
+    return f"best rejected candidate: {names}, {x.gain:.0f} +- {x.error:.0f} nats; rejected because {x.reason}"
+
+
+def moved_calibrations(loop: Loop) -> list[str]:
+    """Calibrations that the fit has moved by more than their stated uncertainty, a line each."""
+    return [
+        f"calibration {plain(c.effect)}, {c.parameter}: fitted {plus_minus(c.value, c.sigma)}, stated "
+        f"{plus_minus(c.stated, c.stated_sigma)} {unit_of(c.effect, c.parameter)}".rstrip()
+        for c in fitted_calibrations(loop.best)
+        if c.moved
+    ]
+
+
+def plus_minus(value: float, sigma: float) -> str:
+    """A value with its standard deviation, both to the second significant digit of the latter."""
+    if not (math.isfinite(value) and math.isfinite(sigma) and sigma > 0.0):
+        return f"{value:.4g}"
+    if max(abs(value), sigma) < BELOW:
+        return f"{value:.2e} +- {sigma:.1e}"
+    place = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
+    return f"{value:.{place}f} +- {sigma:.{place}f}"

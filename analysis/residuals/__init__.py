@@ -1,0 +1,1 @@
+"""TODO what residuals is for."""

@@ -1,0 +1,170 @@
+"""The table of events: everything about a flight that a missing cause might depend on.
+
+The rule kept here: a covariate is known before the flight it is held against ends. It comes from the measured events
+and the plate's tones alone, so that no residual can explain itself; the few that describe the flight's own end are
+marked and serve pictures and tests of the remainder only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.residuals.forward_model import Values, World
+from model.integrator.one_step import PlateSteps
+
+Array = NDArray[np.float64]
+
+HEIGHT_POINTS = 33  # of each flight, to find its highest point
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """How a covariate is spoken of.
+
+    Attributes
+    ----------
+    words
+        Its name for a person.
+    unit, scale
+        Unit in which a person reads it, and the factor to it from SI.
+    ahead
+        True where it is known when the ball leaves: only these may carry a term of the model.
+    """
+
+    words: str
+    unit: str = ""
+    scale: float = 1.0
+    ahead: bool = True
+
+
+COVARIATES: Mapping[str, Covariate] = {
+    "gamma": Covariate("gamma"),
+    "time_in_run_s": Covariate("time in run", "s"),
+    "previous_flight_s": Covariate("previous flight", "ms", 1e3),
+    "earlier_flight_s": Covariate("flight before the previous", "ms", 1e3),
+    "previous_impact_mps": Covariate("impact speed", "m/s"),
+    "dwell_s": Covariate("dwell time", "ms", 1e3),
+    "plate_at_impact_mps2": Covariate("plate acceleration", "m/s^2"),
+    "plate_speed_at_impact_mps": Covariate("plate velocity at the impact", "m/s"),
+    "impact_phase_rad": Covariate("phase of the impact", "rad"),
+    "takeoff_phase_rad": Covariate("take-off phase", "rad"),
+    "launch_mps": Covariate("launch speed", "m/s", ahead=False),
+    "plate_speed_at_takeoff_mps": Covariate("plate velocity at take-off", "m/s"),
+    "flights_since_rest": Covariate("flights since the last rest"),
+    "turn": Covariate("turn (every other flight)"),
+    "step_number": Covariate("step number", ahead=False),
+    "time_in_step_s": Covariate("time in the step", "s"),
+    "flight_s": Covariate("flight time", "ms", 1e3, ahead=False),
+    "impact_mps": Covariate("impact speed of this flight", "m/s", ahead=False),
+    "landing_phase_rad": Covariate("landing phase", "rad", ahead=False),
+    "height_m": Covariate("greatest height", "mm", 1e3, ahead=False),
+    "plate_speed_at_landing_mps": Covariate("plate velocity at landing", "m/s", ahead=False),
+}
+
+
+def covariates(world: World, values: Values) -> dict[str, Array]:
+    """Covariates of every flight of the evidence.
+
+    Parameters
+    ----------
+    world
+        The evidence.
+    values
+        Fitted values: they correct the contact circuit's delay and the accelerometer's scale, nothing else.
+
+    Returns
+    -------
+    dict of arrays (n,)
+        By the names of `COVARIATES`, SI units; NaN where the flight before is not known.
+    """
+    ev = world.evidence
+    events, step = ev.measured, ev.measured.step
+    shift = world.per_step(values, "shift_s", 0.0)[step]
+    reading = world.per_step(values, "reading", 1.0)
+    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / reading[:, None])
+    before = np.maximum(np.arange(len(step)) - 1, 0)
+    linked = events.linked
+    land, opening = events.landing_s - shift, events.opening_s - shift
+    start = np.where(events.at_once & linked, land[before], opening)
+    lasts = land - start
+    launch, impact = _ends(world.gravity, plate, step, start, lasts, events.at_once & linked)
+    _, at_land, a_land = _plate(plate, step, land)
+    _, at_start, _ = _plate(plate, step, start)
+
+    def previous(x: Array) -> Array:
+        return np.where(linked, x[before], np.nan)
+
+    return {
+        "gamma": ev.steps.gamma[step],
+        "time_in_run_s": ev.time_s,
+        "previous_flight_s": previous(lasts),
+        "earlier_flight_s": previous(previous(lasts)),
+        "previous_impact_mps": previous(impact),
+        "dwell_s": np.where(linked, start - land[before], np.nan),
+        "plate_at_impact_mps2": previous(a_land),
+        "plate_speed_at_impact_mps": previous(at_land),
+        "impact_phase_rad": previous(_phase(plate, step, land)),
+        "takeoff_phase_rad": _phase(plate, step, start),
+        "launch_mps": launch,
+        "plate_speed_at_takeoff_mps": at_start,
+        "flights_since_rest": _since_rest(events.at_once & linked),
+        "turn": np.arange(len(step)) % 2.0,
+        "step_number": ev.steps.number[step].astype(np.float64),
+        "time_in_step_s": land - _first_of_step(step, land),
+        "flight_s": lasts,
+        "impact_mps": impact,
+        "landing_phase_rad": _phase(plate, step, land),
+        "height_m": _height(world.gravity, plate, step, start, lasts, launch),
+        "plate_speed_at_landing_mps": at_land,
+    }
+
+
+def _plate(plate: PlateSteps, step: NDArray[np.int64], t: Array) -> tuple[Array, Array, Array]:
+    """Displacement, velocity and acceleration of the plate at times of the shape of ``step``."""
+    w, z = plate.omega_radps[step], plate.acceleration_mps2[step]
+    turned = z * np.exp(1j * w * t[:, None])
+    return -(turned / w**2).real.sum(axis=1), (turned / (1j * w)).real.sum(axis=1), turned.real.sum(axis=1)
+
+
+def _phase(plate: PlateSteps, step: NDArray[np.int64], t: Array) -> Array:
+    """Phase of the first tone's displacement, 0 where it crosses zero going up, in [0, 2 pi)."""
+    w, z = plate.omega_radps[step, 0], plate.acceleration_mps2[step, 0]
+    return np.asarray(np.mod(w * t + np.angle(-z) + 0.5 * math.pi, 2.0 * math.pi))
+
+
+def _ends(
+    g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, lasts: Array, at_once: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Launch and impact speed relative to the plate of flights under gravity alone, from where they began and ended."""
+    x0, v0, _ = _plate(plate, step, start)
+    x1, v1, _ = _plate(plate, step, start + lasts)
+    launch = np.where(at_once, 0.5 * g * lasts + (x1 - x0) / lasts - v0, 0.0)
+    return np.maximum(launch, 0.0), np.maximum(g * lasts + v1 - v0 - launch, 0.0)
+
+
+def _height(g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, lasts: Array, launch: Array) -> Array:
+    """Greatest height above the plate under gravity alone."""
+    x0, v0, _ = _plate(plate, step, start)
+    best = np.zeros(len(step))
+    for part in np.linspace(0.0, 1.0, HEIGHT_POINTS)[1:-1]:
+        s = part * lasts
+        x, _, _ = _plate(plate, step, start + s)
+        best = np.maximum(best, (launch + v0) * s - 0.5 * g * s * s - (x - x0))
+    return best
+
+
+def _since_rest(at_once: NDArray[np.bool_]) -> Array:
+    """How many flights have gone by without a rest, (n,)."""
+    index = np.arange(len(at_once))
+    return np.asarray(index - np.maximum.accumulate(np.where(at_once, 0, index)), dtype=np.float64)
+
+
+def _first_of_step(step: NDArray[np.int64], t: Array) -> Array:
+    first = np.full(int(step.max(initial=0)) + 1, np.inf)
+    np.minimum.at(first, step, t)
+    return first[step]

@@ -1,0 +1,254 @@
+"""What is left when an explanation has been fitted: is it noise, and if not, what carries it?
+
+The rule kept here: residuals are first made independent by everything that is known of their noise (an edge's error
+enters its own flight and, through the prediction, the next ones; a tone's error enters a whole step), then tested
+against the larger of that noise and their own scatter, so that neither odd-shaped noise nor a scale that is known only
+roughly raises an alarm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from analysis.residuals.covariates import covariates
+from analysis.residuals.prediction_errors import fragile
+from analysis.attribution.hypothesis import Explanation
+from analysis.residuals.forward_model import EDGE_STEP_S, Uncertainty, Values, World
+from analysis.residuals.noise_model import LEAST_EXCESS_S, SHARED_S
+from analysis.thresholds import FROZEN
+
+Array = NDArray[np.float64]
+
+FARTHEST = 6.0  # a residual beyond so many of its own uncertainties counts as one at this distance
+CLIPPED = 4.0  # the same for independent residuals: a rare graze must not look like a law
+SCALE_KNOWN = 0.12  # relative: how well jitter found from some dozens of edges is known
+BINS = 8
+LEAST_IN_BIN = 6
+LAGS = 4
+LEAST_OF_KIND = 6
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What an explanation leaves.
+
+    Attributes
+    ----------
+    p_lack_of_fit
+        Probability of so much structure or scatter from noise alone, all tests together (Bonferroni).
+    ratio
+        Root mean square of the residuals over their uncertainty, of openings or of landings, whichever is more.
+    plate_ratio
+        The same of the plate data, of the worst kind.
+    covariate
+        Name of the covariate (see `analysis.residuals.covariates.COVARIATES`) that carries the remainder; None for noise.
+    p_covariates
+        By covariate, before the correction for their number.
+    p_between, p_scatter, p_serial
+        Steps against their own scatter; scatter against the uncertainty; events against their neighbours.
+    """
+
+    p_lack_of_fit: float
+    ratio: float
+    plate_ratio: float
+    covariate: str | None
+    p_covariates: Mapping[str, float]
+    p_between: float
+    p_scatter: float
+    p_serial: float
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Independent unit residuals, arrays (k,): ``event`` is the flight, ``landing`` False for an opening."""
+
+    z: Array
+    event: NDArray[np.int64]
+    landing: NDArray[np.bool_]
+    step: NDArray[np.int64]
+
+
+def remainder(world: World, explanation: Explanation) -> Remainder:
+    """Test what ``explanation`` leaves, on all steps.
+
+    Parameters
+    ----------
+    world
+    explanation
+        Any fitted explanation, the declared model alone included.
+
+    Returns
+    -------
+    Remainder
+    """
+    values = explanation.fitted.values
+    u = world.uncertainty(values)
+    found = innovations(world, values, u)
+    tables = covariates(world, values)
+    logs = {name: _log_p_of_covariate(found, x) for name, x in tables.items()}
+    first = min(logs, key=lambda name: logs[name])
+    p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
+    between, scatter, serial = _p_between(found), _p_scatter(found.z), _p_serial(found)
+    return Remainder(
+        min(1.0, 4.0 * min(p_first, between, scatter, serial)), ratio_of(world, values, u),
+        plate_ratio_of(world, values), first if p_first < FROZEN.lack_p else None,
+        {k: math.exp(v) for k, v in logs.items()}, between, scatter, serial,
+    )
+
+
+def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
+    """Root mean square of residuals over uncertainty, cut at `FARTHEST`; of openings or landings, the greater."""
+    r = world.residuals(values)
+    out, firm = [0.0], ~fragile(world, values)  # whether the others happen at all hangs on less than is known
+    for residual, sigma, rows in (
+        (r.opening_s, u.opening_total_s, world.opens & firm),
+        (r.landing_s, u.landing_total_s, world.evidence.judged & firm),
+    ):
+        if rows.any():
+            out.append(float(np.sqrt(np.mean(_unit(residual, sigma)[rows] ** 2))))
+    return max(out)
+
+
+def plate_ratio_of(world: World, values: Values) -> float:
+    """Root mean square of normalised plate residuals of the kind that fits worst, drawn to 1 where few."""
+    data = world.evidence.plate
+    z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST, FARTHEST)
+    kinds = [k for k in np.unique(data.kind) if np.sum(data.kind == k) >= LEAST_OF_KIND]
+    squares = {k: z[data.kind == k] ** 2 for k in kinds}
+    few = LEAST_OF_KIND
+    return max((float(np.sqrt((np.sum(q) + few) / (len(q) + few))) for q in squares.values()), default=0.0)
+
+
+def _unit(residual: Array, sigma: Array) -> Array:
+    """Residuals over uncertainty, cut; where nothing was predicted, the farthest."""
+    sigma = np.hypot(sigma, SHARED_S)
+    return np.clip(np.where(np.isfinite(residual), residual / sigma, FARTHEST), -FARTHEST, FARTHEST)
+
+
+def innovations(world: World, values: Values, u: Uncertainty) -> Innovations:
+    """Residuals of each step, each less what the earlier ones say of it, over what then remains uncertain."""
+    ev = world.evidence
+    r = world.residuals(values)
+    carried = _carried(world, values)
+    firm = ev.judged & ~fragile(world, values)  # the others say nothing, and say it loudly
+    parts = []
+    for s in range(len(ev.steps)):
+        rows = np.flatnonzero(firm & (ev.measured.step == s))
+        if len(rows) == 0:
+            continue
+        event = np.concatenate([rows[world.opens[rows]], rows])
+        landing = np.arange(len(event)) >= len(event) - len(rows)
+        order = np.lexsort((landing, event))
+        event, landing = event[order], landing[order]
+        total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
+        bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, SHARED_S)
+        noise = _noise(world, u, carried, event, landing)
+        z = np.linalg.solve(np.linalg.cholesky(noise), bare)
+        parts.append((z, event, landing, np.full(len(z), s)))
+    if not parts:
+        none = np.zeros(0, dtype=np.int64)
+        return Innovations(np.zeros(0), none, none.astype(bool), none)
+    z, event, landing, step = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Innovations(np.clip(z, -CLIPPED, CLIPPED), event, landing, step)
+
+
+def _carried(world: World, values: Values) -> tuple[Array, Array]:
+    """Change of predicted openings and landings with the landing one and two flights before, (n, 2) each."""
+    base, n = world.predict(values), len(world.evidence)
+    index = np.arange(n)
+    opening, landing = np.zeros((n, 2)), np.zeros((n, 2))
+    for colour in range(3):
+        moved = world.predict(values, landing_shift_s=np.where(index % 3 == colour, EDGE_STEP_S, 0.0))
+        for back in (1, 2):
+            rows = (index >= back) & ((index - back) % 3 == colour)
+            both = ((opening, moved.opening_s - base.opening_s), (landing, moved.landing_s - base.landing_s))
+            for out, change in both:
+                out[rows, back - 1] = np.clip(np.nan_to_num(change[rows]) / EDGE_STEP_S, -30.0, 30.0)
+    return opening, landing
+
+
+def _noise(
+    world: World, u: Uncertainty, carried: tuple[Array, Array], event: NDArray[np.int64], landing: NDArray[np.bool_]
+) -> Array:
+    """Covariance of one step's residuals, (k, k), s^2."""
+    ev = world.evidence
+    first = max(int(event.min()) - 2, 0)
+    edges = np.arange(first, int(event.max()) + 1)
+    slope = np.zeros((len(event), len(edges)))
+    row = np.arange(len(event))
+    slope[row[landing], event[landing] - first] = 1.0
+    for back in (1, 2):
+        there = event - back >= first
+        by = np.where(landing, carried[1][event, back - 1], carried[0][event, back - 1])
+        slope[row[there], event[there] - back - first] -= by[there]
+    tones = np.where(landing[:, None], u.landing_by_tone[event], u.opening_by_tone[event])
+    edge = slope * ev.landing_sigma_s[edges]
+    own = np.where(landing, 0.0, ev.opening_sigma_s[event]) ** 2 + LEAST_EXCESS_S**2
+    together = SHARED_S**2 * (landing[:, None] == landing[None, :])
+    return np.asarray(edge @ edge.T + tones @ tones.T + together + np.diag(own))
+
+
+def _log_f(between: float, groups: int, within: float, freedom: int) -> float:
+    """Logarithm of the probability of so large a variance ratio, the noise taken for no less than its known size."""
+    return float(stats.f.logsf(between / max(within, 1.0), groups, freedom)) if freedom > 0 and groups > 0 else 0.0
+
+
+def _log_p_grouped(z: Array, group: NDArray[np.int64], about_zero: bool) -> float:
+    """Do groups differ (from zero, or from their common mean)?"""
+    count = np.bincount(group)
+    full = np.isin(group, np.flatnonzero(count >= LEAST_IN_BIN))
+    z, group = z[full], np.unique(group[full], return_inverse=True)[1]
+    if len(z) == 0 or group.max() == 0:
+        return 0.0
+    count = np.bincount(group)
+    mean = np.bincount(group, z) / count
+    centre, lost = (0.0, 0) if about_zero else (float(z.mean()), 1)
+    k = len(count)
+    between = float(np.sum(count * (mean - centre) ** 2)) / (k - lost)
+    within = float(np.sum((z - mean[group]) ** 2)) / (len(z) - k)
+    return _log_f(between, k - lost, within, len(z) - k)
+
+
+def _p_between(found: Innovations) -> float:
+    """Lack of fit between steps: means of openings and of landings against their scatter."""
+    if len(found.z) == 0:
+        return 1.0
+    return math.exp(_log_p_grouped(found.z, 2 * found.step + found.landing, about_zero=True))
+
+
+def _p_scatter(z: Array) -> float:
+    """Lack of fit within steps: more scatter than the uncertainty, granted that it is known roughly."""
+    return float(stats.chi2.sf(float(np.sum(z**2)) / (1.0 + SCALE_KNOWN) ** 2, len(z))) if len(z) else 1.0
+
+
+def _p_serial(found: Innovations) -> float:
+    """Ljung-Box over the first lags of the landings, pairs within a step only."""
+    z, step = found.z[found.landing], found.step[found.landing]
+    if len(z) <= 2 * LAGS:
+        return 1.0
+    power = max(float(np.mean(z**2)), 1.0)
+    q = 0.0
+    for lag in range(1, LAGS + 1):
+        together = step[lag:] == step[:-lag]
+        if together.any():
+            q += float(np.sum((z[lag:] * z[:-lag])[together])) ** 2 / (float(together.sum()) * power**2)
+    return float(stats.chi2.sf(q, LAGS))
+
+
+def _log_p_of_covariate(found: Innovations, x: Array) -> float:
+    """Means over quantile bins of a covariate, of openings and landings apart, against the scatter within."""
+    logs = []
+    for landing in (False, True):
+        rows = (found.landing == landing) & np.isfinite(x[found.event])
+        if rows.sum() < 2 * LEAST_IN_BIN:
+            continue
+        seen = x[found.event][rows]
+        edges = np.unique(np.quantile(seen, np.linspace(0.0, 1.0, BINS + 1)[1:-1]))
+        logs.append(_log_p_grouped(found.z[rows], np.searchsorted(edges, seen, side="right"), about_zero=False))
+    return min(min(logs) + math.log(len(logs)), 0.0) if logs else 0.0

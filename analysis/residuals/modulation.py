@@ -1,0 +1,398 @@
+"""A slow modulation of the plate's amplitude: what a step, a window and the ball see of it; its pitch and phase.
+
+The rule kept here: depth and frequency are the rig's, the phase is each recording's own and follows from that
+recording's windows. A tone measured in a step holds the swell's mean and a little of the other tones'; least squares
+over the step's span, in closed form, takes both out again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.plate.fit_mask import Kept
+from analysis.plate.phasors import both_senses, mean_turn, swollen, turns
+from analysis.plate.motion import StepPlate
+from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
+from model.integrator.one_step import PlateSteps
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+FASTEST = 0.45  # of the windows' rate, beyond which a swell cannot be told from a slower one
+FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
+ROUNDS = 3  # of the phase's fit, in which the scatter of the steps' gains is learnt
+MOST_AT_ONCE, CHUNK = 3000, 64  # windows of the first scan; frequencies calculated together
+GROWTH = 4  # by which the scanned part of a long recording grows from round to round
+SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
+RIDGE, TINY = 1e-9, 1e-300
+SMALL = 1e-3  # depth from which slopes are taken
+LEAKING = 0.05  # of what leaks from tone to tone, by which the averaging over blocks may change it
+KEPT = 4  # frequencies for which the projections are kept
+LEAST = 4  # steps, that say anything
+SAME = 0.2  # periods in a recording by which two frequencies must differ to be two
+Source = Literal["both", "windows", "gains"]
+SOURCES: tuple[Source, ...] = ("both", "windows", "gains")
+PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gains": slice(0, 1)}
+
+
+@dataclass(frozen=True)
+class Swells:
+    """What windows within steps, and the steps' gains, say of a swell.
+
+    Attributes
+    ----------
+    recording
+        Of each step, (m,).
+    span_s
+        From where to where each step was fitted, (m, 2).
+    omega_radps, seen_mps2
+        Every fitted tone and its amplitude, the forcing's two (or its one and the second harmonic) first, (m, k).
+    tones
+        How many the forcing has, (m,).
+    gain, gain_sigma
+        Logarithm of plate over drive in each step, (m,); not finite where there is no drive.
+    window_step, window_span_s, value, sigma
+        Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
+        order of the `MODULATION` rows of the plate data.
+    kept
+        What of steps and windows their fits have seen.
+    """
+
+    recording: Ints
+    span_s: Array
+    omega_radps: Array
+    seen_mps2: Complex
+    tones: Ints
+    gain: Array
+    gain_sigma: Array
+    window_step: Ints
+    window_span_s: Array
+    value: Array
+    sigma: Array
+    kept: Kept
+
+    @classmethod
+    def of(cls, fitted: Sequence[StepPlate], spans_s: Array, data: PlateData) -> Self:
+        """From the fitted steps of a recording, their spans (m, 2) and its plate data."""
+        m, rows = len(fitted), data.kind == MODULATION
+        weight, total = np.zeros(m), np.zeros(m)
+        of_gain = data.kind == GAIN
+        np.add.at(weight, data.step[of_gain], data.sigma[of_gain] ** -2.0)
+        np.add.at(total, data.step[of_gain], data.value[of_gain] * data.sigma[of_gain] ** -2.0)
+        known = weight > 0.0
+        gain = np.where(known, total / np.where(known, weight, 1.0), np.nan)
+        spans = [_spans(s) for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
+        return cls(
+            np.zeros(m, dtype=np.int64), spans_s, *_tones(fitted),
+            np.array([len(s.forcing_multiples) for s in fitted], dtype=np.int64),
+            gain, np.where(known, np.where(known, weight, 1.0) ** -0.5, np.inf),
+            data.step[rows], np.concatenate([np.zeros((0, 2)), *spans]), data.value[rows], data.sigma[rows],
+            _kept(fitted),
+        )  # fmt: skip
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Those of several recordings, steps and recordings counted on."""
+        k = max(p.omega_radps.shape[1] for p in parts)
+        parts = [p._widened(k) for p in parts]
+        names = [name for name in cls.__dataclass_fields__ if name != "kept"]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+        steps = np.cumsum([0] + [len(p.recording) for p in parts[:-1]])
+        runs = np.cumsum([0] + [int(p.recording.max(initial=-1)) + 1 for p in parts[:-1]])
+        columns["window_step"] = np.concatenate([p.window_step + s for p, s in zip(parts, steps, strict=True)])
+        windows = np.cumsum([0] + [len(p.value) for p in parts[:-1]])
+        columns["kept"] = Kept.join([p.kept for p in parts], steps, windows)
+        columns["recording"] = np.concatenate([p.recording + r for p, r in zip(parts, runs, strict=True)])
+        return cls(**columns)
+
+    def _widened(self, k: int) -> Self:
+        """The same with ``k`` places for tones."""
+        more = k - self.omega_radps.shape[1]
+        free = self.omega_radps.max(axis=1, initial=1.0)[:, None] + self.omega_radps[:, :1] * (1.0 + np.arange(more))
+        omega = np.concatenate([self.omega_radps, free], axis=1)
+        return replace(self, omega_radps=omega, seen_mps2=np.pad(self.seen_mps2, ((0, 0), (0, more))))
+
+    # -- pitch and phase --------------------------------------------------------------------------------------------
+    def phases(self, hz: float) -> Array:
+        """Phase of the swell ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
+        return np.asarray(np.angle(self._pitch(hz).swell)[self.recording])
+
+    def hints(self) -> tuple[tuple[float, float], ...]:
+        """Where windows and gains swell most, by both and by either alone: frequency (Hz) and depth."""
+        if len(self.value) < LEAST:
+            return ()
+        found: list[float] = []
+        sources = SOURCES if np.isfinite(self.gain).sum() > LEAST else SOURCES[1:2]
+        for hz in map(self._strongest_hz, sources):
+            if all(abs(hz - other) * float(self._since_s[1].max()) > SAME for other in found):
+                found.append(round(hz, 9))
+        depths = [float(np.median(np.abs(self._pitch(hz).swell))) for hz in found]
+        return tuple((hz, min(max(d, SHALLOWEST), DEEPEST)) for hz, d in zip(found, depths, strict=True))
+
+    @property
+    def _runs(self) -> range:
+        return range(int(self.recording.max(initial=-1)) + 1)
+
+    @cached_property
+    def _since_s(self) -> tuple[Array, Array]:
+        """End of each step, and middle of each window, since its recording's first step began, (m,) and (w,)."""
+        begin = np.array([self.span_s[self.recording == r, 0].min() for r in self._runs])[self.recording]
+        return self.span_s[:, 1] - begin, self.window_span_s.mean(axis=1) - begin[self.window_step]
+
+    def _strongest_hz(self, source: Source) -> float:
+        """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
+        since = np.sort(self._since_s[1])
+        fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
+        if source == "gains":  # a faster swell looks like a slower one from step to step
+            fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
+        until = float(since[min(len(since), MOST_AT_ONCE) - 1])
+        hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
+        best = float(hz[np.argmax(self._power(hz, until, source))]) if len(hz) else fastest
+        while True:
+            near, until = 1.0 / until, min(GROWTH * until, float(since[-1]))
+            hz = np.maximum(best + np.arange(-near, near, 0.2 / (FINENESS * until)), 0.1 / until)
+            best = float(hz[np.argmax(self._power(hz, until, source))])
+            if until >= since[-1]:
+                return best
+
+    def _power(self, hz: Array, until_s: float, source: Source) -> Array:
+        """What the best swell at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
+        out = np.zeros(len(hz))
+        for first in range(0, len(hz), CHUNK):
+            some = slice(first, first + CHUNK)
+            steps = mean_turn(self.span_s, 2.0 * np.pi * hz[some])
+            windows = mean_turn(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
+            rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
+            for r in self._runs:
+                normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
+                part = PARTS[source]
+                normal, side = normal[part].sum(axis=0) + RIDGE * np.eye(2), side[part].sum(axis=0)
+                gained = 0.5 * np.sum(side * np.linalg.solve(normal, side[..., None])[..., 0], axis=-1)
+                out[some] += self._without_scale(r, until_s, gained) if source == "gains" else gained
+        return out
+
+    def _without_scale(self, r: int, until_s: float, gained: Array) -> Array:
+        """Gain in likelihood of the steps' gains where their scatter is not known but found from what is left, (f,)."""
+        known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(self.gain)
+        if known.sum() <= LEAST:
+            return gained
+        gain = self.gain[known]
+        weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain) ** 2)
+        total = 0.5 * float(np.sum(weight * (gain - np.average(gain, weights=weight)) ** 2))
+        least = 0.5 * float(np.sum(weight * self.gain_sigma[known] ** 2))
+        return np.asarray(0.5 * len(gain) * np.log((total + least) / np.maximum(total - gained + least, TINY)))
+
+    @cached_property
+    def _pitches(self) -> dict[float, _Pitch]:
+        return {}
+
+    def _pitch(self, hz: float) -> _Pitch:
+        """Projections at a frequency and the swell of each recording that fits windows and gains best."""
+        found = self._pitches.get(hz)
+        if found is None:
+            if len(self._pitches) >= KEPT:
+                self._pitches.clear()
+            w, of = 2.0 * np.pi * hz, self.window_step
+            e, own = turns(self.omega_radps), turns(self.omega_radps[:, :2])
+            windows = self.kept.in_windows
+            every, forced = _in_both_senses(self.seen_mps2 != 0.0), _in_both_senses(self._forced)
+            up, down = (self.kept.projected(e, every, own[:, 1:], x)[:, 1:] for x in (w, -w))
+            in_up, in_down = (windows.projected(own[of], forced[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
+            pitch = _Pitch(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
+            found = self._pitches[hz] = replace(pitch, swell=self._fitted(pitch))
+        return found
+
+    def _fitted(self, pitch: _Pitch) -> Complex:
+        """Depth and phase, ``depth exp(i phase)``, of each recording's swell, by least squares, (recordings,)."""
+        swell = pitch.swell
+        slopes = [
+            tuple(x / SMALL for x in self._model(pitch, np.full(len(swell), SMALL * turn))) for turn in (1.0 + 0j, 1j)
+        ]
+        windows, gains = (np.stack(x)[None] for x in zip(*slopes, strict=True))
+        for _ in range(ROUNDS):
+            seen = self._model(pitch, swell)
+            value, gain = self.value - seen[0], self.gain - seen[1]
+            step = np.zeros(len(swell), dtype=np.complex128)
+            for r in self._runs:
+                normal, side = self._normal(r, windows, gains, value, gain, np.inf)
+                step[r] = complex(*np.linalg.solve(normal.sum(axis=0)[0] + RIDGE * np.eye(2), side.sum(axis=0)[0]))
+            swell = swell + step
+            swell = swell * np.minimum(1.0, DEEPEST / np.maximum(np.abs(swell), DEEPEST))
+        return swell
+
+    def _model(self, pitch: _Pitch, swell: Complex) -> tuple[Array, Array]:
+        """What a swell of each recording makes of the windows, (w,), and of the steps' gains, (m,)."""
+        depth, phase = np.abs(swell)[self.recording], np.angle(swell)[self.recording]
+        true = self._true(self.seen_mps2, pitch, depth, phase)
+        power = np.where(self._forced, np.abs(self.seen_mps2[:, :2]) ** 2, 0.0)
+        logs = np.log(np.abs(self.seen_mps2[:, :2] / np.where(true[:, :2] == 0.0, 1.0, true[:, :2])) + TINY)
+        gain = np.sum(power * logs, axis=1) / np.maximum(power.sum(axis=1), TINY)
+        return self._in_windows(self.seen_mps2, true, pitch, depth, phase), gain
+
+    def _normal(
+        self, r: int, rows: Array, means: Array, value: Array, gain: Array, until_s: float
+    ) -> tuple[Array, Array]:
+        """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows.
+
+        ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a swell make of windows and gains.
+        """
+        known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(gain)
+        windows = (self.recording[self.window_step] == r) & (self._since_s[1] <= until_s)
+        normal, side = np.zeros((2, len(rows), 2, 2)), np.zeros((2, len(rows), 2))
+        normal[1], side[1] = _squares(rows[..., windows], value[windows], self.sigma[windows] ** -2.0)
+        if known.sum() > LEAST:
+            weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain[known]) ** 2)
+            means, gain = means[..., known], gain[known]
+            means = means - (means @ weight / weight.sum())[..., None]  # what all steps share says nothing
+            normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
+        return normal, side
+
+    # -- what it does -----------------------------------------------------------------------------------------------
+    def modulated(self, plate: PlateSteps, depth: Array, hz: float) -> PlateSteps:
+        """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
+        pitch, w = self._pitch(hz), 2.0 * np.pi * hz
+        phase, forced = self.phases(hz), self._forced
+        seen = self._seen(plate)
+        true = self._true(seen, pitch, depth, phase)
+        z = np.where(forced, true[:, :2], 0.0)
+        apart = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
+        false = np.take_along_axis(seen - true, np.argmin(apart, axis=2), axis=1)  # lines that the swell fakes, too
+        steady = np.where(plate.acceleration_mps2 == 0.0, 0.0, plate.acceleration_mps2 - false)
+        turn = (depth * np.exp(1j * phase) / 2j)[:, None]
+        tones = np.concatenate([steady, z * turn, z * np.conj(turn)], axis=1)
+        below = self.omega_radps[:, :2] - w
+        tones[:, -2:] = np.where(below < 0.0, np.conj(tones[:, -2:]), tones[:, -2:])
+        omega = np.concatenate([plate.omega_radps, self.omega_radps[:, :2] + w, np.abs(below) + (below == 0.0)], axis=1)
+        return PlateSteps(omega, tones, plate.period_s, derived=4)
+
+    def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> tuple[Array, Array]:
+        """What the swell adds to each plate datum, and how well that is known, (r,) each.
+
+        What leaks from tone to tone is known less well than the swell's mean over a step.
+        """
+        out, vague = np.zeros((2, len(data)))
+        pitch, phase, seen = self._pitch(hz), self.phases(hz), self._seen(plate)
+        true = self._true(seen, pitch, depth, phase)
+        k = np.argmin(np.abs(self.omega_radps[data.step] - data.omega_radps[:, None]), axis=1)
+        rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
+        factor = seen[data.step[rows], k[rows]] / true[data.step[rows], k[rows]]
+        out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(factor)), np.angle(factor))
+        vague[rows] = LEAKING * np.abs(factor - 1.0 - (depth * self._means(hz))[data.step[rows]])
+        rows = np.flatnonzero(np.isin(data.kind, (SECOND, THIRD, HUM)))
+        false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a swell fakes
+        out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
+        vague[rows] = 2.0 * LEAKING * out[rows]
+        out[data.kind == MODULATION] = self._in_windows(seen, true, pitch, depth, phase)
+        return out, vague
+
+    def leaking(self, plate: PlateSteps, depth: Array, hz: float) -> Array:
+        """How well the forcing's tones are known for what leaks between them, m/s^2, in the places of ``plate``."""
+        out = np.zeros(plate.acceleration_mps2.shape)
+        seen = self._seen(plate)
+        true = self._true(seen, self._pitch(hz), depth, self.phases(hz))
+        leak = LEAKING * np.abs(seen - true * (1.0 + depth * self._means(hz))[:, None])
+        out[:, :2] = np.where(self._forced, leak[:, :2], 0.0)
+        return out
+
+    def _means(self, hz: float) -> Array:
+        """Mean of the swell of depth 1 over each step, (m,)."""
+        turned = mean_turn(self.span_s, np.array([2.0 * np.pi * hz]))[0]
+        return np.asarray((np.exp(1j * self.phases(hz)) * turned).imag)
+
+    def _in_windows(self, seen: Complex, true: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Array:
+        """Relative deviation of the forcing's amplitude in each window, (w,)."""
+        of, forced = self.window_step, self._forced
+        z = both_senses(np.where(forced, true[:, :2], 0.0))[of]
+        false = both_senses((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
+        swelling = swollen(pitch.window_up, pitch.window_down, phase[of])
+        found = z + depth[of, None] * (swelling @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
+        own = np.where(forced, seen[:, :2], 0.0)[of]
+        power = np.sum(np.abs(own) ** 2, axis=1)
+        change = np.sum((np.conj(own) * (2.0 * found[:, :2] - own)).real, axis=1)
+        return np.asarray(change / np.where(power > 0.0, power, 1.0))
+
+    @cached_property
+    def _others(self) -> Complex:
+        """What windows make of the tones beyond the forcing's two, (w, 4, b)."""
+        own, others = (turns(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None)))
+        forced = _in_both_senses(self._forced)[self.window_step]
+        return self.kept.in_windows.projected(own, forced, others[:, 1:])[:, 1:]
+
+    @property
+    def _forced(self) -> NDArray[np.bool_]:
+        """Which of the first two tones are the forcing's, (m, 2)."""
+        return np.asarray(self.tones[:, None] > np.arange(2))
+
+    def _seen(self, plate: PlateSteps) -> Complex:
+        """Every tone as the steps' fits have it, (m, k)."""
+        out = self.seen_mps2.copy()
+        out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
+        return out
+
+    def _true(self, seen: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Complex:
+        """The tones without the share that the swell has in the fits ``seen``, (m, k)."""
+        k = self.omega_radps.shape[1]
+        swelling = swollen(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
+        change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
+        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * swelling
+        return np.asarray(2.0 * np.linalg.solve(change, both_senses(seen)[..., None])[:, :k, 0])
+
+
+@dataclass(frozen=True)
+class _Pitch:
+    """Projections at one frequency: of the forcing's two tones in both senses, shifted up and down by it, on the tones
+    of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the swell of each recording."""
+
+    step_up: Complex
+    step_down: Complex
+    window_up: Complex
+    window_down: Complex
+    swell: Complex
+
+
+def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
+    """Fitted tones of each step and their amplitudes, (m, k); places that are free hold multiples beyond them."""
+    k = max((len(s.acceleration.amplitudes) for s in fitted), default=2)
+    omega, z = np.zeros((len(fitted), k)), np.zeros((len(fitted), k), dtype=np.complex128)
+    for i, s in enumerate(fitted):
+        first = [s.multiples.index(m) for m in sorted({1, max(s.ratio, 2)}) if m in s.multiples]
+        order = [*first, *(j for j in range(len(s.acceleration.amplitudes)) if j not in first)]
+        omega[i] = s.omega_radps * (max(s.multiples) + 1.0 + np.arange(k))
+        omega[i, : len(order)] = 2.0 * np.pi * s.acceleration.frequencies_hz[order]
+        z[i, : len(order)] = s.acceleration.amplitudes[order]
+    return omega, z
+
+
+def _kept(fitted: Sequence[StepPlate]) -> Kept:
+    """What the fits of all steps have seen; windows of steps that have too few of them are none."""
+    count = [len(s.windows.time_s) if len(s.windows.time_s) >= LEAST_WINDOWS else 0 for s in fitted]
+    parts = [replace(s.kept, window=np.where(n > 0, s.kept.window, -1)) for s, n in zip(fitted, count, strict=True)]
+    return Kept.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
+
+
+def _in_both_senses(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which turns are fitted, the constant first, from which tones are, (n, 2 k + 1)."""
+    return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])
+
+
+def _spans(s: StepPlate) -> Array:
+    """From where to where each window of a step goes, (w, 2)."""
+    return s.windows.time_s[:, None] + 0.5 * s.windows.length_s * np.array([-1.0, 1.0])
+
+
+def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (f, 2, 2) and right sides (f, 2) of ``value`` (n,) as a sum of two ``parts`` (f, 2, n)."""
+    return (parts * weight) @ parts.transpose(0, 2, 1), (parts * weight) @ value
+
+
+def _scatter(x: Array) -> float:
+    """Robust standard deviation of what is finite; 0 where there is too little."""
+    x = x[np.isfinite(x)]
+    return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) >= LEAST else 0.0

@@ -1,0 +1,377 @@
+"""What a set of recordings says, reduced to what a prediction can be held against: events, steps, plate data.
+
+The rule kept here: measured numbers with their own uncertainties and nothing else; no model has touched them. Several
+recordings stand in one table, one after the other, and the step is the replicate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
+from analysis.events.edge_jitter import with_jitter
+from analysis.residuals.modulation import Swells
+from analysis.plate.measure import StepPlate
+from analysis.residuals.plate_observables import PlateData, plate_data
+from daq.setup.errors import InputError
+from daq.recording.identity import refuse_repeated
+from daq.recording import Recording, open_recording
+from daq.setup.setup import Setup
+from model.integrator.one_step import Measured, PlateSteps
+from model.tones import STANDARD_GRAVITY_MPS2
+
+Array = NDArray[np.float64]
+
+NOT_EVENTS = FlightFlag.FALSE
+NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
+MISLEADING = FlightFlag.GAP | FlightFlag.CUT
+SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
+MAX_TONES = 8
+TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
+WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
+SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
+FEW_CONTACTS = 8
+WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer, or slower than is often heard
+HEARD = 1.5  # times the scan's threshold, above which an impact is heard whatever the noise
+RINGING_S = 2.5e-3  # after an impact, in which a weak one may drown
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The steps of all recordings, arrays of shape (m,); ``plate`` holds their tones.
+
+    Attributes
+    ----------
+    recording, number
+        Which recording, and the step's number in it.
+    gamma, ratio
+        Measured A w^2 / g and c.
+    run_part
+        Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
+    spread_mps2
+        What one standard deviation each way changes in all tones together, shape (m, 2 k, k): the sum of the rows'
+        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i.
+    forcing
+        True for the forcing's own tones, shape (m, k).
+    """
+
+    recording: NDArray[np.int64]
+    number: NDArray[np.int64]
+    gamma: Array
+    ratio: NDArray[np.int64]
+    run_part: Array
+    plate: PlateSteps
+    spread_mps2: NDArray[np.complex128]
+    forcing: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.gamma)
+
+    @property
+    def sigma_mps2(self) -> Array:
+        """Uncertainty of each quadrature of the plate's tones, (m, k)."""
+        return np.asarray(np.sqrt(0.5 * np.sum(np.abs(self.spread_mps2) ** 2, axis=1)))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Events, steps and plate data of one or several recordings of one rig.
+
+    Attributes
+    ----------
+    measured : Measured
+        The flights (n,), in order.
+    opening_sigma_s, landing_sigma_s : arrays, shape (n,)
+        Uncertainty of the edges alone.
+    judged : bool array, shape (n,)
+        Flights that a prediction may be held against.
+    time_s : array, shape (n,)
+        Landing since the start of its recording.
+    steps : Steps
+    plate : PlateData
+    setup : Setup
+        Of the first recording; the others must agree in what scales a measurement.
+    weak_mps : array, shape (n,)
+        Impacts slower than this may have gone unnoticed when the ball left at once; infinite without a second witness.
+    unseen_s : float
+        Flights shorter than this cannot have been seen.
+    sources : tuple of str
+    closure_s : float
+        How long an impact keeps the circuit closed: what contacts last from which the ball leaves at once.
+    hints_hz : tuple of float
+        Lines that stand out below the forcing in several steps: where a table resonance may be.
+    swells : Swells or None
+        How the forcing's amplitude changes within steps and from step to step.
+    """
+
+    measured: Measured
+    opening_sigma_s: Array
+    landing_sigma_s: Array
+    judged: NDArray[np.bool_]
+    time_s: Array
+    weak_mps: Array
+    steps: Steps
+    plate: PlateData
+    setup: Setup
+    unseen_s: float
+    sources: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+    hints_hz: tuple[float, ...] = ()
+    swells: Swells | None = None
+    closure_s: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.judged)
+
+
+def evidence_of(
+    paths: Sequence[Path], *, setup: Setup | None = None, progress: Callable[[str, float], None] | None = None
+) -> Evidence:
+    """Reduce recordings to evidence.
+
+    Parameters
+    ----------
+    paths
+        Recordings of one rig.
+    setup
+        Replaces the setup stored in the recordings (a corrected or completed profile).
+    progress
+        Called with the file's name and the fraction done.
+
+    Raises
+    ------
+    InputError
+        Where a file is no recording or holds no flights and no plate motion, two hold the same samples or another c.
+    """
+    refuse_repeated(paths)
+    _check_alike(paths)
+    parts = []
+    for path in paths:
+        with open_recording(path) as recording:
+            if setup is not None:
+                recording.measure_with(setup)
+            flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
+            parts.append(_part(recording, flights, recording.setup))
+    return parts[0] if len(parts) == 1 else join(parts)
+
+
+def _check_alike(paths: Sequence[Path]) -> None:
+    """Refuse recordings of unlike c before any is read: their steps cannot be judged together."""
+    ratios = {}
+    for path in paths:
+        with open_recording(path) as recording:
+            ratios[path] = recording.setup.forcing.ratio
+    if len(set(ratios.values())) > 1:
+        found = ", ".join(f"{path}: {ratio}" for path, ratio in ratios.items())
+        raise InputError(f"wanted recordings of one c (forcing.ratio), found {found}; close the loop on each c alone")
+
+
+def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float], None]:
+    return lambda part: progress(name, part)
+
+
+def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
+    """Evidence of a single recording."""
+    fitted = [s for s in flights.plate.steps if s is not None]
+    rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
+    for i, s in enumerate(fitted):
+        rows[s.step] = i
+    m = len(fitted)
+    omega, z = np.ones((m, MAX_TONES)), np.zeros((m, MAX_TONES), complex)
+    spread = np.zeros((m, 2 * MAX_TONES, MAX_TONES), complex)
+    forcing = np.zeros((m, MAX_TONES), dtype=bool)
+    for i, s in enumerate(fitted):
+        tones = s.plate()
+        own = {round(x) for x in 1e6 * s.forcing().omega_radps}
+        order = np.argsort([round(x) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
+        k = len(order)
+        omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
+        forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
+        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k])
+    middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
+    steps = Steps(
+        np.zeros(m, dtype=np.int64),
+        np.array([s.step for s in fitted], dtype=np.int64),
+        np.array([s.gamma for s in fitted]),
+        np.array([s.ratio for s in fitted], dtype=np.int64),
+        middle / max(recording.n_samples, 1) - 0.5,
+        PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])),
+        spread,
+        forcing,
+    )
+    measured, judged, keep = _events(flights, rows, _half_faded_s(recording))
+    hints = _hints_hz(fitted)
+    lines = [_lines_radps(steps, i, hints) for i in range(m)]
+    step, period_s = measured.step, steps.plate.period_s
+    bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
+    sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
+    weak = np.full(len(judged), np.inf)
+    if flights.edges.witness is not None:
+        weak = _weak_mps(measured, steps, flights, keep)
+    data, notes = plate_data(fitted, setup)
+    spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
+    return Evidence(
+        measured,
+        sigmas_open,
+        sigmas_land,
+        judged,
+        measured.landing_s.copy(),
+        weak,
+        steps,
+        data,
+        setup,
+        unseen_s=GLITCH_S,
+        sources=(str(recording.path),),
+        notes=notes,
+        hints_hz=hints,
+        closure_s=_closure_s(measured),
+        swells=Swells.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+    )
+
+
+def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
+    """Factor of the covariance of a step's tones (k,), those of the forcing first: see `Steps.spread_mps2`; (2 k, k).
+
+    A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they do
+    to the plate. So all err together here.
+    """
+    fit = s.acceleration
+    every = 2.0 * np.pi * fit.frequencies_hz
+    rows = np.array([int(np.argmin(np.abs(every - w))) for w in omega_radps])
+    own = (rows[:, None] * 2 + np.arange(2)).ravel()
+    scale = np.sqrt(np.diag(fit.covariance)[own])
+    correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
+    factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
+    return np.asarray((factor[::2] + 1j * factor[1::2]).T)
+
+
+def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
+    """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
+
+    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
+    While an impact rings, only a part of its own size is heard.
+    """
+    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
+    velocity = steps.plate.acceleration_mps2[measured.step] / turns
+    at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
+    strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
+    impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
+    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
+    if heard.sum() < FEW_CONTACTS:
+        return np.full(len(rest), WEAK_MPS)
+    speed = float(np.median(impact[heard] / strength[heard]))
+    before = np.concatenate([[0.0], strength[:-1]])
+    rings = measured.at_once & (duration_s < RINGING_S)
+    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
+    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
+
+
+def _closure_s(measured: Measured) -> float:
+    """Middle of the contacts from which the ball left at once; 0 where there are few."""
+    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.at_once[1:] & measured.linked[1:]]
+    return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
+
+
+def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
+    """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
+    return _clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
+
+
+def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
+    """Middles of clusters of at least ``least`` lines."""
+    found = np.sort(lines_hz)
+    clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
+    return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
+
+
+def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
+    """Angular frequencies in step ``i`` that are no multiple of the forcing."""
+    w = steps.plate.omega_radps[i][steps.plate.acceleration_mps2[i] != 0.0]
+    cycles = w * steps.plate.period_s[i] / (2.0 * np.pi)
+    return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
+
+
+def _half_faded_s(recording: Recording) -> Array:
+    """When the fade into each step is half over, s; before, the plate moves rather as in the step before."""
+    steps = recording.steps
+    return np.asarray((steps["first_sample"] + 0.5 * steps["fade_samples"]) / recording.rate_hz, dtype=np.float64)
+
+
+def _events(
+    flights: Flights, rows: NDArray[np.int64], half_faded_s: Array
+) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
+    """True flights of steps whose plate is known, with their links; which may be judged; which rows were kept."""
+    flags = flights.flags
+    inside = (flights.step >= 0) & (flights.step < len(rows))
+    step = np.clip(flights.step, 0, len(rows) - 1)
+    early = (step > 0) & (flights.landing_s < np.append(half_faded_s, np.inf)[np.minimum(step, len(half_faded_s))])
+    step = np.where(early & (rows[step - 1] >= 0), step - 1, step)
+    row = np.where(inside, rows[step], -1)
+    keep = ((flags & NOT_EVENTS) == 0) & (row >= 0)
+    opening = flights.plate.true_time_s(flights.takeoff_s[keep])
+    landing = flights.plate.true_time_s(flights.landing_s[keep])
+    step, flags = row[keep], flags[keep]
+    n = len(step)
+    before = np.maximum(np.arange(n) - 1, 0)
+    linked = (np.arange(n) > 0) & (step == step[before]) & ((flags[before] & MISLEADING) == 0)
+    rest = opening - landing[before]
+    at_once = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
+    tiny = at_once & (landing - opening < TINY_S)
+    judged = linked & ~tiny & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
+    return Measured(opening, landing, at_once, linked, step.astype(np.int64), judged), judged, keep
+
+
+def join(parts: Sequence[Evidence]) -> Evidence:
+    """One table of several recordings' evidence."""
+    shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
+
+    def column(of: Callable[[Evidence], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([of(p) for p in parts])
+
+    measured = Measured(
+        opening_s=column(lambda p: p.measured.opening_s),
+        landing_s=column(lambda p: p.measured.landing_s),
+        at_once=column(lambda p: p.measured.at_once),
+        linked=column(lambda p: p.measured.linked),
+        step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
+        wanted=column(lambda p: p.measured.wanted),
+    )
+    table = Steps(
+        recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
+        number=column(lambda p: p.steps.number),
+        gamma=column(lambda p: p.steps.gamma),
+        ratio=column(lambda p: p.steps.ratio),
+        run_part=column(lambda p: p.steps.run_part),
+        plate=PlateSteps(
+            omega_radps=column(lambda p: p.steps.plate.omega_radps),
+            acceleration_mps2=column(lambda p: p.steps.plate.acceleration_mps2),
+            period_s=column(lambda p: p.steps.plate.period_s),
+        ),
+        spread_mps2=column(lambda p: p.steps.spread_mps2),
+        forcing=column(lambda p: p.steps.forcing),
+    )
+    return Evidence(
+        measured=measured,
+        opening_sigma_s=column(lambda p: p.opening_sigma_s),
+        landing_sigma_s=column(lambda p: p.landing_sigma_s),
+        judged=column(lambda p: p.judged),
+        time_s=column(lambda p: p.time_s),
+        weak_mps=column(lambda p: p.weak_mps),
+        steps=table,
+        plate=PlateData.join([p.plate for p in parts], shift),
+        setup=parts[0].setup,
+        unseen_s=max(p.unseen_s for p in parts),
+        sources=tuple(s for p in parts for s in p.sources),
+        notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
+        hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
+        closure_s=float(np.median([p.closure_s for p in parts])),
+        swells=Swells.join(swells) if (swells := [p.swells for p in parts if p.swells is not None]) else None,
+    )

@@ -1,0 +1,311 @@
+"""The plate against the drive, step by step: each number that an effect of plate or accelerometer would move.
+
+The rule kept here: a datum is a number with its uncertainty and a kind; what an effect says of that kind is computed
+in one place (`expected`), from the hooks of the effects' own files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.plate.measure import StepPlate
+from daq.setup.setup import Setup
+from model.effects import registry
+from model.tones import STANDARD_GRAVITY_MPS2
+
+Array = NDArray[np.float64]
+
+GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
+KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
+UNITS = ("1", "rad", "1", "1", "m/s^2", "1", "1", "m/s^2", "1")
+SQUARED = (SECOND, THIRD, HUM)  # kept as unbiased squares: an amplitude without its sign
+CLOCK_LIMIT = 5e-3  # a larger difference is another frequency, not a clock
+REVERSED = 0.8 * np.pi  # a phase beyond is a matter of leads
+SYSTEMATIC = 2e-5  # relative: what the estimator itself leaves
+LEAST_WINDOWS = 4  # of a step, that show a modulation
+
+
+@dataclass(frozen=True)
+class PlateData:
+    """Plate data of all steps, arrays of shape (r,).
+
+    Attributes
+    ----------
+    kind, step
+        Which number, and the row of the step it belongs to.
+    value, sigma
+        Gain is a natural logarithm, phase in rad; amplitudes without a sign are squares, less their noise.
+    omega_radps
+        Angular frequency of the tone.
+    accel_g
+        What the drive asks of the first tone, in units of g (0 where unknown).
+    scale
+        Amplitude of the first tone, m/s^2.
+    multiple, ratio, share
+        Which multiple of the forcing the tone is, which one the second forcing tone is (1: there is none), and how
+        large the drive asks for that one, over the first; complex, its phase counted from where the first is a sine.
+    """
+
+    kind: NDArray[np.int64]
+    step: NDArray[np.int64]
+    value: Array
+    sigma: Array
+    omega_radps: Array
+    accel_g: Array
+    scale: Array
+    multiple: NDArray[np.int64]
+    ratio: NDArray[np.int64]
+    share: NDArray[np.complex128]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @classmethod
+    def join(cls, parts: Sequence[Self], shift: NDArray[np.int64]) -> Self:
+        """All parts in one table, their steps' rows moved by ``shift``."""
+        columns = [np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__]
+        columns[1] = np.concatenate([p.step + s for p, s in zip(parts, shift, strict=True)])
+        return cls(*columns)
+
+
+def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tuple[str, ...]]:
+    """Plate data of the fitted steps, and notes for the person who reads the report."""
+    rows: list[tuple[float, ...]] = []
+    notes: list[str] = []
+    scale = _drive_scale(fitted, setup, notes)
+    power = _drive_form(fitted, notes)
+    for i, s in enumerate(fitted):
+        first = abs(s.tone(1)[0])
+        asked = 0.0
+        if s.drive is not None and scale is not None:
+            volts = {m: s.drive.amplitudes[k] for k, m in enumerate(s.multiples) if k < len(s.drive.amplitudes)}
+            asked = abs(volts[1] * scale) / setup.g_mps2.value
+            scales = [scale * _relative(setup, m) * m**power for m in s.forcing_multiples]
+            rows += _gain_rows(i, s, scales, asked, first)
+        rows += _tone_rows(i, s, asked, first)
+        rows += _instrument_rows(i, s, setup, asked, first)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+    first_radps = np.array([s.omega_radps for s in fitted])
+    multiple = np.rint(table[:, 4] / first_radps[step]).astype(np.int64)
+    ratio = np.array([s.ratio for s in fitted], dtype=np.int64)[step]
+    share = np.array([_second_share(s, power) for s in fitted])[step]
+    value, sigma, omega_radps, accel_g, first = table[:, 2:].T
+    rows_as_table = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, ratio, share)
+    return rows_as_table, tuple(notes)
+
+
+def _second_share(s: StepPlate, power: int) -> complex:
+    """What the drive asks for as second forcing tone, over the first, as accelerations; see `PlateData.share`."""
+    if s.drive is None or s.ratio == 1 or abs(s.drive.amplitudes[0]) == 0.0:
+        return 1.0 + 0j
+    first, second = s.drive.amplitudes[0], s.drive.amplitudes[s.multiples.index(s.ratio)]
+    sine = 1j * first / abs(first)  # of the first tone's phase where a sine is 1
+    return complex(1j * second / abs(first) / sine**s.ratio * s.ratio**power)
+
+
+def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> complex | None:
+    """Plate acceleration in m/s^2 for a volt of drive at the first tone; None without a drive."""
+    driven = [s for s in fitted if s.drive is not None and abs(s.drive.amplitudes[0]) > 0]
+    ratios = np.array([s.tone(1)[0] / s.drive.amplitudes[0] for s in driven if s.drive is not None])
+    if not len(ratios):
+        return None
+    if setup.drive.g_per_volt is None:
+        notes.append("the profile declares no [drive] g_per_volt: a wrong drive gain or lag cannot be seen on this rig")
+        return complex(np.median(np.abs(ratios)) * np.exp(1j * np.angle(np.sum(ratios))))
+    phase = np.exp(1j * np.radians(setup.drive.phase_deg.value))
+    scale = complex(setup.drive.g_per_volt.value * setup.g_mps2.value * phase)
+    if abs(np.angle(np.sum(ratios / scale))) > REVERSED:
+        notes.append("the plate moves against the declared sense of the drive: taken for reversed leads, not for a lag")
+        return -scale
+    return scale
+
+
+def _drive_form(fitted: Sequence[StepPlate], notes: list[str]) -> int:
+    """Power of a tone's multiple by which its scale exceeds the first's: 2 where the drive draws the displacement."""
+    apart = [
+        np.log(
+            abs(
+                s.tone(s.ratio)[0]
+                / s.drive.amplitudes[s.multiples.index(s.ratio)]
+                / s.tone(1)[0]
+                * s.drive.amplitudes[0]
+            )
+        )
+        / np.log(s.ratio)
+        for s in fitted
+        if s.drive is not None and s.ratio > 1 and np.all(np.abs(s.drive.amplitudes[: s.ratio]) > 0)
+    ]
+    if apart and abs(float(np.median(apart)) - 2.0) < 0.3:
+        notes.append("the drive draws the plate's displacement, not its acceleration: the second tone is scaled by c^2")
+        return 2
+    return 0
+
+
+def _relative(setup: Setup, multiple: int) -> complex:
+    """Declared scale of a forcing tone over the first one's."""
+    own, first = setup.drive.response(multiple), setup.drive.response(1)
+    return 1.0 + 0j if own is None or first is None else own / first
+
+
+def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first: float) -> list[tuple[float, ...]]:
+    """Gain and phase of each forcing tone against what the drive asks for, in m/s^2 a volt."""
+    if s.drive is None:
+        return []
+    rows: list[tuple[float, ...]] = []
+    sig_a, sig_v = s.acceleration.amplitude_sigma(), s.drive.amplitude_sigma()
+    for m, scale in zip(s.forcing_multiples, scales, strict=True):
+        k = s.multiples.index(m)
+        z, v = s.acceleration.amplitudes[k], s.drive.amplitudes[k]
+        if abs(v) < 20 * sig_v[k] or abs(z) < 20 * sig_a[k]:
+            continue
+        ratio = z / (v * scale)
+        sigma = float(np.hypot(np.hypot(sig_a[k] / abs(z), sig_v[k] / abs(v)), SYSTEMATIC))
+        omega = m * s.omega_radps
+        rows.append((GAIN, i, float(np.log(abs(ratio))), sigma, omega, asked, first))
+        rows.append((PHASE, i, float(np.angle(ratio)), sigma, omega, asked, first))
+    return rows
+
+
+def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[float, ...]]:
+    """Harmonics and mains, as squares less the noise's share; the amplitude in each window."""
+    rows: list[tuple[float, ...]] = []
+    fit, sigmas = s.acceleration, s.acceleration.amplitude_sigma()
+    for kind, m in ((SECOND, 2), (THIRD, 3)):
+        if m in s.multiples and m not in s.forcing_multiples:
+            k = s.multiples.index(m)
+            noise = float(np.hypot(sigmas[k] / first, SYSTEMATIC))
+            square = (abs(fit.amplitudes[k]) / first) ** 2
+            rows.append((kind, i, square - 2 * noise**2, _square_sigma(square, noise), m * s.omega_radps, asked, first))
+    mains = range(len(s.multiples), len(fit.frequencies_hz))
+    if len(mains):
+        k = max(mains, key=lambda j: abs(fit.amplitudes[j]) / sigmas[j])
+        square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
+        rows.append(
+            (
+                HUM,
+                i,
+                square - 2 * noise**2,
+                _square_sigma(square, noise),
+                2 * np.pi * fit.frequencies_hz[k],
+                asked,
+                first,
+            )
+        )
+    if len(s.windows.time_s) >= LEAST_WINDOWS:
+        for value, sigma in zip(*s.swell(), strict=True):
+            rows.append((MODULATION, i, value, float(np.hypot(sigma, SYSTEMATIC)), 0.0, asked, first))
+    return rows
+
+
+def _square_sigma(square: float, noise: float) -> float:
+    """Standard deviation of a squared amplitude measured with ``noise`` in each quadrature."""
+    return float(np.sqrt(4.0 * square * noise**2 + 4.0 * noise**4))
+
+
+def doubt_of_squares(data: PlateData, said: Array) -> Array:
+    """What an amplitude that is said to be larger than it was measured adds to the uncertainty of its square, (r,).
+
+    Noise times the amplitude is what a square errs by, and chance may have made the measured one small.
+    """
+    squared = np.isin(data.kind, SQUARED)
+    value, sigma = (np.where(squared, x, 0.0) for x in (data.value, data.sigma))
+    noise = (np.sqrt(value**2 + 3.0 * sigma**2) - value) / 6.0  # of a quadrature, squared: `_square_sigma` undone
+    return np.asarray(np.where(squared, 2.0 * np.sqrt(noise * np.maximum(said - value - 2.0 * noise, 0.0)), 0.0))
+
+
+def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
+    """Contact against flight, offset, clock."""
+    rows: list[tuple[float, ...]] = []
+    if s.contact is not None and s.flight is not None:
+        zc, zf = s.contact.amplitudes[0], s.flight.amplitudes[0]
+        sigma = float(np.hypot(s.contact.amplitude_sigma()[0] / abs(zc), s.flight.amplitude_sigma()[0] / abs(zf)))
+        if sigma < 0.05:
+            rows.append(
+                (GATE, i, float(np.log(abs(zf) / abs(zc))), np.hypot(sigma, SYSTEMATIC), s.omega_radps, asked, first)
+            )
+    channel = setup.channels.accelerometer
+    if channel.coupling == "dc" and channel.offset_v is not None:
+        known = channel.offset_v.uncertainty / abs(channel.volts_per_mps2)
+        sigma = float(np.hypot(s.acceleration.offset_uncertainty, known))
+        weight = setup.g_mps2.value if channel.reads_gravity else 0.0
+        rows.append((OFFSET, i, s.acceleration.offset - weight, max(sigma, 1e-4), 0.0, asked, first))
+    apart = s.frequency_hz / setup.forcing.frequency_hz - 1.0
+    if abs(apart) < CLOCK_LIMIT and s.frequency_uncertainty_hz > 0:
+        rows.append(
+            (CLOCK, i, apart, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first)
+        )
+    return rows
+
+
+def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Array:
+    """What the effects say of each datum, shape (r,).
+
+    Parameters
+    ----------
+    data
+        The table.
+    values
+        By effect and parameter, the value in each step, arrays of shape (m,).
+    """
+    out = np.zeros(len(data))
+    for entry in registry():
+        table = values.get(entry.effect.name)
+        if table is None or not entry.hooks.keys() & {"harmonics", *PLAIN_HOOKS_OF_KIND}:
+            continue
+        points = np.array(list(table.values()))
+        for point in np.unique(points, axis=1).T:
+            p = dict(zip(table, map(float, point), strict=True))
+            if p != entry.effect.absent:
+                rows = np.all(points == point[:, None], axis=0)[data.step]
+                _add(out, data, rows, entry.hooks, p)
+    return out
+
+
+def _logarithm_of_transfer(
+    out: Array, data: PlateData, rows: NDArray[np.bool_], factor: NDArray[np.complex128]
+) -> None:
+    gain, phase = data.kind[rows] == GAIN, data.kind[rows] == PHASE
+    out[rows] += np.where(gain, np.log(np.abs(factor)), 0.0) + np.where(phase, np.angle(factor), 0.0)
+
+
+PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
+    "transfer": (GAIN, float),
+    "reading": (GAIN, lambda factor: float(np.log(factor))),
+    "hum_mps2": (HUM, lambda size: size**2),
+    "gate": (GATE, lambda change: float(np.log1p(change))),
+    "offset_mps2": (OFFSET, float),
+    "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
+}
+
+
+def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[str, Any], p: dict[str, float]) -> None:
+    """Add one effect's share to the data of the steps in ``rows``."""
+    for name in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
+        if name == "transfer":
+            _logarithm_of_transfer(out, data, rows, hooks[name](p, data.omega_radps[rows], data.accel_g[rows]))
+            continue
+        kind, share = PLAIN_HOOKS_OF_KIND[name]
+        out[rows & (data.kind == kind)] += share(hooks[name](p))
+    if "harmonics" in hooks:
+        _add_harmonics(out, data, rows, hooks["harmonics"], p)
+
+
+def _add_harmonics(out: Array, data: PlateData, among: NDArray[np.bool_], hook: Any, p: dict[str, float]) -> None:
+    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square over that tone."""
+
+    def added(rows: NDArray[np.bool_], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
+        accel_g = np.where(data.accel_g > 0.0, data.accel_g, data.scale / STANDARD_GRAVITY_MPS2)[rows]
+        return np.asarray(hook(p, multiple[rows], data.ratio[rows], data.share[rows], accel_g))
+
+    forced = among & np.isin(data.kind, (GAIN, PHASE))
+    asked = np.where(data.multiple[forced] == 1, 1.0, data.share[forced])
+    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced, data.multiple) / asked)
+    alone = among & np.isin(data.kind, (SECOND, THIRD))
+    first = 1.0 + added(alone, np.ones_like(data.multiple))  # the datum is a part of the tone as it is, bent as well
+    out[alone] += np.abs(added(alone, data.multiple) / first) ** 2

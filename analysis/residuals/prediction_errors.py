@@ -1,0 +1,186 @@
+"""How far predictions miss, in microseconds, on steps that no fit and no selection has seen.
+
+The rule kept here: every judged flight counts; one may be left out only because its landing could not have been
+predicted from what was measured (grazing), and how many were is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.residuals.forward_model import Key, World
+from model.integrator.one_step import Predicted
+
+Array = NDArray[np.float64]
+
+GRAZING = 6.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
+REACH_SIGMAS = 3.0  # within which a measured number may be off
+ROBUST = 1.4826
+DRAWS, CHANCE = 4000, 1e-3  # of noise, for what it hardly exceeds
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Residuals of the held-out steps under one model.
+
+    Attributes
+    ----------
+    landing_rms_us, landing_robust_us
+        Root mean square, and 1.48 times the median absolute deviation, of the landing times.
+    landing_rms_us_low, landing_rms_us_high
+        95 % interval of the rms, by resampling whole steps.
+    takeoff_robust_us, takeoff_rms_us
+        The same of the take-off times that were seen; NaN where no flight began from rest.
+    flight_time_relative
+        Median absolute error of the flight times over the measured flight time.
+    flights, left_out
+        Flights counted, and the fraction left out for grazing.
+    """
+
+    landing_rms_us: float
+    landing_rms_us_low: float
+    landing_rms_us_high: float
+    landing_robust_us: float
+    takeoff_robust_us: float
+    takeoff_rms_us: float
+    flight_time_relative: float
+    flights: int
+    left_out: float
+
+
+def judged_rows(world: World, values: Mapping[Key, float], steps: NDArray[np.bool_]) -> tuple[NDArray[np.int64], float]:
+    """Flights of ``steps`` (m,) that count at ``values``, and the fraction left out for grazing."""
+    ev = world.evidence
+    rows = np.flatnonzero(ev.judged & steps[ev.measured.step])
+    if len(rows) == 0:
+        return rows, 0.0
+    keep = ~fragile(world, values)[rows]
+    return rows[keep], 1.0 - float(keep.mean())
+
+
+def fragile(world: World, values: Mapping[Key, float]) -> NDArray[np.bool_]:
+    """Flights whose landing cannot be predicted from what was measured, (n,): no residual is looked at.
+
+    Either its uncertainty is `GRAZING` times the usual one, or the prediction leaps by as much as that would mean when
+    one of the landings before or a tone of the plate is off by `REACH_SIGMAS`: a graze that is met or missed.
+    """
+    ev = world.evidence
+    total = world.uncertainty(values).landing_total_s
+    usual = GRAZING * float(np.median(total[ev.judged])) if ev.judged.any() else np.inf
+    base = world.predict(values)
+    index = np.arange(len(ev))
+    out = total >= usual
+    for sign in (-REACH_SIGMAS, REACH_SIGMAS):
+        for colour in range(3):
+            chosen = index % 3 == colour
+            moved = world.predict(values, landing_shift_s=np.where(chosen, sign * ev.landing_sigma_s, 0.0))
+            out |= ~chosen & _leaps(base, moved, REACH_SIGMAS * usual)
+        for k in np.flatnonzero(ev.steps.forcing.any(axis=0)):
+            for unit in (1.0, 1j):
+                z = ev.steps.plate.acceleration_mps2.copy()
+                z[:, k] += sign * unit * ev.steps.sigma_mps2[:, k]
+                out |= _leaps(base, world.predict(values, tones=z), REACH_SIGMAS * usual)
+    return np.asarray(out)
+
+
+def _leaps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]:
+    """Whether a landing moves by more than ``far_s``, or comes into being or vanishes, (n,)."""
+    lost = np.isfinite(base.landing_s) != np.isfinite(moved.landing_s)
+    return np.asarray(lost | (np.abs(moved.landing_s - base.landing_s) > far_s))
+
+
+def errors_on(
+    world: World, values: Mapping[Key, float], rows: NDArray[np.int64], left_out: float, seed: int = 0
+) -> Errors:
+    """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
+    ev = world.evidence
+    if len(rows) == 0:
+        nan = float("nan")
+        return Errors(nan, nan, nan, nan, nan, nan, nan, 0, left_out)
+    r = world.residuals(values)
+    half = 0.5 * ev.steps.plate.period_s[ev.measured.step[rows]]
+    landing = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
+    seen = world.opens[rows]
+    opening = np.where(np.isfinite(r.opening_s[rows]), r.opening_s[rows], half)[seen]
+    measured = (ev.measured.landing_s - ev.measured.opening_s)[rows]
+    predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
+    relative = np.abs(np.where(np.isfinite(predicted), predicted, 0.0) - measured) / measured
+    low, high = _interval(landing, ev.measured.step[rows], np.random.default_rng(seed))
+    return Errors(
+        _rms_us(landing),
+        1e6 * low,
+        1e6 * high,
+        1e6 * ROBUST * float(np.median(np.abs(landing))),
+        1e6 * ROBUST * float(np.median(np.abs(opening))) if len(opening) else float("nan"),
+        _rms_us(opening),
+        float(np.median(relative)),
+        len(rows),
+        left_out,
+    )
+
+
+def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of the rms when whole steps are drawn anew: the step is the replicate."""
+    names, inverse = np.unique(step, return_inverse=True)
+    squares, counts = np.bincount(inverse, residual**2), np.bincount(inverse)
+    drawn = rng.integers(0, len(names), (500, len(names)))
+    rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
+    return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
+
+
+def noise_floors_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> tuple[float, float]:
+    """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
+
+    Returns
+    -------
+    tuple of float
+        Of landings, and of the take-offs that were seen; NaN where there are none.
+    """
+    u, opens = world.uncertainty(values), rows[world.opens[rows]]
+    landing, opening = u.landing_total_s[rows], u.opening_total_s[opens]
+    return _rms_us(landing), _rms_us(opening)
+
+
+def noise_quantiles_us(
+    world: World, values: Mapping[Key, float], rows: NDArray[np.int64], seed: int = 0
+) -> tuple[float, float]:
+    """Root mean squares that noise alone exceeds in one of a thousand such sets of flights.
+
+    Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor.
+
+    Returns
+    -------
+    tuple of float
+        Of landings, and of the take-offs that were seen; 0 where there are none.
+    """
+    u, opens, rng = world.uncertainty(values), rows[world.opens[rows]], np.random.default_rng(seed)
+    step = world.evidence.measured.step
+
+    def quantile(events: NDArray[np.int64], sigma: Array, by_tone: Array) -> float:
+        if len(events) == 0:
+            return 0.0
+        names, place = np.unique(step[events], return_inverse=True)
+        squares = np.zeros(DRAWS)
+        for i in range(len(names)):
+            mine = events[place == i]
+            together = by_tone[mine] @ rng.standard_normal((by_tone.shape[1], DRAWS))
+            squares += np.sum((together + sigma[mine, None] * rng.standard_normal((len(mine), DRAWS))) ** 2, axis=0)
+        return 1e6 * float(np.quantile(np.sqrt(squares / len(events)), 1.0 - CHANCE))
+
+    return (
+        quantile(rows, u.landing_sigma_s, u.landing_by_tone),
+        quantile(opens, u.opening_sigma_s, u.opening_by_tone),
+    )
+
+
+def noise_floor_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> float:
+    """That of the landings alone."""
+    return noise_floors_us(world, values, rows)[0]
+
+
+def _rms_us(x: Array) -> float:
+    return 1e6 * float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")

@@ -1,0 +1,290 @@
+"""From bare residuals to independent unit ones, step by step, and their robust loss.
+
+The rule kept here: the plate's tones err for a whole step together, and so does the contact circuit a little; so
+residuals of one step are whitened together, and weights stay as they are while a fit runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from analysis.residuals.forward_model import FARTHEST_PERIODS, Residuals, Values, World
+from analysis.residuals.plate_observables import PlateData
+from analysis.residuals.noise_model import (
+    LEAST_EXCESS_S,
+    NEVER,
+    SHARED_S,
+    excess_of,
+    log_odds,
+    plate_scale,
+    robust_loss,
+)
+from kernels import njit
+
+Array = NDArray[np.float64]
+
+CLIP = 6.0  # a residual beyond so many sigmas, tones included, does not speak for what its step has in common
+STRAIGHT = 0.1  # of what a step shares: by how much a graze bends what is taken for linear
+RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
+LOST = 20.0  # excess over uncertainty beyond which events are lost: behaviours are searched, not fitted
+BEYOND = 2.0  # excess over uncertainty that is no matter of errors shared by a step
+REACH, COARSE, FINE = 1.4, 0.7, 0.05  # of the search for it, in its logarithm: beyond a first guess, steps, precision
+
+
+def _capped(x: Array, cap: Array) -> Array:
+    """Residuals within their caps; where nothing was predicted, the cap itself."""
+    return np.clip(np.where(np.isfinite(x), x, cap), -cap, cap)
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns residuals into independent unit ones, step by step; fixed while a fit runs.
+
+    ``excess_s`` is what the residuals scatter beyond their uncertainty, for openings and for landings: a model that
+    misses something is compared with others at its own excess, and an excess of nothing is the aim.
+    """
+
+    opening: NDArray[np.int64]
+    landing: NDArray[np.int64]
+    step: NDArray[np.int64]
+    order: NDArray[np.int64]
+    bounds: NDArray[np.int64]  # of the steps' blocks
+    sd: Array
+    shared: Array  # directions in which a step's residuals err together, orthonormal in each block
+    shrink: Array
+    cap: Array  # of each unit residual: beyond, it does not speak for what its step has in common
+    period_s: Array  # of the stacked events, before they are ordered by step
+    log_sigma: Array  # of each whitened residual
+    odds: Array  # of each event being another than predicted, and of no plate datum
+    plate_sigma: Array
+    plate_log: Array
+    excess_s: tuple[float, float]
+    total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
+    lost: bool  # whether landings miss by so much that a fit may begin on the wrong branch
+
+    @classmethod
+    def of(cls, world: World, values: Values, *, lean: bool = False) -> Whitener:
+        """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
+        ev = world.evidence
+        u, r = world.uncertainty(values), world.residuals(values)
+        opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
+        step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
+        period = ev.steps.plate.period_s[step]
+        first = np.arange(len(step)) < len(opening)
+        bare = _capped(np.concatenate([r.opening_s[opening], r.landing_s[landing]]), FARTHEST_PERIODS * period)
+        total = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
+        excess = (
+            excess_of(bare[first], total[first], period[first])[0],
+            excess_of(bare[~first], total[~first], period[~first])[0],
+        )
+        if lean:
+            excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
+        edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
+        tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
+        edges = np.hypot(edges, STRAIGHT * np.linalg.norm(tones, axis=1))
+        tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
+        order = np.argsort(step, kind="stable")
+        bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
+        blocks = _Blocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
+        lost = excess[1] > LOST * float(np.median(total))
+        if not lean:
+            excess = blocks.likeliest(excess, tuple(x > BEYOND * float(np.median(total)) for x in excess))
+        sd, shared, shrink, cap, logs = blocks.parts(excess)
+        sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
+        odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
+        return cls(
+            opening,
+            landing,
+            step[order],
+            order,
+            bounds,
+            sd,
+            shared,
+            shrink,
+            cap,
+            period,
+            logs,
+            odds,
+            sigma,
+            log,
+            excess,
+            total,
+            lost,
+        )
+
+    def near(self, other: Whitener) -> bool:
+        """Whether the weights are so alike, plate data included, that a fit would stay where it is."""
+        shrunk = max(a / b for a, b in zip(other.excess_s, self.excess_s, strict=True))
+        plate = np.max(np.abs(np.log(self.plate_sigma / other.plate_sigma)), initial=0.0)
+        return bool(0.8 < shrunk < 1.25 and np.median(np.abs(self.log_sigma - other.log_sigma)) < 0.1 and plate < 0.2)
+
+    def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
+        """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
+        step = np.empty_like(self.step)
+        step[self.order] = self.step
+        events = self._events(r)
+        channel = np.arange(len(events)) < len(self.opening)
+        total = 0.0
+        for rows in (channel & train[step], ~channel & train[step]):
+            total += excess_of(events[rows], self.total_s[rows], self.period_s[rows])[1]
+        rows = train[plate.step]
+        sigma, log = plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
+        return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
+
+    def _events(self, r: Residuals) -> Array:
+        both = np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]])
+        return _capped(both, FARTHEST_PERIODS * self.period_s)
+
+    def stacked(self, r: Residuals) -> Array:
+        """Bare residuals in one column: events in the order of ``step``, then plate data."""
+        return np.concatenate([self._events(r)[self.order], r.plate])
+
+    def white_all(self, bare: Array) -> Array:
+        """Whitened residuals, from bare ones."""
+        n = len(self.step)
+        unit = bare[:n] / self.sd
+        return np.concatenate(
+            [self._unshared(unit[:, None], self._heard(unit)[:, None])[:, 0], bare[n:] / self.plate_sigma]
+        )
+
+    def white_slopes(self, slopes: Array, bare: Array) -> Array:
+        """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
+        n = len(self.step)
+        unit = slopes[:n] / self.sd[:, None]
+        speaks = np.abs(bare[:n] / self.sd) < self.cap
+        return np.concatenate([self._unshared(unit, unit * speaks[:, None]), slopes[n:] / self.plate_sigma[:, None]])
+
+    def _heard(self, unit: Array) -> Array:
+        return np.clip(unit, -self.cap, self.cap)
+
+    def _unshared(self, y: Array, heard: Array) -> Array:
+        out = np.ascontiguousarray(y)
+        _unshare(out, np.ascontiguousarray(heard), self.bounds, self.shared, self.shrink)
+        return out
+
+    def white(self, r: Residuals) -> tuple[Array, Array]:
+        """Whitened event residuals (in the order of ``step``) and plate residuals."""
+        both = self.white_all(self.stacked(r))
+        return both[: len(self.step)], both[len(self.step) :]
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Events in the order of their steps: bare residuals, what each errs by itself, and with others of its step."""
+
+    bare: Array
+    edges: Array
+    tones: Array
+    opening: NDArray[np.bool_]
+    period_s: Array
+    bounds: NDArray[np.int64]
+
+    def parts(self, excess: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
+        """Own deviation, shared directions, their shrinkage, caps and logarithm of the determinant at an excess."""
+        sd = np.hypot(self.edges, np.where(self.opening, *excess))
+        relative = self.tones / sd[:, None]
+        shared, shrink, logs = _shared(relative, self.bounds)
+        return sd, shared, shrink, CLIP * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
+
+    def unit(self, excess: tuple[float, float]) -> tuple[Array, Array]:
+        """Whitened residuals at an excess, and the logarithm of what each was divided by."""
+        sd, shared, shrink, cap, logs = self.parts(excess)
+        unit = self.bare / sd
+        z = unit[:, None].copy()
+        _unshare(z, np.clip(unit, -cap, cap)[:, None], self.bounds, shared, shrink)
+        return z[:, 0], logs
+
+    def loss(self, excess: tuple[float, float]) -> float:
+        """Negative log likelihood at an excess."""
+        z, logs = self.unit(excess)
+        return float(np.sum(robust_loss(z, log_odds(np.exp(logs), self.period_s)) + logs))
+
+    def likeliest(self, guess: tuple[float, float], beyond: Sequence[bool]) -> tuple[float, float]:
+        """Excess of openings and of landings by maximum likelihood, errors that a step shares told from scatter.
+
+        Explanations are compared at this likelihood: an excess off its maximum would let mere weights gain. Where the
+        guess is ``beyond`` anything that a step shares, it is at most raised: weights sharp for the few events that
+        fit would hold the others for astray, and lead nowhere.
+        """
+        opening, landing = guess
+        if beyond[1]:
+            landing = self._raised(~self.opening, lambda x: (opening, x), landing)
+        elif np.sum(~self.opening) >= ENOUGH_EVENTS:
+            landing = _lowest(lambda x: self.loss((opening, x)), landing)
+        if beyond[0]:
+            opening = self._raised(self.opening, lambda x: (x, landing), opening)
+        elif np.sum(self.opening) >= ENOUGH_EVENTS:
+            opening = _lowest(lambda x: self.loss((x, landing)), opening)
+        return opening, landing
+
+    def _raised(
+        self, rows: NDArray[np.bool_], both: Callable[[float], tuple[float, float]], excess: float
+    ) -> float:
+        """The excess raised while residuals scatter by more than a unit once what a step shares is taken out."""
+        for _ in range(RAISES):
+            z, _ = self.unit(both(excess))
+            scale = 1.4826 * float(np.median(np.abs(z[rows]))) if rows.sum() >= ENOUGH_EVENTS else 0.0
+            if scale <= RAISED_FROM:
+                break
+            typical = float(np.median(np.hypot(self.edges[rows], excess)))
+            excess = math.sqrt(excess**2 + (scale**2 - 1.0) * typical**2)
+        return excess
+
+
+def _lowest(loss: Callable[[float], float], guess: float) -> float:
+    """Excess of lowest loss from the least one to somewhat more than a guess: on a grid, then between its points."""
+    start = math.log(max(guess, 4.0 * LEAST_EXCESS_S))
+    grid = np.arange(math.log(LEAST_EXCESS_S), start + REACH, COARSE)
+    losses = [loss(math.exp(x)) for x in grid]
+    k = int(np.argmin(losses))
+    ends = (float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)]))
+    fine: Any = minimize_scalar(lambda x: loss(math.exp(x)), bounds=ends, method="bounded", options={"xatol": FINE})
+    return math.exp(fine.x) if fine.fun < losses[k] else max(math.exp(grid[k]), LEAST_EXCESS_S)
+
+
+def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Orthonormal directions in which each block errs together, their shrinkage, and its share of each log sigma."""
+    shared = np.zeros_like(tones)
+    logs, shrink = np.zeros(len(tones)), np.zeros((len(bounds) - 1, tones.shape[1]))
+    for i in range(len(bounds) - 1):
+        rows = slice(bounds[i], bounds[i + 1])
+        vectors, sizes, _ = np.linalg.svd(tones[rows], full_matrices=False)
+        shared[rows, : len(sizes)] = vectors
+        shrink[i, : len(sizes)] = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+        logs[rows] = 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
+    return shared, shrink, logs
+
+
+@njit()
+def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
+    """Take from each block what its residuals have in common: ``y += U shrink U^T heard``, in place, (n, columns)."""
+    for i in range(len(bounds) - 1):
+        for q in range(shared.shape[1]):
+            if shrink[i, q] == 0.0:
+                continue
+            for c in range(y.shape[1]):
+                total = 0.0
+                for j in range(bounds[i], bounds[i + 1]):
+                    total += shared[j, q] * heard[j, c]
+                total *= shrink[i, q]
+                for j in range(bounds[i], bounds[i + 1]):
+                    y[j, c] += total * shared[j, q]
+
+
+def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Array]:
+    """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
+    m, n = len(world.evidence.steps), len(whitener.step)
+    events, plate = whitener.white(r)
+    by_event = robust_loss(events, whitener.odds[:n]) + whitener.log_sigma
+    by_datum = robust_loss(plate) + whitener.plate_log
+    return {
+        "events": np.asarray(np.bincount(whitener.step, by_event, minlength=m), dtype=np.float64),
+        "plate": np.asarray(np.bincount(world.evidence.plate.step, by_datum, minlength=m), dtype=np.float64),
+    }

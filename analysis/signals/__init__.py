@@ -1,0 +1,1 @@
+"""TODO what signals is for."""

@@ -1,0 +1,75 @@
+"""Run, analyse, choose the next run, run again on the simulated rig, until one explanation stands.
+
+The analysis sees recordings alone; what the rig hides stays in the scenario file that only the back end reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from analysis.loop.close_loop import Loop, close_loop
+from analysis.thresholds import FROZEN
+from daq.setup.errors import InputError
+
+MOST_RUNS = 4
+
+
+def until_clear(
+    recordings: list[Path], scenario: Path | None, seed: int, *, say: Callable[[str], None], quiet: bool
+) -> tuple[Loop, list[Path], str]:
+    """Close the loop, and while several explanations tie, make the run that would tell them apart.
+
+    Parameters
+    ----------
+    recordings
+        Where to begin: recordings made on the simulated rig.
+    scenario
+        What the simulated rig hides (never read by the analysis).
+    seed
+        Of the new runs' noise.
+    say
+        Told what is being done, a line at a time.
+
+    Returns
+    -------
+    The last loop, all recordings, and why a run that was to follow could not be made (empty where nothing failed).
+
+    Raises
+    ------
+    InputError
+        When the first recording was not made on the simulated rig.
+    """
+    from bench.commands.ramp import make_backend, record
+    from bench.profiles.next_run import possible_runs, profile_of, profile_text
+    from bench.terminal.progress import progress_bar
+    from daq.recording import open_recording
+    from rig.profile import parse_profile
+
+    made = list(recordings)
+    with open_recording(made[0]) as opened:
+        if not opened.attrs.get("simulated"):
+            raise InputError(f"{made[0]}: was not made on the simulated rig; --until-clear makes runs only there")
+    text = profile_text(made[0])
+    while True:
+        with progress_bar(quiet) as bar:
+            loop = close_loop(made, progress=bar)
+        if len(loop.attribution.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
+            return loop, made, ""
+        tied = "; ".join(" + ".join(x.names) for x in loop.attribution.ties)
+        ranked = [r for r in possible_runs(loop, made[0]) if not r.design.priors]
+        if not ranked or ranked[0].nats < FROZEN.gain_nats:
+            say(f"still tied: {tied}; no run that this rig can make would tell them apart")
+            return loop, made, ""
+        say(f"tied: {tied}; next run: {ranked[0].design.words} (worth {ranked[0].nats:.0f} nats)")
+        out = made[0].with_name(f"{made[0].stem}-next{len(made) - len(recordings) + 1}.h5")
+        try:
+            profile = profile_of(text, ranked[0].design)
+            checked = parse_profile(profile, "next run")
+            backend = make_backend(checked, scenario=scenario, seed=seed + len(made))
+            summary = record(checked, profile, backend, out, quiet=quiet)
+        except (InputError, OSError) as error:
+            return loop, made, str(error)
+        if summary.how != "complete":
+            return loop, made, f"{out}: the run was {summary.how}: {summary.why}"
+        made.append(out)

@@ -1,0 +1,1 @@
+"""TODO what predict is for."""

@@ -1,0 +1,150 @@
+"""The diagrams of `bench predict`: over a range of gammas and any other axes, on one core, several, or a cluster.
+
+The rule kept here: progress goes to standard error, at most once a second.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.terminal.console import write_json
+from daq.setup.errors import InputError
+from model.surveys import ensemble
+from model.surveys.diagram import KINDS, Rows, adaptive, empty_rows
+from model.surveys.diagram import diagram as rows_at
+from model.orbits.attractor import Ball
+from model.tones import Forcing
+
+if TYPE_CHECKING:
+    from bench.predict.orbit import Request
+
+MOST_ROWS_AS_JSON = 100_000
+MOST_GAMMAS = 1_000_000
+MOST_ADAPTIVE = 20_000
+
+
+def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str, Mapping[str, float]]) -> None:
+    """Fly the diagram that ``request`` asks for, and write it as HDF5, picture and JSON, whichever were asked for.
+
+    Raises
+    ------
+    InputError
+        For options that contradict one another.
+    """
+    if request.steps > MOST_GAMMAS:
+        raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.steps:,}")
+    job = _job(request, effects)
+    ensemble.check(job)
+    if request.json_to is not None and not request.adaptive:
+        _check_json(job.size, job)
+    if request.out is None and request.figure is None and request.json_to is None:
+        raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
+    if request.overwrite and request.out is not None:
+        request.out.unlink(missing_ok=True)
+    if request.adaptive:
+        if request.sweep or request.grid or request.workers > 1 or request.cluster:
+            raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")
+        check_adaptive(request.steps)
+        low, high = request.gamma_range or (0.0, 0.0)
+        rows = adaptive(partial(rows_at, ball), low, high, request.steps)
+        if request.out is not None:
+            ensemble.save(job, rows, request.out)
+    else:
+        rows = _flown(job, request)
+    if request.json_to is not None:
+        write_json(_rows_json(rows, job), request.json_to)
+    if request.figure is not None:
+        if request.grid:
+            raise InputError("--figure shows a diagram over gamma alone; with --grid give --out")
+        from bench.predict.figures import diagram_picture
+
+        diagram_picture(rows.sorted(), forcing, request, request.figure)
+
+
+def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemble.Job:
+    low, high = request.gamma_range or (0.0, 0.0)
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
+        raise InputError(f"--gamma-range wants a smaller and a larger number, neither negative, not {low:g} {high:g}")
+    gammas = np.linspace(low, high, request.steps)
+    if request.sweep == "down":
+        gammas = gammas[::-1]
+    return ensemble.Job(
+        ratio=request.ratio, gammas=tuple(gammas.tolist()), phase_rad=math.radians(request.phase_deg), effects=effects,
+        axes=tuple(_axis(text) for text in request.grid), frequency_hz=request.frequency_hz,
+        sweep=request.sweep is not None, g_mps2=request.g_mps2,
+    )
+
+
+def check_adaptive(steps: int) -> None:
+    """Refuse more gammas than an adaptive diagram, kept in memory, can be refined from."""
+    if steps > MOST_ADAPTIVE:
+        raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
+
+
+def _axis(text: str) -> ensemble.Axis:
+    name, equals, values = text.partition("=")
+    try:
+        low, high, count = values.split(":")
+        if int(count) > MOST_GAMMAS:
+            raise InputError(f"--grid wants at most {MOST_GAMMAS:,} values of {name}, not {int(count):,}")
+        numbers = np.linspace(float(low), float(high), int(count))
+    except InputError:
+        raise
+    except ValueError:
+        numbers = np.empty(0)
+    if not (equals and "." in name and numbers.size and np.all(np.isfinite(numbers))):
+        raise InputError(f"--grid wants name.parameter=from:to:count, such as restitution.e0=0:0.9:10, not {text!r}")
+    return ensemble.Axis(name.strip(), tuple(numbers.tolist()))
+
+
+def _flown(job: ensemble.Job, request: Request) -> Rows:
+    with tempfile.TemporaryDirectory() as folder:
+        path = request.out or Path(folder) / "diagram.h5"
+        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=Progress("points"))
+        if request.figure is None and request.json_to is None:
+            return empty_rows(np.empty(0), 0)
+        return ensemble.load(path)[0]
+
+
+class Progress:
+    """A line on standard error, at most once a second; ``what`` is counted."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+        self.began = self.said = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Say how far it is."""
+        now = time.monotonic()
+        if now - self.said < 1.0:
+            return
+        self.said = now
+        sys.stderr.write(f"{done} of {total} {self.what}, {now - self.began:.0f} s\n")
+
+
+def _check_json(size: int, job: ensemble.Job) -> None:
+    if size > MOST_ROWS_AS_JSON or job.axes:
+        raise InputError(f"as JSON at most {MOST_ROWS_AS_JSON} gammas and no --grid; give --out for HDF5")
+
+
+def _rows_json(rows: Rows, job: ensemble.Job) -> list[dict[str, Any]]:
+    _check_json(rows.gamma.size, job)
+    out = []
+    for i in range(rows.gamma.size):
+        tau = rows.tau[i][np.isfinite(rows.tau[i])].tolist()
+        seconds = None if job.frequency_hz is None else [t / (2.0 * math.pi * job.frequency_hz) for t in tau]
+        out.append({
+            "c": job.ratio, "gamma": float(rows.gamma[i]), "kind": KINDS[int(rows.kind[i])],
+            "period": int(rows.period[i]) or None, "flights": int(rows.flights[i]), "resets": int(rows.resets[i]),
+            "locked": bool(rows.locked[i]), "tau": tau, "flight_time_s": seconds,
+        })
+    return out

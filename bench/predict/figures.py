@@ -1,0 +1,164 @@
+"""Pictures of `bench predict`: bifurcation diagrams with their forbidden zones, and those of the paper's figures.
+
+An axis says which gamma it shows, and whether a time is in seconds or in forcing periods.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report import style
+from analysis.report.gamma import GAMMA_TEX, PEAK_TEX
+from bench.predict.diagram import check_adaptive
+from daq.setup.errors import InputError
+from model.orbits.ideal_ball import IdealBall
+from model.bifurcations.events import bifurcations
+from model.surveys.diagram import Rows, adaptive, diagram
+from model.tones import Forcing
+from model.bifurcations.forbidden_zones import forbidden_zones
+
+if TYPE_CHECKING:
+    from bench.predict.orbit import Request
+
+Floats = NDArray[np.float64]
+
+INK = "#16324f"
+ZONE = "#e8a33d"
+LINE = "#9b2226"
+PAPER_HZ = 20.0  # the paper's "omega = 20"
+ZONE_GAMMAS = 400
+PAPER_FIGURES: dict[int, tuple[tuple[int, float, float], ...]] = {  # figure: (c, from, to) of each panel, in gamma
+    4: ((1, 0.4, 6.0),),
+    10: ((2, 0.15, 3.0),),
+    11: ((3, 0.08, 2.0),),
+    12: ((1, 0.4, 6.0), (2, 0.15, 3.0), (3, 0.08, 2.0)),
+}
+STYLE: dict[Any, Any] = style.STYLE | {"xtick.top": True, "savefig.dpi": 200}
+
+
+def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) -> None:
+    """Draw one diagram; the forbidden zones are those of the ideal ball and are drawn for it alone."""
+    ideal = not request.effects and not request.sweep
+    with _figure(1, path) as (ax,):
+        _panel(ax, rows, forcing, request.ratio, request.frequency_hz, ideal=ideal)
+        if request.effects:
+            ax.set_title(", ".join(request.effects), fontsize=9)
+        if request.sweep:
+            ax.set_title(f"gamma swept {request.sweep}", fontsize=9, loc="right")
+
+
+def paper_figure(number: int, path: Path, steps: int) -> None:
+    """Draw one of the paper's bifurcation diagrams, from the ideal ball at the paper's 20 Hz.
+
+    Raises
+    ------
+    InputError
+        For another number.
+    """
+    if number not in PAPER_FIGURES:
+        known = ", ".join(map(str, PAPER_FIGURES))
+        raise InputError(f"--paper-figure wants one of {known}, not {number}")
+    check_adaptive(steps)
+    panels = PAPER_FIGURES[number]
+    with _figure(len(panels), path) as axes:
+        for ax, (ratio, low, high) in zip(axes, panels, strict=True):
+            forcing = Forcing.superposition(ratio)
+            ball = IdealBall(forcing)
+            rows = adaptive(partial(diagram, ball), low, high, steps)
+            _panel(ax, rows, forcing, ratio, PAPER_HZ, ideal=True)
+
+
+@contextmanager
+def _figure(panels: int, path: Path) -> Iterator[list[Any]]:
+    """Axes one above the other, saved as ``path`` at the end."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 1.2 + 3.2 * panels))
+        yield list(figure.subplots(panels, 1, squeeze=False)[:, 0])
+        try:
+            figure.savefig(path)
+        except (OSError, ValueError) as error:
+            text = f"cannot write the picture {path}: {error}; give a name ending in .png, .pdf or .svg"
+            raise InputError(text) from error
+
+
+def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: float | None, *, ideal: bool) -> None:
+    """One diagram: flight times against gamma (gamma_peak at c = 1), zones shaded, the large events marked."""
+    scale = 2.0 if ratio == 1 and forcing.amplitude == (2.0,) else 1.0
+    unit = 1.0 / (2.0 * math.pi * frequency_hz) if frequency_hz else 1.0 / (2.0 * math.pi)
+    x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
+    y = rows.tau.ravel() * unit
+    shown = np.isfinite(y)
+    crowd = np.repeat((rows.kind == 2) | (rows.flights > 8), rows.tau.shape[1])
+    low, high = float(rows.gamma[0]), float(rows.gamma[-1])
+    if ideal:
+        _zones(ax, forcing, low, high, scale, unit)
+        _marks(ax, forcing, low, high, scale)
+    ax.plot(x[shown & crowd], y[shown & crowd], ".", ms=0.6, mew=0, color=INK, alpha=0.5, rasterized=True)
+    ax.plot(x[shown & ~crowd], y[shown & ~crowd], ".", ms=1.8, mew=0, color=INK, rasterized=True)
+    top = float(np.nanmax(y)) if shown.any() else 1.0
+    ax.set_xlim(low * scale, high * scale)
+    ax.set_ylim(0.0, 1.05 * top)
+    ax.set_xlabel(f"{PEAK_TEX if scale == 2.0 else GAMMA_TEX}   (c = {ratio})")
+    if frequency_hz:
+        ax.set_ylabel(f"flight time (s) at {frequency_hz:g} Hz")
+        ax.secondary_yaxis("right", functions=(lambda t: t * frequency_hz, lambda n: n / frequency_hz)).set_ylabel(
+            "forcing periods"
+        )
+    else:
+        ax.set_ylabel("flight time (forcing periods)")
+
+
+def _zones(ax: Any, forcing: Forcing, low: float, high: float, scale: float, unit: float) -> None:
+    """Forbidden zones, each followed through gamma by what it overlaps."""
+    gammas = np.linspace(low, high, ZONE_GAMMAS)
+    growing: list[list[tuple[float, float, float]]] = []
+    done: list[list[tuple[float, float, float]]] = []
+    for gamma in gammas:
+        still = []
+        for a, b in forbidden_zones(forcing, float(gamma)):
+            mine = next((z for z in growing if z[-1][1] < b and a < z[-1][2]), None)
+            if mine is None:
+                mine = []
+            else:
+                growing.remove(mine)
+            mine.append((float(gamma), float(a), float(b)))
+            still.append(mine)
+        done += growing
+        growing = still
+    seen = [zone for zone in done + growing if len(zone) > 3]
+    for i, zone in enumerate(seen):
+        g, a, b = np.array(zone).T
+        ax.fill_between(
+            g * scale, a * unit, b * unit, color=ZONE, alpha=0.35, lw=0, label="forbidden" if i == 0 else None
+        )
+    if seen:
+        ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
+
+
+def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> None:
+    """The events of windows wide enough to be seen, as fine lines with their names."""
+    wide = (high - low) / 60.0
+    kinds = {"take-off": "take-off", "new take-off window": "2nd window", "lock": "lock", "period doubling": "doubling"}
+    last = -math.inf
+    for event in bifurcations(IdealBall(forcing), low, high, narrowest=wide):
+        if event.type in kinds and (event.before.flights or 0) <= 1:
+            ax.axvline(event.gamma * scale, color=LINE, lw=0.6, ls=(0, (4, 3)), zorder=0)
+            if event.gamma - last > (high - low) / 40.0:
+                ax.text(
+                    event.gamma * scale, 0.985, f" {kinds[event.type]}", rotation=90, va="top", ha="left", fontsize=7,
+                    color=LINE, transform=ax.get_xaxis_transform(),
+                )
+            last = event.gamma
+
+

@@ -1,0 +1,129 @@
+"""What a profile gives `bench predict`: forcing, frequency, gravity, declared effects, and the steps of its ramp.
+
+The rule kept here: a gamma given beside a profile is what its programme asks of the drive; answers carry the plate's
+gamma, which declared effects of the drive make another one. ``--gamma-peak`` is the plate's own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from typing import TYPE_CHECKING, Any
+
+from bench.profiles.find import load, load_measuring
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from model.effects.routing import Effects, of_the_ball, plate_gain, reading, shapes_the_plate
+
+if TYPE_CHECKING:
+    from bench.predict.orbit import Request
+
+SAME_SIZE = 1e-9
+
+
+def with_profile(request: Request, name: str) -> Request:
+    """``request`` with what the profile ``name`` says; options given beside it come on top.
+
+    Raises
+    ------
+    InputError
+        When there is no such profile, it contradicts an option, or its two tones differ in size.
+    """
+    setup = load_measuring(name)[0]
+    forcing = setup.forcing
+    if request.ratio not in (1, forcing.ratio):
+        raise InputError(f"{name}: says forcing.ratio = {forcing.ratio}, the call --c {request.ratio}; leave one out")
+    declared = setup.declared_values()
+    omitted = shapes_the_plate(declared)
+    if omitted:
+        print(f"left out of the prediction, their phase being unknown: {', '.join(omitted)}", file=sys.stderr)
+    known = tuple(f"{n}.{k}={v!r}" for n, table in of_the_ball(declared).items() for k, v in table.items())
+    first_deg, second_deg = forcing.phase_deg
+    low_high = request.gamma_range
+    return dataclasses.replace(
+        request,
+        ratio=forcing.ratio,
+        phase_deg=0.0 if forcing.ratio == 1 else second_deg - forcing.ratio * first_deg,
+        frequency_hz=request.frequency_hz or forcing.frequency_hz,
+        g_mps2=setup.g_mps2.value,
+        effects=(*known, *request.effects),
+        gamma=None if request.gamma is None else plate_gamma(setup, request.gamma),
+        gamma_range=None if low_high is None else (plate_gamma(setup, low_high[0]), plate_gamma(setup, low_high[1])),
+    )
+
+
+def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> float:
+    """Gamma of the plate, for tones of equal size one, where the programme asks for ``asked``.
+
+    ``controlled``: a loop drives the plate until its accelerometer shows what is asked.
+
+    Raises
+    ------
+    InputError
+        When the two tones differ in size: `bench predict` has no option for that.
+    """
+    size = _size(setup)
+    declared: Effects = setup.declared_values()
+    if controlled:
+        return asked * size / reading(declared)
+    first_g = asked * abs(setup.forcing.displacement_tones()[0][1])
+    return asked * size * plate_gain(declared, first_g)
+
+
+def _size(setup: Setup) -> float:
+    """By how much the tones are larger than those of `Forcing.superposition`."""
+    tones = [abs(z) for _, z in setup.forcing.displacement_tones()]
+    if len(tones) == 1:
+        return tones[0] / 2.0
+    if not math.isclose(tones[0], tones[1], rel_tol=SAME_SIZE):
+        b = setup.forcing.amplitude
+        raise InputError(
+            f"profile {setup.name!r}: forcing.amplitude = {list(b)}; predict knows two tones of equal size only"
+        )
+    return tones[0]
+
+
+def ramp_json(request: Request, name: str) -> list[dict[str, Any]]:
+    """The motion in each step of the profile's ramp, in its order, the state carried along.
+
+    Raises
+    ------
+    InputError
+        When the profile has no ramp.
+    """
+    from bench.predict.diagram import Progress
+    from bench.predict.orbit import ball_for, orbit_json
+    from model.orbits.attractor import AT_REST, Attractor, attractor
+
+    profile = load(name)[0]
+    asked = profile.ramp.gammas()
+    plate = [plate_gamma(profile, g, controlled=profile.control is not None) for g in asked]
+    ball, state, progress = ball_for(request), AT_REST, Progress("steps")
+    found: list[Attractor] = []
+    for gamma in plate:
+        found.append(attractor(ball, gamma, state))
+        state = found[-1].last
+        progress(len(found), len(plate))
+    return [
+        {"step": i, "asked_gamma": a, **orbit_json(f, request.ratio, g, request.frequency_hz)}
+        for i, (a, g, f) in enumerate(zip(asked, plate, found, strict=True))
+    ]
+
+
+def print_ramp(rows: list[dict[str, Any]]) -> None:
+    """The same for a person."""
+    print(f"{'step':>4} {'asked':>8} {'gamma':>8}  motion and flight times (ms)")
+    for row in rows:
+        times = [f"{1e3 * t:.3f}" for t in row["flight_time_s"] or []]
+        shown = ", ".join(times[:6]) + (", ..." if len(times) > 6 else "")
+        print(f"{row['step']:>4} {row['asked_gamma']:>8.4f} {row['gamma']:>8.4f}  {_words(row)}: {shown}".rstrip(": "))
+
+
+def _words(row: dict[str, Any]) -> str:
+    if row["flights"] == 0:
+        return "at rest on the plate"
+    if row["kind"] == "chaotic":
+        return "chaotic"
+    how = "locked" if row["locked"] else "chatter" if row["kind"] == "chattering" else "reset"
+    return f"{row['flights']}-cycle ({how}), period {row['period']}"

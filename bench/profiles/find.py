@@ -1,0 +1,97 @@
+"""Find a rig profile or a scenario by its path, or by the name under which it is shipped.
+
+The rule kept here: a path wins over a name, and what is not found is answered with what there is.
+"""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from rig.profile import Profile, load_profile, load_setup
+
+_HERE = Path(__file__).resolve().parent
+
+
+def shipped_folder(kind: str = "rig_profiles") -> Path:
+    """Where the shipped profiles (or ``scenarios``) lie: inside an installed `bench`, beside it in a checkout."""
+    installed = _HERE / kind
+    return installed if installed.is_dir() else _HERE.parent / kind
+
+
+def shipped_names() -> list[str]:
+    """Names of the shipped profiles."""
+    return sorted(path.stem for path in shipped_folder().glob("*.toml"))
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios."""
+    return sorted(path.stem for path in shipped_folder("scenarios").glob("*.toml"))
+
+
+def find_profile(name_or_path: str | Path) -> Path:
+    """The profile's file.
+
+    Raises
+    ------
+    daq.setup.errors.InputError
+        When there is neither such a file nor such a shipped profile.
+    """
+    return _find(Path(name_or_path), "rig_profiles", "profile", shipped_names())
+
+
+def find_scenario(name_or_path: str | Path) -> Path:
+    """The scenario's file.
+
+    Raises
+    ------
+    daq.setup.errors.InputError
+        When there is neither such a file nor such a shipped scenario.
+    """
+    return _find(Path(name_or_path), "scenarios", "scenario", scenario_names())
+
+
+def _find(path: Path, kind: str, what: str, names: list[str]) -> Path:
+    """``path`` itself, or what is shipped under its name."""
+    if path.is_file():
+        return path
+    shipped = shipped_folder(kind) / f"{path.name.removesuffix('.toml')}.toml"
+    if path.parent.name in ("", kind) and shipped.is_file():
+        return shipped
+    near = difflib.get_close_matches(path.stem, names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"shipped {what}s: {', '.join(names)}"
+    raise InputError(f"{path}: no such {what} file, and no shipped {what} of that name; {hint}")
+
+
+def load(name_or_path: str | Path) -> tuple[Profile, str]:
+    """A whole profile and its text, by path or shipped name (raises `InputError`)."""
+    path = find_profile(name_or_path)
+    profile, text = load_profile(path)
+    _check_declared(profile, path)
+    return profile, text
+
+
+def load_measuring(name_or_path: str | Path) -> tuple[Setup, str]:
+    """The measuring part of a profile and its text, by path or shipped name (raises `InputError`)."""
+    path = find_profile(name_or_path)
+    setup, text = load_setup(path)
+    _check_declared(setup, path)
+    return setup, text
+
+
+def _check_declared(setup: Setup, path: Path) -> None:
+    """Refuse declared effects that the model does not know; only this room knows both profile and model."""
+    if not setup.declared:
+        return
+    from model.effects import resolve
+
+    faults = []
+    for name, values in setup.declared_values().items():
+        try:
+            resolve({name: values})
+        except ValueError as error:
+            faults.append(f"  declared.{name}: {error}")
+    if faults:
+        raise InputError("\n".join([f"{path}: declared effects that do not fit", *faults]))

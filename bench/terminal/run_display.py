@@ -1,0 +1,117 @@
+"""What an operator sees while a ramp runs: three lines on standard error, drawn anew a few times a second;
+on a narrow terminal one line a figure.
+
+The rule kept here: the screen is fed once a block and only draws; nothing waits for it, and no stop goes through it.
+A terminal that is gone (closed, or a dropped connection) is drawn to no more, and costs the run nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING, TextIO, cast
+
+if TYPE_CHECKING:
+    from rig.execution.run import Status
+
+WIDTH = 80  # characters that the lines need
+ALIVE_CYCLES = 3.0  # since the ball last touched the plate or was heard to
+LIMITS = {
+    "drive_v": "drive", "plate_mps2": "acceleration", "velocity_mps": "velocity", "displacement_m": "displacement",
+}  # fmt: skip
+
+
+class Screen(io.TextIOBase):
+    """A stream to draw on that may go away: what cannot be written any more is left out."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream: TextIO | None = stream
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]  # an attribute of every real stream
+        """The stream's."""
+        return self._stream.encoding if self._stream is not None else "utf-8"
+
+    def isatty(self) -> bool:
+        """Whether a person looks at it."""
+        return self._stream is not None and self._stream.isatty()
+
+    def fileno(self) -> int:
+        """The stream's, for its width."""
+        if self._stream is None:
+            raise OSError("the terminal is gone")
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        """Write what can be written."""
+        self._try(lambda stream: stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what waits."""
+        self._try(lambda stream: stream.flush())
+
+    def _try(self, step: Callable[[TextIO], object]) -> None:
+        """Do it, unless the terminal is gone."""
+        if self._stream is not None:
+            try:
+                step(self._stream)
+            except OSError:
+                self._stream = None
+
+
+@contextmanager
+def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
+    """A bar, the step with its gammas and the state of contact and samples, and the part used of each limit."""
+    from rich.console import Console, Group
+    from rich.live import Live
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    if quiet:
+        yield lambda status: None
+        return
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    task = bar.add_task("", total=None)
+    lines = Text(overflow="fold")
+    screen = Console(file=cast("IO[str]", Screen(sys.stderr)))
+    narrow = screen.width < WIDTH
+    with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4):
+
+        def show(status: Status) -> None:
+            done = min(status.sample, status.n_samples)
+            bar.update(task, total=status.n_samples, completed=done, description=step_line(status))
+            lines.plain = narrow_lines(status) if narrow else f"{health_line(status)}\n{limits_line(status)}"
+
+        yield show
+
+
+def narrow_lines(status: Status) -> str:
+    """The same for a narrow terminal, one figure a line, what must not be missed first."""
+    step = f"{step_line(status)}, {min(status.sample / max(status.n_samples, 1), 1.0):.0%}"
+    gammas, contact, lost = health_line(status).split("; ")
+    return "\n".join([step, lost, contact, *gammas.split(", "), *limits_line(status).split(", ")])
+
+
+def step_line(status: Status) -> str:
+    """Which step, and what it is doing."""
+    return f"step {status.step.index + 1}/{status.n_steps}, {status.state.value}"
+
+
+def health_line(status: Status) -> str:
+    """Commanded and achieved gamma, whether the contact lives, samples lost."""
+    achieved = "-"
+    if math.isfinite(status.achieved_gamma):
+        achieved = f"{status.achieved_gamma:.4g} +- {status.achieved_gamma_uncertainty:.1g} (last hold)"
+    age = status.contact_age_cycles
+    contact = "alive" if age <= ALIVE_CYCLES else f"silent for {age:.0f} cycles"
+    return f"gamma {status.step.gamma:.4g}, achieved {achieved}; contact {contact}; {status.lost_samples} samples lost"
+
+
+def limits_line(status: Status) -> str:
+    """How much of each limit is in use."""
+    parts = (f"{word} {status.limits_in_use[key]:.0%}" for key, word in LIMITS.items() if key in status.limits_in_use)
+    return f"of the limits: {', '.join(parts)}"

@@ -1,0 +1,44 @@
+"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP) as wishes to stop: a run ends softly, not where it happens to be.
+
+The rule kept here: the first signal ramps down, the second is at zero now; the handlers that stood before come back.
+A terminal that closes may say so several times: that alone never makes a soft stop a hard one.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from rig.execution.run import StopRequest
+from rig.programme.sequencer import Stop
+
+
+def _numbers() -> list[signal.Signals]:
+    """Those of them that this system has (Windows has no SIGHUP)."""
+    return [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[StopRequest]:
+    """A `StopRequest` that SIGINT, SIGTERM and SIGHUP speak to while the block runs (main thread only)."""
+    request = StopRequest()
+
+    asked: list[str] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        name = signal.Signals(number).name
+        if name == "SIGHUP" or not asked:
+            request.ask(Stop.RAMP_DOWN, f"{name}: ramped down")
+        else:
+            request.ask(Stop.NOW, f"{name} again: stopped now")
+        if name != "SIGHUP":
+            asked.append(name)
+
+    before = {number: signal.signal(number, handle) for number in _numbers()}
+    try:
+        yield request
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

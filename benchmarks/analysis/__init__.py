@@ -1,0 +1,1 @@
+"""TODO what analysis is for."""

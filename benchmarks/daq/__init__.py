@@ -1,0 +1,1 @@
+"""TODO what daq is for."""

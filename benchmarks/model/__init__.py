@@ -1,0 +1,1 @@
+"""TODO what model is for."""

@@ -1,0 +1,1 @@
+"""TODO what plants is for."""

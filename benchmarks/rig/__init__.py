@@ -1,0 +1,1 @@
+"""TODO what rig is for."""

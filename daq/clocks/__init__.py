@@ -1,0 +1,1 @@
+"""TODO what clocks is for."""

@@ -1,0 +1,228 @@
+"""The two questions of the loss finder that take long, and who answers them: at once, or in a thread beside the run.
+
+The rule kept here: a question holds copies of all it needs, and its answer depends on nothing else. So it does not
+matter when the answer comes; a run whose device waits for nobody asks beside, a simulated one asks at once.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from daq.clocks.slip import LARGEST, LATENCY, Floats, Slip, Stretch, candidates, slip_at
+
+SURE_SAMPLES = 0.05  # a slip known less well than this decides nothing
+SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
+CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything
+MISFIT = 4.0  # times what a fit usually leaves over: more does not fit
+LIKE_NOISE = 0.1  # of the heard drive: what a fit may leave over when the latency is told
+
+
+@dataclass(frozen=True)
+class Found:
+    """An answer: what was heard before ``at`` fits the slip known before, the rest fits ``slip``.
+
+    Attributes
+    ----------
+    slip
+        The slip from there on; None where nothing that was played fits.
+    at, lost, uncertainty
+        Frame of the piece before which samples are missing, how many, and by how much that may be off.
+    gain, rms_v
+        Heard volts a played volt, and what the fit leaves over.
+    """
+
+    slip: float | None
+    at: int = -1
+    lost: int = 0
+    uncertainty: int = 0
+    gain: float = 0.0
+    rms_v: float = 0.0
+
+
+NOTHING = Found(None)
+
+
+class Question(Protocol):
+    """A search that is to be made."""
+
+    def answer(self) -> Found:
+        """Make it."""
+
+
+@dataclass(frozen=True)
+class WhichLatency:
+    """How long the drive takes to come back, once it moves.
+
+    A drive that grows looks like itself a part of a cycle earlier, only smaller: where several latencies fit, more is
+    listened to before one is believed.
+
+    Attributes
+    ----------
+    played, heard, first
+        What was played, what was heard (n,), and the number of its first frame.
+    lost
+        Samples lost so far.
+    last
+        Whether no more is listened to.
+    """
+
+    played: Stretch
+    heard: Floats
+    first: int
+    lost: int
+    last: bool
+
+    def answer(self) -> Found:
+        """The one latency that fits, or the least of them at last."""
+        found = candidates(self.played, self.heard, self.first, self.lost - LATENCY, self.lost, 0.0)
+        limit_v = LIKE_NOISE * float(np.std(self.heard))
+        found = [f for f in found if f.sigma < SURE_SAMPLES and f.rms_v < limit_v]
+        if not found or (len(found) > 1 and not self.last):
+            return NOTHING
+        best = max(found, key=lambda f: f.samples)
+        return Found(best.samples, gain=best.gain, rms_v=best.rms_v)
+
+
+@dataclass(frozen=True)
+class WhichLoss:
+    """How many samples are missing in a piece that does not go on as it should, and where.
+
+    Attributes
+    ----------
+    played, heard, first
+        What was played, what was heard (n,), and the number of its first frame.
+    before
+        What was heard before it.
+    slip, gain, usual_v
+        The slip before, the gain of the loop-back, and what a fit usually leaves over.
+    chunk
+        Frames that are looked at together.
+    excess_samples
+        By how many the clock beside the blocks ran ahead; None without a clock.
+    counted
+        Whether that clock is the device's own count: a loss that it contradicts by half a period is none.
+    """
+
+    played: Stretch
+    heard: Floats
+    first: int
+    before: Floats
+    slip: float
+    gain: float
+    usual_v: float
+    chunk: int
+    excess_samples: float | None
+    counted: bool = False
+
+    def answer(self) -> Found:
+        """The loss that fits; of several the one that the clock says."""
+        old, whole = self.slip, [f for f in self._fitting() if self._is_possible(f)]
+        if not whole:
+            return NOTHING
+        wanted = self.excess_samples or 0.0
+        best = min(whole, key=lambda f: abs(f.samples - old - wanted))
+        lost = round(best.samples - old)
+        if lost == 0:
+            return NOTHING
+        rivals = [abs(f.samples - best.samples) for f in whole if abs(f.samples - best.samples) > 1.0]
+        doubt = min(rivals) if rivals and self.excess_samples is None else 0.0
+        uncertainty = int(np.ceil(max(doubt, 3.0 * best.sigma) - 0.5))
+        return Found(old + lost, self._where(old + lost), lost, uncertainty)
+
+    def _fitting(self) -> list[Slip]:
+        """Slips at which the end of the piece fits; else at which all of it does."""
+        tail = self.heard[-min(self.chunk, len(self.heard)) // 2 :]
+        start = self.first + len(self.heard) - len(tail)
+        low = round(self.slip)
+        found = candidates(self.played, tail, start, low - self.chunk, low + LARGEST, self.gain)
+        found = [f for f in found if f.rms_v < MISFIT * self.usual_v]
+        if found:
+            return found
+        near = slip_at(self.played, self.heard, self.first, low)
+        return [near] if near.rms_v < MISFIT * self.usual_v else []
+
+    def _is_possible(self, found: Slip) -> bool:
+        """Whole samples off, and backwards only where frames are there twice."""
+        off = found.samples - self.slip
+        if self.counted and abs(off - (self.excess_samples or 0.0)) > self.chunk / 2:
+            return False
+        return abs(off - round(off)) < 0.3 and (off > -0.5 or self._repeats(round(-off)))
+
+    def _repeats(self, n: int) -> bool:
+        """Whether ``n`` frames are there twice, noise and all; a loss of the rest of a period only looks like it."""
+        at = self._where(self.slip - n) + len(self.before)
+        known = np.concatenate([self.before, self.heard])
+        again, once = known[at : at + n], known[max(at - n, 0) : at]
+        return again.size == once.size == n and float(np.mean(again == once)) > SAME_PART
+
+    def _where(self, new: float) -> int:
+        """Frame at which the old slip stops fitting and the new one starts."""
+        misfit = []
+        for slip in (self.slip, new):
+            start = self.first + round(slip)
+            rest = self.heard - self.gain * self.played.piece(start, start + len(self.heard))
+            misfit.append((rest - np.median(rest)) ** 2)
+        before = np.concatenate([[0.0], np.cumsum(misfit[0])])
+        after = np.concatenate([np.cumsum(misfit[1][::-1])[::-1], [0.0]])
+        return int(np.argmin(before + after))
+
+
+class Searcher(Protocol):
+    """Who answers questions, one at a time."""
+
+    def ask(self, question: Question) -> bool:
+        """Take a question; False while an earlier one is still being worked on."""
+
+    def answer(self, *, wait: bool) -> Found | None:
+        """The answer to the last question; None while there is none."""
+
+    def close(self) -> None:
+        """Take no more questions."""
+
+
+class AtOnce:
+    """Answers in the caller's own time."""
+
+    def __init__(self) -> None:
+        self._found: Found = NOTHING
+
+    def ask(self, question: Question) -> bool:
+        """Answer it."""
+        self._found = question.answer()
+        return True
+
+    def answer(self, *, wait: bool) -> Found:
+        """What was found."""
+        return self._found
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class Beside:
+    """Answers in a thread of its own; one question at a time, so that nothing piles up."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "loss-search")
+        self._future: Future[Found] | None = None
+
+    def ask(self, question: Question) -> bool:
+        """Hand it over, where the thread is free."""
+        if self._future is not None and not self._future.done():
+            return False
+        self._future = self._thread.submit(question.answer)
+        return True
+
+    def answer(self, *, wait: bool) -> Found | None:
+        """What was found, once it is."""
+        if self._future is None or not (wait or self._future.done()):
+            return None
+        return self._future.result()
+
+    def close(self) -> None:
+        """Let the thread end when its work is done."""
+        self._thread.shutdown(wait=False)

@@ -1,0 +1,368 @@
+"""Count the samples that a device lost, and say where: loop-back, block clocks, and the sum of it all.
+
+The rule kept here: drivers are not believed. The looped-back drive is compared with what was played; where it slips,
+samples are missing, and by how much it slips says how many. A slip that is a whole number of the drive's periods
+looks like none, so the clock that ran beside the blocks decides between the candidates.
+
+What the sample path does with a block is bounded by the block's own length: the sums of one fit. Only where they do
+not fit is a slip searched for (`daq.clocks.loss_search`), beside the run; the blocks wait for the answer, in order.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from daq.recording.tables import Block, BlockFlag
+from daq.clocks.loss_search import (
+    CLOCK_SLACK,
+    LIKE_NOISE,
+    MISFIT,
+    NOTHING,
+    SURE_SAMPLES,
+    AtOnce,
+    Found,
+    Question,
+    Searcher,
+    WhichLatency,
+    WhichLoss,
+)
+from daq.clocks.slip import LARGEST, LATENCY, Floats, Played, Slip, SlipFit, slip_at
+
+CHUNK = 1024  # frames looked at together, at least
+OPENING = 8  # chunks from which the latency is told, at most
+PATIENCE = 3  # chunks held back, at most, to settle a loss
+SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
+HELD_S = 2.0  # of frames that wait for an answer; afterwards they are flagged and go on
+COUNTED_S = 1e-3  # jitter below which a device's own time is a count
+SILENT_PART = 0.5  # of the loop-back's gain
+CATCH_UP = 3  # times a block's frames, looked at in one call once an answer is there
+
+
+class BlockClock:
+    """Seconds missing according to the clock at each block's end.
+
+    A block may be reported late, never early, so the least delay over a while is what the clock really says; it is
+    learned anew while the loop-back agrees that nothing is missing, so that two clocks that drift apart are no loss.
+    """
+
+    def __init__(self, rate_hz: float, keep: int = 64) -> None:
+        self._rate_hz = rate_hz
+        self._delays: deque[float] = deque(maxlen=keep)
+
+    def excess(self, clock_ns: int, counted: int) -> float | None:
+        """Seconds by which the clock ran ahead of ``counted`` samples since it last agreed; None without a clock."""
+        if clock_ns == 0 or not self._delays:
+            return None
+        return clock_ns * 1e-9 - counted / self._rate_hz - min(self._delays)
+
+    @property
+    def jitter_s(self) -> float:
+        """Standard deviation of the delays while nothing was missing; infinite while it is not known."""
+        return float(np.std(self._delays)) if len(self._delays) >= 8 else np.inf
+
+    def agree(self, clock_ns: int, counted: int) -> None:
+        """Nothing is missing of ``counted`` samples."""
+        if clock_ns:
+            self._delays.append(clock_ns * 1e-9 - counted / self._rate_hz)
+
+
+class LossFinder:
+    """Follow the looped-back drive block by block and declare what is missing.
+
+    Parameters
+    ----------
+    rate_hz
+        Samples a second.
+    chunk
+        Frames looked at together; blocks wait until there are so many.
+    searcher
+        Who searches: at once, or `daq.clocks.loss_search.Beside`, where nobody may wait.
+
+    Attributes
+    ----------
+    heard_samples, lost_samples : int
+        Frames that are settled, and samples found lost before them or declared by the device.
+    """
+
+    def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: Searcher | None = None) -> None:
+        self._played = Played(LARGEST + 2 * LATENCY + 8 * chunk + round(2.0 * HELD_S * rate_hz))
+        self._clock, self._adc = BlockClock(rate_hz), BlockClock(rate_hz)
+        self._rate_hz, self._chunk = rate_hz, chunk
+        self._searcher = searcher or AtOnce()
+        self._queue: deque[tuple[Block, Floats]] = deque()  # not looked at yet
+        self._queued = self._declared = 0  # its frames and declared losses
+        self._waiting: list[tuple[Block, Floats]] = []  # looked at, not settled
+        self._n_waiting = self._look_at = 0
+        self._question: Question | None = None
+        self._asked = self._patient = False
+        self._excess_s: tuple[float | None, float | None] = (None, None)
+        self._expected: float | None = None
+        self._slip: float | None = None
+        self._fit: SlipFit | None = None
+        self._gain = 0.0
+        self._rms: deque[float] = deque(maxlen=31)
+        self._before = self._opening = np.zeros(0)
+        self._drives = False
+        self.heard_samples = self.lost_samples = 0
+
+    def expect(self, latency_samples: float) -> None:
+        """Say how late the drive is heard, where that was measured: what fits there need not be searched for."""
+        self._expected = -latency_samples
+
+    def played(self, drive_v: Floats) -> None:
+        """Say what was handed to the device, before the frames that came back."""
+        drive_v = np.asarray(drive_v, np.float64)
+        self._drives = self._drives or bool(drive_v.any())
+        self._played.add(drive_v)
+
+    def piece(self, start: int, stop: int) -> Floats:
+        """Played samples ``start .. stop``; zero before the first."""
+        return self._played.piece(start, stop)
+
+    def heard(self, block: Block, loopback_v: Floats) -> list[Block]:
+        """Take in a block; gives back the blocks whose losses are settled, renumbered, to be recorded.
+
+        Parameters
+        ----------
+        block
+            Frames as the device gave them; losses that it declared itself are taken as said.
+        loopback_v
+            Its looped-back drive in volts ``(n,)``.
+        """
+        self._queue.append((block, np.asarray(loopback_v, np.float64)))
+        self._queued += len(block.codes) + block.lost_before
+        return self._advance(CATCH_UP * max(len(block.codes), 1), wait=False)
+
+    @property
+    def next_sample(self) -> int:
+        """The device's own index of the next frame: heard, lost, and waiting to be settled."""
+        return self.heard_samples + self.lost_samples + self._n_waiting + self._declared + self._queued
+
+    def flush(self) -> list[Block]:
+        """Settle what is waiting, however short; call it at the end."""
+        out = self._advance(self._queued + 1, wait=True)
+        while self._waiting:
+            out += self._look(patient=False) + self._advance(0, wait=True)
+        self._searcher.close()
+        return out
+
+    def _advance(self, frames: int, *, wait: bool) -> list[Block]:
+        """Look at queued blocks of about so many frames; gives back what is settled."""
+        out: list[Block] = []
+        while True:
+            if self._question is not None:
+                found = self._answer(wait=wait)
+                if found is None:
+                    return out
+                out += self._concluded(found)
+            elif not self._queue or frames <= 0:
+                return out
+            elif self._queue[0][0].lost_before and self._waiting:
+                out += self._look(patient=False)  # one piece that is looked at has one slip
+            else:
+                frames -= len(self._queue[0][1])
+                out += self._taken_in(*self._queue.popleft())
+
+    def _answer(self, *, wait: bool) -> Found | None:
+        """The answer to the question; none after too long a wait, so that nothing piles up."""
+        if self._question is not None and not self._asked:
+            if wait:
+                self._searcher.answer(wait=True)  # an earlier question, whose answer came too late
+            self._asked = self._searcher.ask(self._question)
+        found = self._searcher.answer(wait=wait) if self._asked else None
+        if found is None and self._queued > HELD_S * self._rate_hz:
+            self._patient = False
+            return NOTHING
+        return found
+
+    def _taken_in(self, block: Block, volts: Floats) -> list[Block]:
+        """One block more of what is looked at together."""
+        self._queued -= len(block.codes) + block.lost_before
+        self._declared += block.lost_before
+        if block.lost_before and self._slip is not None:
+            self._slip += block.lost_before
+        if not self._waiting:
+            guess = self._slip if self._slip is not None else self._expected_slip
+            self._fit = SlipFit(round(guess)) if guess is not None else None
+            self._look_at = self._chunk
+        if self._fit is not None:
+            self._fit.add(self._played, volts, self.heard_samples + self._n_waiting)
+        self._waiting.append((block, volts))
+        self._n_waiting += len(volts)
+        if self._n_waiting < self._look_at:
+            return []
+        self._look_at = self._n_waiting + self._chunk // 2
+        return self._look(patient=self._n_waiting < PATIENCE * self._chunk)
+
+    @property
+    def _expected_slip(self) -> float | None:
+        """The slip by the latency that was measured, if any."""
+        lost = self.lost_samples + self._declared
+        return None if self._expected is None else self._expected + lost
+
+    def _look(self, *, patient: bool) -> list[Block]:
+        """What is waiting, looked at: settled, waited with, or a question."""
+        ended_ns, began_ns = self._waiting[-1][0].clock_ns, self._waiting[-1][0].adc_ns
+        counted, before_last = self._counted()
+        adc_s = self._adc.excess(began_ns, before_last)
+        excess_s = adc_s if adc_s is not None else self._clock.excess(ended_ns, counted)
+        self._patient, self._excess_s = patient, (excess_s, adc_s)
+        if self._slip is None:
+            return self._begin()
+        volts = self._volts()
+        usual_v = max(float(np.median(self._rms)), SMALLEST_MISFIT * float(np.std(volts)))
+        fit = self._fit
+        now = fit.solve() if fit else slip_at(self._played, volts, self.heard_samples, round(self._slip))
+        fits = now.rms_v < MISFIT * usual_v
+        if fits and self._is_silent(now, usual_v):
+            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+        if now.sigma > SURE_SAMPLES and fits:
+            return self._settled(*self._by_adc())
+        if fits and abs(now.samples - self._slip) < 0.5:
+            self._rms.append(now.rms_v)
+            self._slip += 0.05 * (now.samples - self._slip)
+            return self._settled(-1, 0, 0, 0)
+        if self._goes_on(volts, usual_v):
+            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+        if patient and any(block.flags & BlockFlag.UNDERFLOW for block, _ in self._waiting):
+            return []  # the drive ran dry, as is known: wait until it is back
+        return self._ask(self._which_loss(volts, usual_v))
+
+    def _is_silent(self, now: Slip, usual_v: float) -> bool:
+        """Whether nothing is heard of a drive that moves: no search could tell more."""
+        moves = self._fit is not None and self._gain * self._fit.drive_v > MISFIT * usual_v
+        return moves and now.gain < SILENT_PART * self._gain
+
+    def _goes_on(self, volts: Floats, usual_v: float) -> bool:
+        """Whether what was heard last fits as before, and the clock knows of no loss: there was a disturbance."""
+        excess_s, slip = self._excess_s[0], self._slip
+        if slip is None or (excess_s is not None and excess_s > CLOCK_SLACK):
+            return False
+        tail = volts[-self._chunk // 2 :]
+        start = self.heard_samples + len(volts) - len(tail)
+        last = slip_at(self._played, tail, start, round(slip), iterations=1)
+        fits = last.rms_v < MISFIT * usual_v and last.sigma < SURE_SAMPLES
+        return fits and abs(last.samples - slip) < 0.5 and abs(last.gain / self._gain - 1.0) < 0.1
+
+    def _which_loss(self, volts: Floats, usual_v: float) -> WhichLoss:
+        """The search for what is missing in what is waiting."""
+        slip, excess_s = self._slip or 0.0, self._excess_s[0]
+        low = self.heard_samples + round(slip) - self._chunk - LARGEST // 8
+        high = self.heard_samples + round(slip) + LARGEST + len(volts) + self._chunk
+        wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
+        return WhichLoss(
+            self._played.stretch(low, high), volts, self.heard_samples, self._before, slip, self._gain, usual_v,
+            self._chunk, wanted, self._excess_s[1] is not None and self._adc.jitter_s < COUNTED_S,
+        )  # fmt: skip
+
+    def _begin(self) -> list[Block]:
+        """The latency, once the drive moves: as expected, or searched for."""
+        volts = self._volts()
+        joined = self._declared == 0
+        heard = np.concatenate([self._opening, volts])[-OPENING * self._chunk :] if joined else volts
+        self._opening = heard
+        if not self._drives or heard.min() == heard.max():
+            return self._settled(*self._by_adc())
+        expected = self._expected_slip
+        if self._fit is not None and expected is not None:
+            now = self._fit.solve()
+            like_noise = now.rms_v < LIKE_NOISE * float(np.std(volts))
+            if now.sigma < SURE_SAMPLES and now.gain > 0 and like_noise and abs(now.samples - expected) < 1.5:
+                return self._concluded(Found(now.samples, gain=now.gain, rms_v=now.rms_v))
+        first = self.heard_samples + len(volts) - len(heard)
+        lost = self.lost_samples + self._declared
+        last = len(heard) >= OPENING * self._chunk
+        stretch = self._played.stretch(first + lost - LATENCY - 2, first + lost + len(heard) + 2)
+        return self._ask(WhichLatency(stretch, heard, first, lost, last))
+
+    def _ask(self, question: Question) -> list[Block]:
+        """Put a question; the answer is looked for in `_advance`."""
+        self._question, self._asked = question, self._searcher.ask(question)
+        return []
+
+    def _concluded(self, found: Found) -> list[Block]:
+        """What an answer means for the blocks that waited for it."""
+        self._question = None
+        if self._slip is None:
+            if found.slip is not None:
+                self._slip, self._gain = found.slip, found.gain
+                self._rms.append(found.rms_v)
+            return self._settled(*self._by_adc())
+        if found.slip is None:
+            return [] if self._patient else self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+        self._slip = found.slip
+        return self._settled(found.at, found.lost, found.uncertainty, 0)
+
+    def _by_adc(self) -> tuple[int, int, int, int]:
+        """Where the drive says nothing, the device's own time does, to its jitter."""
+        adc_s, jitter_s = self._excess_s[1], self._adc.jitter_s
+        if adc_s is None or adc_s < max(1.5 / self._rate_hz, 8.0 * jitter_s):
+            return -1, 0, 0, 0
+        lost = round(adc_s * self._rate_hz)
+        if self._slip is not None:
+            self._slip += lost
+        return 0, lost, int(np.ceil(jitter_s * self._rate_hz)), 0
+
+    def _volts(self) -> Floats:
+        """The looped-back drive of what is waiting."""
+        return np.concatenate([volts for _, volts in self._waiting])
+
+    def _counted(self) -> tuple[int, int]:
+        """Samples counted up to the end of what is waiting, and up to its last block."""
+        counted = self.heard_samples + self.lost_samples + self._n_waiting + self._declared
+        return counted, counted - len(self._waiting[-1][1])
+
+    def _settled(self, at: int, lost: int, sigma: int, flag: int) -> list[Block]:
+        """What was waiting, with ``lost`` samples missing before frame ``at`` of it."""
+        blocks = [block for block, _ in self._waiting]
+        self._before = np.concatenate([self._before, self._volts()])[-2 * self._chunk :]
+        if lost == 0 and not flag:
+            counted, before_last = self._counted()
+            self._clock.agree(blocks[-1].clock_ns, counted)
+            self._adc.agree(blocks[-1].adc_ns, before_last)
+        self._waiting, self._n_waiting, self._declared, self._fit = [], 0, 0, None
+        if lost < 0:
+            blocks = _without(blocks, at, -lost)
+        out: list[Block] = []
+        for block in blocks:
+            out += self._renumbered(block, at, lost, sigma, flag)
+            at -= len(block.codes)
+        return out
+
+    def _renumbered(self, block: Block, at: int, lost: int, sigma: int, flag: int) -> list[Block]:
+        """The block with its place in the recording, cut in two where the loss lies inside it."""
+        n = len(block.codes)
+        flags = block.flags | flag
+        parts: list[Block]
+        if lost > 0 and 0 < at < n:
+            parts = [
+                replace(block, codes=block.codes[:at], flags=flags),
+                replace(block, codes=block.codes[at:], flags=flags, lost_before=lost, lost_uncertainty=sigma),
+            ]
+        elif lost > 0 and at == 0:
+            total = block.lost_before + lost
+            parts = [replace(block, flags=flags, lost_before=total, lost_uncertainty=sigma)]
+        else:
+            parts = [replace(block, flags=flags)]
+        placed = []
+        for part in parts:
+            placed.append(replace(part, first_sample=self.heard_samples))
+            self.heard_samples += len(part.codes)
+            self.lost_samples += part.lost_before
+        return placed
+
+
+def _without(blocks: list[Block], at: int, n: int) -> list[Block]:
+    """Blocks without ``n`` repeated frames from frame ``at`` on, flagged where frames were taken out."""
+    kept = []
+    for block in blocks:
+        mask = np.ones(len(block.codes), np.bool_)
+        mask[max(at, 0) : max(at + n, 0)] = False
+        changed = not mask.all()
+        flags = block.flags | (int(BlockFlag.FILLED) if changed else 0)
+        kept.append(replace(block, codes=block.codes[mask], flags=flags))
+        at -= len(block.codes)
+    return [b for b in kept if len(b.codes)]

@@ -1,0 +1,186 @@
+"""The serial wire format, bytes in, frames out, with no I/O inside. What the bytes mean: docs/reference/serial-frame.md.
+
+The rule kept here: any byte stream yields good frames or counted losses, never an exception and never a wrong sample.
+A frame counts only when its CRC-32 fits, its size is what its header says, and its counters go on from those of the
+frame before by no more than the frames between could have held.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+from cobs import cobs
+from numpy.typing import NDArray
+
+VERSION = 1
+HEADER = struct.Struct("<BBHIQI")  # version, channels, frames, sequence, first sample, overruns
+CRC_BYTES = 4
+MAX_CHANNELS = 16
+MAX_SAMPLES = 2048  # int16 values in one frame, all channels together
+MAX_PACKET_BYTES = HEADER.size + 2 * MAX_SAMPLES + CRC_BYTES
+MAX_WIRE_BYTES = MAX_PACKET_BYTES + MAX_PACKET_BYTES // 254 + 1  # COBS adds at most one byte in 254, and one
+
+
+@dataclass(frozen=True)
+class SerialFrame:
+    """One frame of the device.
+
+    Attributes
+    ----------
+    sequence : int
+        Number of the frame since the device started, modulo 2**32.
+    first_sample : int
+        The device's counter of conversions at its first row; conversions that it had to drop are counted too.
+    overruns : int
+        Conversions that the device dropped since it started, modulo 2**32.
+    codes : int16 array (n, channels)
+    lost_before : int
+        Rows missing between the frame before and this one; 0 for the first.
+    dropped_before : int
+        Those of them that the device says it dropped itself; the others were lost on the way.
+    """
+
+    sequence: int
+    first_sample: int
+    overruns: int
+    codes: NDArray[np.int16]
+    lost_before: int = 0
+    dropped_before: int = 0
+
+    @property
+    def next_sample(self) -> int:
+        """Counter after the last row."""
+        return self.first_sample + len(self.codes)
+
+
+@dataclass
+class WireCounts:
+    """What came over the wire since the decoder was made.
+
+    Attributes
+    ----------
+    accepted
+        Good frames.
+    damaged
+        Packets thrown away: no valid COBS, wrong size or version, a CRC that does not fit.
+    stale
+        Good frames thrown away because their counters cannot follow: sent twice, out of order, from a device that
+        started anew.
+    lost_samples
+        Rows declared as lost between accepted frames.
+    """
+
+    accepted: int = 0
+    damaged: int = 0
+    stale: int = 0
+    lost_samples: int = 0
+
+
+def encode_frame(frame: SerialFrame) -> bytes:
+    """The bytes of a frame on the wire, its delimiter included; what `firmware/` does in C.
+
+    Raises
+    ------
+    ValueError
+        When the frame has no rows, or too many values for one frame.
+    """
+    rows, channels = frame.codes.shape
+    if not 1 <= channels <= MAX_CHANNELS or not 1 <= rows * channels <= MAX_SAMPLES:
+        raise ValueError(
+            f"wanted 1 to {MAX_CHANNELS} channels and 1 to {MAX_SAMPLES} values, came {rows} rows of {channels}"
+        )
+    head = HEADER.pack(VERSION, channels, rows, frame.sequence, frame.first_sample, frame.overruns)
+    packet = head + np.ascontiguousarray(frame.codes, "<i2").tobytes()
+    stuffed: bytes = cobs.encode(packet + zlib.crc32(packet).to_bytes(CRC_BYTES, "little"))
+    return stuffed + b"\0"
+
+
+class FrameDecoder:
+    """Bytes, however cut, to the frames that are in them.
+
+    Parameters
+    ----------
+    channels
+        Columns that the device must send; frames with another number are not from this device.
+    """
+
+    def __init__(self, channels: int) -> None:
+        self.counts = WireCounts()
+        self._channels = channels
+        self._held = bytearray()
+        self._skipping = False
+        self._last: SerialFrame | None = None
+
+    def feed(self, data: bytes) -> list[SerialFrame]:
+        """Take in what was read; gives back the frames that are complete, in order, their losses declared."""
+        *ended, open_end = data.split(b"\0")
+        frames = []
+        for part in ended:
+            frame = self._packet(part)
+            if frame is not None:
+                frames.append(frame)
+        self._hold(open_end)
+        return frames
+
+    def _hold(self, part: bytes) -> None:
+        """Keep the beginning of a packet, unless it is already longer than any packet."""
+        if self._skipping:
+            return
+        self._held += part
+        if len(self._held) > MAX_WIRE_BYTES:
+            self._held.clear()
+            self._skipping = True
+
+    def _packet(self, part: bytes) -> SerialFrame | None:
+        """What was held and ``part``, up to a delimiter, as a frame that goes on from the one before."""
+        self._hold(part)
+        wire, skipped = bytes(self._held), self._skipping
+        self._held.clear()
+        self._skipping = False
+        if not wire and not skipped:
+            return None  # delimiters may stand together
+        frame = None if skipped else parse_packet(wire, self._channels)
+        if frame is None:
+            self.counts.damaged += 1
+            return None
+        return self._following(frame)
+
+    def _following(self, frame: SerialFrame) -> SerialFrame | None:
+        """``frame`` with its losses, or None where its counters contradict those of the frame before."""
+        if self._last is not None:
+            last = self._last
+            missing = (frame.sequence - last.sequence - 1) % 2**32
+            dropped = (frame.overruns - last.overruns) % 2**32
+            lost = frame.first_sample - last.next_sample
+            if not dropped + missing <= lost <= dropped + missing * (MAX_SAMPLES // self._channels):
+                self.counts.stale += 1
+                return None
+            frame = replace(frame, lost_before=lost, dropped_before=dropped)
+            self.counts.lost_samples += lost
+        self._last = frame
+        self.counts.accepted += 1
+        return frame
+
+
+def parse_packet(wire: bytes, channels: int) -> SerialFrame | None:
+    """The frame in one packet without its delimiter; None where it is not whole or not of this format."""
+    if not HEADER.size < len(wire) <= MAX_WIRE_BYTES:
+        return None
+    try:
+        packet = cobs.decode(wire)
+    except cobs.DecodeError:
+        return None
+    if len(packet) <= HEADER.size + CRC_BYTES:
+        return None
+    version, columns, rows, sequence, first_sample, overruns = HEADER.unpack_from(packet)
+    values = rows * columns
+    size = HEADER.size + 2 * values + CRC_BYTES
+    if version != VERSION or columns != channels or not 1 <= values <= MAX_SAMPLES or len(packet) != size:
+        return None
+    if zlib.crc32(packet[:-CRC_BYTES]) != int.from_bytes(packet[-CRC_BYTES:], "little"):
+        return None
+    codes = np.frombuffer(packet, "<i2", values, HEADER.size).astype(np.int16).reshape(rows, columns)
+    return SerialFrame(sequence, first_sample, overruns, codes)

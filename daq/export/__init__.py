@@ -1,0 +1,1 @@
+"""TODO what export is for."""

@@ -1,0 +1,151 @@
+"""Write a recording for readers that know nothing of it: CSV, NPZ, or HDF5 with gzip instead of LZ4.
+
+The rule kept here: what is written reads back to the same numbers (`bench import` of the CSV gives the same codes
+when divided by their scale), and appears under its name only when it is whole.
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.column_file import CHUNK_SAMPLES, ColumnWriter
+from daq.setup.errors import InputError
+from daq.recording.reader import Recording
+from daq.export.resample import Resampled
+
+Kind = Literal["csv", "npz", "h5"]
+Progress = Callable[[int], None]
+_ROWS = 16384
+
+
+def export(
+    recording: Recording | Resampled,
+    out: Path,
+    kind: Kind,
+    progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write ``out``.
+
+    Parameters
+    ----------
+    recording
+        Open recording, or a view of it at another rate (CSV and NPZ).
+    out
+        File to create; an ending ``.gz`` of a CSV packs it.
+    kind
+        ``csv``: ``time_s`` and one column in volts a channel. ``npz``: the same as arrays, with ``rate_hz``, ``steps``
+        and ``setup_json``. ``h5``: the recording itself, compressed with gzip, which every HDF5 reader knows.
+    progress
+        Called with the samples done.
+    overwrite
+        Replace ``out`` where it exists, once the new file is whole.
+
+    Raises
+    ------
+    InputError
+        When ``out`` exists and is not to be replaced.
+    OSError
+        When the disk refuses; nothing is left behind.
+    """
+    if out.exists() and not overwrite:
+        raise InputError(f"{out}: exists already and is never overwritten unasked; choose another name.")
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: the folder {out.parent} does not exist; create it first.")
+    tell = progress if progress is not None else lambda _: None
+    if kind == "h5":
+        if isinstance(recording, Resampled):
+            raise InputError(f"{out}: HDF5 holds the recording as it is; another rate is written as CSV or NPZ.")
+        _export_h5(recording, out, tell, overwrite=overwrite)
+        return
+    part = out.with_name(out.name + ".part")
+    try:
+        (_export_csv if kind == "csv" else _export_npz)(recording, part, tell, packed=out.suffix == ".gz")
+        part.replace(out)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _pieces(n: int, rows: int) -> list[tuple[int, int]]:
+    return [(a, min(a + rows, n)) for a in range(0, n, rows)]
+
+
+def _digits(recording: Recording | Resampled, channel: str) -> str:
+    """Format that keeps a channel's numbers: a thousandth of a code, or all of a float."""
+    factor, _ = recording.scale(channel)
+    if recording.codes(channel, 0, 1).dtype.kind == "f":
+        return "%.17g"
+    return f"%.{max(0, math.ceil(3 - math.log10(factor)))}f"
+
+
+def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
+    names = recording.channels
+    line = ",".join(["%.9f", *(_digits(recording, name) for name in names)]) + "\n"
+    with (gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n")) as file:
+        file.write(",".join(["time_s", *(_plain_text(f"{name}_v") for name in names)]) + "\n")
+        for a, b in _pieces(recording.n_samples, _ROWS):
+            columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(name, a, b) for name in names)]
+            file.write(line * (b - a) % tuple(np.column_stack(columns).ravel().tolist()))
+            tell(b)
+
+
+def _plain_text(name: str) -> str:
+    """A name as a field of a CSV that no spreadsheet takes for a formula."""
+    text = f"'{name}" if name[:1] in ("=", "+", "-", "@", "\t", "\r") else name
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
+
+
+def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
+    del packed  # an NPZ is packed by itself
+
+    def write(archive: zipfile.ZipFile, name: str, read: Callable[[int, int], NDArray[Any]]) -> None:
+        with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+            header = {"descr": "<f8", "fortran_order": False, "shape": (recording.n_samples,)}
+            np.lib.format.write_array_header_1_0(file, header)
+            for a, b in _pieces(recording.n_samples, CHUNK_SAMPLES):
+                file.write(np.ascontiguousarray(read(a, b), "<f8").data)
+                tell(b)
+
+    def volts(name: str) -> Callable[[int, int], NDArray[Any]]:
+        return lambda a, b: recording.read_v(name, a, b)
+
+    with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
+        write(archive, "time_s", lambda a, b: recording.timestamps_ns(a, b) * 1e-9)
+        for name in recording.channels:
+            write(archive, f"{name}_v", volts(name))
+        extras = {
+            "rate_hz": np.float64(recording.rate_hz),
+            "steps": recording.steps,
+            "setup_json": np.str_(recording.stored["setup_json"]),
+        }
+        for name, value in extras.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, np.asarray(value), allow_pickle=False)
+
+
+def _export_h5(recording: Recording, out: Path, tell: Progress, *, overwrite: bool) -> None:
+    names = recording.channels
+    dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
+    scales = {name: recording.scale(name) for name in names}
+    writer = ColumnWriter(
+        out, recording.setup, dtypes, scales, recording.stored, overwrite=overwrite, compression="gzip"
+    )
+    try:
+        for a, b in _pieces(recording.n_samples, CHUNK_SAMPLES):
+            writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})
+            tell(b)
+        writer.check(recording.steps, recording.blocks, recording.side)
+    except BaseException:
+        writer.abandon()
+        raise
+    writer.rename()

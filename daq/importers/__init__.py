@@ -1,0 +1,1 @@
+"""TODO what importers is for."""

@@ -1,0 +1,231 @@
+"""Other people's recordings: which column is what, in which unit, and where the numbers come from.
+
+The rule kept here: nothing is guessed in silence. A column is taken for what its name says (`time_s`, `Drive (mV)`,
+`accel_g` ...) or for what the caller says; two candidates for one role are an error that asks for ``--map``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.setup.errors import InputError
+
+ROLES = ("time", "continuity", "accelerometer", "drive", "frequency", "level")
+SET_ROLES = ("frequency", "level")
+CHANNEL_ROLES = ("continuity", "accelerometer", "drive")
+PIECE_ROWS = 65536
+_SHOWN, _SHOWN_CHARACTERS = 24, 80
+
+_ALIASES = {
+    "time": {"time", "t", "times", "timestamp", "timestamps", "elapsed", "elapsedtime", "seconds", "zeit"},
+    "continuity": {"continuity", "contact", "contactcircuit", "circuit", "continuitycircuit", "cont"},
+    "accelerometer": {"accelerometer", "acceleration", "accel", "acc", "plateacceleration", "plate"},
+    "drive": {"drive", "drivevoltage", "loopback", "loopbackdrive", "driveloopback", "excitation", "command"},
+}
+TIME_UNITS_S = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+VOLT_UNITS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3}
+ACCELERATION_UNITS = {"g": "V/g", "m/s^2": "V/(m/s^2)", "m/s2": "V/(m/s^2)", "mps2": "V/(m/s^2)"}
+RATE_NAMES = {"rate", "ratehz", "fs", "samplerate", "samplingrate", "sampleratehz", "fshz"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the source and the unit it is in (empty: seconds, volts, hertz)."""
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some rows: one array a column, and how to name a row of them to a person."""
+
+    columns: Mapping[str, NDArray[Any]]
+    rows: Sequence[int] | NDArray[np.int64]
+    row_word: str = "row"
+
+    def place(self, index: int) -> str:
+        """``row 17`` or ``line 18``."""
+        return f"{self.row_word} {int(self.rows[index])}"
+
+
+class Source(Protocol):
+    """A table of numbers in somebody's file."""
+
+    path: Path
+    names: tuple[str, ...]
+    rate_hz: float | None
+
+    def scale(self, name: str, range_v: float) -> tuple[float, float]:
+        """``(volts, offset_v)`` of one unit of a column, where the file itself says so; else ``(1, 0)``."""
+
+    def dtype(self, name: str) -> np.dtype[Any]:
+        """Type in which the column's numbers are kept."""
+
+    def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
+        """The named columns, some rows at a time."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for an error: the first few, without what would steer a terminal."""
+    few = ["".join(c if c.isprintable() else "?" for c in name[:_SHOWN_CHARACTERS]) for name in names[:_SHOWN]]
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(few) + more
+
+
+def parse_map(items: Sequence[str]) -> dict[str, Column]:
+    """``role=column[:unit]`` as the command line gives it.
+
+    Raises
+    ------
+    InputError
+        For an unknown role or unit, or a repeated role.
+    """
+    mapping: dict[str, Column] = {}
+    for item in items:
+        role, separator, column = item.partition("=")
+        role = role.strip().lower()
+        if not separator or role not in ROLES or not column or role in mapping:
+            raise InputError(
+                f"--map {item}: wanted role=column or role=column:unit, each role once; roles are {', '.join(ROLES)}."
+            )
+        name, colon, unit = column.rpartition(":")
+        if colon and _unit_fits(role, unit):
+            mapping[role] = Column(name, unit.lower())
+        else:
+            mapping[role] = Column(column)
+    return mapping
+
+
+def _unit_fits(role: str, unit: str) -> bool:
+    unit = unit.lower()
+    if role == "time":
+        return unit in TIME_UNITS_S
+    return role not in SET_ROLES and (unit in VOLT_UNITS or unit == "fs" or unit in ACCELERATION_UNITS)
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """A column's bare name (letters and digits, lower case) and the unit its name states, if any.
+
+    ``Time (ms)`` is ``("time", "ms")``, ``accelerometer_v`` is ``("accelerometer", "v")``.
+    """
+    text = name.strip().lower().rsplit("/", 1)[-1]
+    bracket = re.search(r"[\(\[]\s*([^\)\]]+?)\s*[\)\]]\s*$", text)
+    known = TIME_UNITS_S.keys() | VOLT_UNITS.keys() | ACCELERATION_UNITS.keys() | {"hz"}
+    unit = ""
+    if bracket is not None and bracket.group(1) in known:
+        unit, text = bracket.group(1), text[: bracket.start()]
+    else:
+        stem, underscore, last = text.rpartition("_")
+        if underscore and last in known:
+            unit, text = last, stem
+    return re.sub(r"[^a-z0-9]", "", text), unit
+
+
+def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
+    """Which column plays which role.
+
+    Parameters
+    ----------
+    source
+        The file.
+    mapping
+        What the caller said; it wins. Set frequency and set level are used only when mapped.
+
+    Raises
+    ------
+    InputError
+        When a mapped column is missing, a role has two candidates, or there is no accelerometer.
+    """
+    chosen = {role: _mapped(source, role, column) for role, column in mapping.items()}
+    taken = {column.name for column in chosen.values()}
+    for role in _ALIASES:
+        if role in chosen:
+            continue
+        found = [n for n in source.names if n not in taken and _plays(role, n)]
+        exact = [n for n in found if split_name(n)[0] == role]
+        if len(exact) == 1:
+            found = exact
+        if len(found) > 1:
+            raise InputError(f"{source.path}: columns {listed(found)} could all be {role}; say --map {role}=COLUMN.")
+        if found:
+            chosen[role] = Column(found[0], split_name(found[0])[1])
+    if "accelerometer" not in chosen:
+        raise InputError(
+            f"{source.path}: no column for the accelerometer among {listed(source.names)}; wanted accelerometer_v, "
+            "or say --map accelerometer=COLUMN."
+        )
+    return chosen
+
+
+def _plays(role: str, name: str) -> bool:
+    bare, unit = split_name(name)
+    for word in ("voltage", "volts", "signal", "channel"):
+        bare = bare.removesuffix(word) if bare != word else bare
+    return bare in _ALIASES[role] and (not unit or _unit_fits(role, unit))
+
+
+def _mapped(source: Source, role: str, column: Column) -> Column:
+    """A mapped column under the name that the source knows: its name, another case of it, its last part, or its number.
+
+    The last part is what follows the folders of an HDF5 file; numbers count from 1.
+    """
+    if column.name in source.names:
+        match = column.name
+    else:
+        wanted = column.name.strip().lower()
+        same = [n for n in source.names if n.strip().lower() == wanted]
+        same = same or [n for n in source.names if n.strip().lower().rsplit("/", 1)[-1] == wanted]
+        if len(same) == 1:
+            match = same[0]
+        elif column.name.isdigit() and 1 <= int(column.name) <= len(source.names):
+            match = source.names[int(column.name) - 1]
+        else:
+            raise InputError(
+                f"{source.path}: --map {role}={column.name}: no such column; it has {listed(source.names)}."
+            )
+    unit = column.unit or split_name(match)[1]
+    return Column(match, unit if _unit_fits(role, unit) else "")
+
+
+def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
+    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .mat, .npz, .wav.
+
+    Parameters
+    ----------
+    path
+        The file.
+    select, select_column
+        For a long table (text only): which rows, as ``{"": value}`` or ``{role: value}``, by the entry of which
+        column.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, of an unknown kind, or does not read.
+    """
+    from daq.importers.arrays import Hdf5Source, Mat73Source, MatSource, NpzSource, WavSource
+    from daq.importers.csv import CsvSource
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
+    if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat"):
+        return CsvSource(path, select or {}, select_column)
+    if select:
+        raise InputError(f"{path}: --channel is for long tables in text files (CSV); here use --map.")
+    matlab = Mat73Source if ending == ".mat" and h5py.is_hdf5(path) else MatSource
+    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": matlab}
+    kinds |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Hdf5Source)
+    if ending not in kinds:
+        raise InputError(f"{path}: wanted a file that ends in .csv .txt .tsv .dat (or .gz of these) {' '.join(kinds)}.")
+    source: Source = kinds[ending](path)
+    return source

@@ -1,0 +1,348 @@
+"""Numbers in text: comma, semicolon or tab separated, with or without a header, plain or gzipped, wide or long.
+
+The rule kept here: a line is either understood whole or named in an error; none is skipped but blank ones and
+comments (``#``). The file is never in memory as a whole.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.importers.csv_kernel import parse_rows
+from daq.setup.errors import InputError
+from daq.importers.columns import Piece, listed, split_name
+
+_DELIMITERS = (",", ";", "\t")
+_SNIFFED_LINES = 200
+_BLOCK_BYTES = 1 << 22
+_LONGEST_LINE = 1 << 16
+_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_LISTED = 64
+
+
+class _Recoded(io.RawIOBase):
+    """A text in another encoding, or with other line ends, as UTF-8 with newlines."""
+
+    def __init__(self, raw: Any, encoding: str) -> None:
+        super().__init__()
+        self._text = io.TextIOWrapper(raw, encoding=encoding, errors="replace")
+
+    def read(self, size: int = -1) -> bytes:
+        """The next ``size`` characters, in as many bytes as they need."""
+        return self._text.read(size).encode()
+
+    def readline(self, size: int | None = -1) -> bytes:
+        """The rest of the line, at most ``size`` characters of it."""
+        return self._text.readline(-1 if size is None else size).encode()
+
+    def close(self) -> None:
+        """Close the file beneath."""
+        self._text.close()
+        super().close()
+
+
+class CsvSource:
+    """A text table.
+
+    Parameters
+    ----------
+    path
+        The file; ``.gz`` is unpacked on the way.
+    select
+        Long table: ``{"": value}`` keeps the rows whose selecting column holds ``value``; ``{role: value, ...}`` makes
+        the rows of each value a column of their own, named by the role.
+    select_column
+        The selecting column; the default is the one called ``channel`` or ``sensor``.
+    """
+
+    rate_hz: float | None = None
+
+    def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
+        self.path = path
+        self.names: tuple[str, ...] = ()
+        self._base: tuple[str, ...] = ()
+        self._sniff()
+        self._select = dict(select)
+        self._seen: set[str] = set()
+        self._selector = self._find_selector(select_column) if select else -1
+        if select and "" not in select:
+            self.names = (*self.names, *select)
+
+    def scale(self, name: str, range_v: float) -> tuple[float, float]:
+        """Text says what it means: one."""
+        return 1.0, 0.0
+
+    def dtype(self, name: str) -> np.dtype[Any]:
+        """Text is kept as float64."""
+        return np.dtype("<f8")
+
+    def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
+        """The named columns, some rows at a time.
+
+        Raises
+        ------
+        InputError
+            Naming the file and line of what is not a number, missing, or too much.
+        """
+        if not self._select:
+            for first, n, block in self._blocks():
+                columns, rows = self._parsed(block, names, range(first, first + n))
+                if len(rows):
+                    yield Piece(columns, rows, "line")
+        elif "" in self._select:
+            for numbers, lines in self._lines():
+                where, chosen = self._matching(lines, numbers, self._select[""])
+                if where:
+                    yield Piece(*self._parsed(chosen, names, where), "line")
+            self._refuse_unseen()
+        else:
+            yield from self._pivoted(names)
+
+    def _open(self) -> Any:
+        """The text as UTF-8 without byte-order mark, its lines ending in a newline."""
+        raw: Any = (gzip.open if self.path.suffix.lower() == ".gz" else open)(self.path, "rb")
+        head = raw.read(_LONGEST_LINE)
+        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "")
+        raw.seek(0)
+        if encoding or (b"\r" in head and b"\n" not in head):
+            return _Recoded(raw, encoding or "utf-8")
+        raw.read(3 if head.startswith(codecs.BOM_UTF8) else 0)
+        return raw
+
+    def _sniff(self) -> None:
+        """Find delimiter, decimal sign, header and the first line of numbers."""
+        try:
+            with self._open() as file:
+                head = [self._line(file, i + 1).decode(errors="replace") for i in range(_SNIFFED_LINES)]
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(f"{self.path}: cannot be read as text ({error}).") from error
+        while head and not head[-1]:
+            head.pop()
+        head = [line.rstrip("\r\n") for line in head]
+        lines = [(i, line) for i, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")]
+        for delimiter, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, ".")):
+            first = next((k for k, (_, line) in enumerate(lines) if _is_numbers(line, delimiter, decimal)), None)
+            if first is not None:
+                break
+        else:
+            raise InputError(
+                f"{self.path}: no line of numbers among the first {len(head)}; wanted columns separated by comma, "
+                "semicolon or tab under a header."
+            )
+        self._delimiter = delimiter
+        self._decimal = "." if delimiter in (",", None) else _decimal_of(
+            "\n".join(line for _, line in lines[first:]), delimiter
+        )
+        self._first_line = lines[first][0]
+        self._width = len(_fields(lines[first][1], delimiter))
+        comments = [line.lstrip().lstrip("#") for line in head[: self._first_line] if line.lstrip().startswith("#")]
+        headers = [_fields(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
+        headers = [h for h in headers if len(h) == self._width]
+        named = next((h for h in headers if any(split_name(n)[0] for n in h)), None)
+        names = [n.strip().strip('"') for n in named] if named else [str(i + 1) for i in range(self._width)]
+        if len(set(names)) != len(names):
+            twice = next(n for n in names if names.count(n) > 1)
+            raise InputError(f"{self.path}: the header names {twice!r} twice; give each column its own name.")
+        self.names = self._base = tuple(names)
+
+    def _line(self, file: Any, number: int) -> bytes:
+        """The next line, or what is left of one."""
+        line: bytes = file.readline(_LONGEST_LINE)
+        if len(line) >= _LONGEST_LINE:
+            raise InputError(
+                f"{self.path}: line {number} or one near it is longer than {_LONGEST_LINE} characters; wanted a table "
+                "of numbers, a line for each sample."
+            )
+        return line
+
+    def _find_selector(self, name: str | None) -> int:
+        wanted = [name.lower()] if name else ["channel", "sensor"]
+        for i, known in enumerate(self.names):
+            if known.lower() in wanted:
+                return i
+        raise InputError(
+            f"{self.path}: --channel needs a column called {' or '.join(wanted)}; it has {listed(self.names)}."
+        )
+
+    def _blocks(self) -> Iterator[tuple[int, int, bytes]]:
+        """Whole lines of text, some at a time, each with the number (from 1) of its first line, and how many."""
+        with self._open() as file:
+            for i in range(self._first_line):
+                self._line(file, i + 1)
+            first = self._first_line + 1
+            while True:
+                try:
+                    block = file.read(_BLOCK_BYTES)
+                    n = block.count(b"\n")
+                    rest = self._line(file, first + n)
+                except (OSError, EOFError, zlib.error) as error:
+                    raise InputError(f"{self.path}: breaks off: {error}.") from error
+                if not block:
+                    return
+                if rest or not block.endswith(b"\n"):
+                    block, n = block + rest.removesuffix(b"\n") + b"\n", n + 1
+                if not self._decimal and self._delimiter:
+                    self._decimal = _decimal_of(block.decode(errors="replace"), self._delimiter)
+                yield first, n, block
+                first += n
+
+    def _lines(self) -> Iterator[tuple[list[int], list[str]]]:
+        """Numbers and text of the lines that are neither blank nor a comment, some at a time."""
+        for first, _, block in self._blocks():
+            lines = block.decode(errors="replace").split("\n")
+            kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+            yield [first + i for i in kept], [lines[i].rstrip("\r") for i in kept]
+
+    def _parsed(
+        self, block: bytes, names: Sequence[str], numbers: Sequence[int]
+    ) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+        """Columns by name, and the number of each row's line; ``numbers`` are those of the block's lines."""
+        columns = list(dict.fromkeys(names))
+        place = np.full(self._width, -1, np.int64)
+        place[[self._base.index(n) for n in columns]] = np.arange(len(columns))
+        text = np.frombuffer(block, np.uint8)
+        table, lines, left, wrong = parse_rows(
+            text, self._delimiter, self._decimal or ".", self._width, place, (len(columns), len(numbers))
+        )
+        for row, column, start, stop in left.tolist():
+            field = block[start:stop].decode(errors="replace")
+            value = _number(field, self._decimal)
+            if value is None:
+                raise InputError(
+                    f"{self.path}: line {numbers[lines[row]]}, column {columns[column]}: wanted a number, "
+                    f"got {field.strip()!r}."
+                )
+            table[column, row] = value
+        if wrong >= 0:
+            self._explain(block.split(b"\n")[wrong].decode(errors="replace"), numbers[wrong])
+        where = lines + numbers.start if isinstance(numbers, range) else np.asarray(numbers, np.int64)[lines]
+        return {name: table[i] for i, name in enumerate(columns)}, where
+
+    def _explain(self, line: str, number: int) -> NoReturn:
+        """Say why a line cannot be used."""
+        got = len(_fields(line, self._delimiter))
+        said = f"wanted {self._width} columns ({listed(self._base)}), got {got}; is the file cut off, or a value gone?"
+        if got == self._width:
+            said = "a carriage return stands within the line; save the file with one kind of line end"
+        raise InputError(f"{self.path}: line {number}: {said}")
+
+    def _matching(self, lines: list[str], numbers: list[int], value: str) -> tuple[list[int], bytes]:
+        """Numbers and text of the lines that have ``value`` in the selecting column."""
+        where, chosen = [], []
+        for number, line in zip(numbers, lines, strict=True):
+            fields = _fields(line, self._delimiter)
+            if len(fields) <= self._selector:
+                self._explain(line, number)
+            if len(self._seen) < _LISTED:
+                self._seen.add(fields[self._selector].strip())
+            if _same(fields[self._selector], value):
+                where.append(number)
+                chosen.append(line + "\n")
+        return where, "".join(chosen).encode()
+
+    def _refuse_unseen(self) -> None:
+        """Refuse a selection that no row fits."""
+        for value in self._select.values():
+            if not any(_same(seen, value) for seen in self._seen) and len(self._seen) < _LISTED:
+                raise InputError(
+                    f"{self.path}: no row has {value!r} in column {self._base[self._selector]}; "
+                    f"it holds {', '.join(sorted(self._seen))}."
+                )
+
+    def _pivoted(self, names: Sequence[str]) -> Iterator[Piece]:
+        """Rows of each selected value side by side; all must come at the same times."""
+        shared = [n for n in names if n in self._base]
+        value_column = self._value_column(shared)
+        waiting: dict[str, list[tuple[int, dict[str, float]]]] = {role: [] for role in self._select}
+        for numbers, lines in self._lines():
+            for role, value in self._select.items():
+                where, chosen = self._matching(lines, numbers, value)
+                if where:
+                    table, _ = self._parsed(chosen, [*shared, value_column], where)
+                    rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+                    waiting[role] += list(zip(where, rows, strict=True))
+            ready = min(len(rows) for rows in waiting.values())
+            if ready:
+                heads = {role: rows[:ready] for role, rows in waiting.items()}
+                waiting = {role: rows[ready:] for role, rows in waiting.items()}
+                yield self._side_by_side(heads, shared, value_column)
+        self._refuse_unseen()
+        left = {role: len(rows) for role, rows in waiting.items() if rows}
+        if left:
+            raise InputError(f"{self.path}: wanted as many rows of each --channel, but these have more: {left}.")
+
+    def _side_by_side(
+        self, heads: dict[str, list[tuple[int, dict[str, float]]]], shared: list[str], value_column: str
+    ) -> Piece:
+        first = next(iter(heads.values()))
+        columns = {n: np.array([row[n] for _, row in first]) for n in shared}
+        for role, rows in heads.items():
+            for (line, row), (_, reference) in zip(rows, first, strict=True):
+                if any(row[n] != reference[n] for n in shared):
+                    raise InputError(
+                        f"{self.path}: line {line}: the rows of --channel {role} come at other times than the first "
+                        "channel's; import one channel at a time (--channel VALUE)."
+                    )
+            columns[role] = np.array([row[value_column] for _, row in rows])
+        return Piece(columns, [line for line, _ in first], "line")
+
+    def _value_column(self, shared: list[str]) -> str:
+        left = [n for i, n in enumerate(self._base) if i != self._selector and n not in shared]
+        if len(left) == 1:
+            return left[0]
+        named = [n for n in left if split_name(n)[0] in ("value", "reading", "volts", "voltage", "v")]
+        if len(named) != 1:
+            raise InputError(f"{self.path}: which of {', '.join(left)} holds the reading? Call that column value.")
+        return named[0]
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    return line.rstrip("\r\n").split(delimiter)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(field: str, decimal: str | None) -> float | None:
+    """What Python makes of a number that is too long or too odd for the inner loop."""
+    text = field.strip().replace(",", ".") if decimal == "," else field.strip()
+    return float(text) if text.isascii() and "_" not in text and _is_number(text) else None
+
+
+def _decimal_of(text: str, delimiter: str) -> str:
+    """Decimal sign of numbers that no comma separates: the one that is there, a point if both are, else unknown."""
+    for sign in ".,":
+        number = rf"[ \t]*[+-]?(\d+\{sign}\d*|\{sign}\d+)(e[+-]?\d+)?[ \t]*"
+        if re.search(rf"(^|{delimiter}){number}({delimiter}|\r|$)", text, re.MULTILINE | re.IGNORECASE):
+            return sign
+    return ""
+
+
+def _is_numbers(line: str, delimiter: str | None, decimal: str) -> bool:
+    """Whether a line holds at least two columns of which most are numbers (a long table may name its channels)."""
+    if delimiter == "," and (";" in line or "\t" in line):
+        return False
+    fields = _fields(line, delimiter)
+    if decimal != ".":
+        fields = [f.replace(decimal, ".") for f in fields]
+    return len(fields) > 1 and sum(_is_number(f) for f in fields) * 2 > len(fields)
+
+
+def _same(field: str, value: str) -> bool:
+    field, value = field.strip().strip('"'), value.strip()
+    return field.lower() == value.lower() or (_is_number(field) and _is_number(value) and float(field) == float(value))

@@ -1,0 +1,296 @@
+"""Turn somebody's file into a recording: stream it in, find its time base, find its steps, check, rename.
+
+The rule kept here: all or nothing. The recording appears under its name only when everything in it was read, found
+consistent, written and read back; values are stored as they came, never requantised.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import BLOCK_DTYPE
+from daq.steps.forcing_detection import Read
+from daq.recording.column_file import ColumnWriter
+from daq.setup.errors import InputError
+from daq.importers.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
+from daq.importers.diagnostics import contact_doubts, plate_doubts, range_doubts, rate_doubts, remarks
+from daq.importers.intake import Intake, Progress, take_in
+from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
+from daq.recording.reader import timestamps_ns
+from daq.setup.setup import Setup
+from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
+from daq.importers.timebase import Timebase, timebase_of
+from daq.steps.tone_tracking import fit
+from daq.recording.writer import now_utc, root_attributes
+
+Floats = NDArray[np.float64]
+
+LEAST_HZ, MOST_HZ = 0.01, 1e8  # times are kept in nanoseconds, in 64 bits
+YEAR_9999_S = 2.5e11
+EPOCH_S = 1e9  # a larger first time is seconds since 1970
+MOST_OF = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
+SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
+
+
+@dataclass(frozen=True)
+class ImportSummary:
+    """What an import did: sizes, time base, steps, which column became what, and what a person should know."""
+
+    path: Path
+    n_samples: int
+    timebase: Timebase
+    steps: NDArray[np.void]
+    columns: dict[str, str]
+    remarks: list[str]
+
+
+def import_recording(
+    source: Source,
+    out: Path,
+    setup: Setup,
+    profile_text: str,
+    *,
+    mapping: Mapping[str, Column] | None = None,
+    rate_hz: float | None = None,
+    note: str | None = None,
+    extra: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> ImportSummary:
+    """Write ``out`` from a foreign file.
+
+    Parameters
+    ----------
+    source
+        The open foreign file.
+    out
+        Recording to create.
+    setup, profile_text
+        What was measured with what, and the profile's text.
+    mapping
+        Columns by role where names do not say.
+    rate_hz
+        Sample rate where there is no time column.
+    note, extra
+        Kept in the recording.
+    progress
+        Called with what is being done and how many rows are done.
+
+    Raises
+    ------
+    InputError
+        Naming file and row of what cannot be used; nothing is left behind.
+    """
+    if rate_hz is not None and not LEAST_HZ <= rate_hz <= MOST_HZ:
+        raise InputError(f"--rate {rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
+    columns = assign(source, mapping or {})
+    channels = [role for role in CHANNEL_ROLES if role in columns]
+    rate = rate_hz or source.rate_hz
+    if "time" not in columns and rate is None:
+        raise InputError(
+            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
+            "the sample rate with --rate HZ."
+        )
+    setup = _adapted(setup, columns, channels)
+    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=note)
+    scales = {role: _scale(source, columns[role], role, setup) for role in channels}
+    writer = _begun(source, columns, out, setup, scales, attributes)
+    try:
+        intake = take_in(source, columns, scales, setup, writer, progress)
+        base = _timebase(source, writer, intake, columns.get("time"), setup, rate)
+        steps, from_drive = _find(writer, scales, setup, base, intake, progress)
+        doubts = [*rate_doubts(base.rate_hz, setup, steps), *range_doubts(intake.peak_v, setup)]
+        doubts += plate_doubts(steps, setup) if from_drive else []
+        if "continuity" in scales:
+            doubts += contact_doubts(_volts(writer, scales, "continuity"), setup, steps)
+        setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
+        late = _late_attributes(source, columns, setup, base, intake, extra)
+        writer.check(steps, _blocks(base, writer.n_samples), **late)
+    except BaseException:
+        writer.abandon()
+        raise
+    writer.rename()
+    named = {role: column.name for role, column in columns.items()}
+    said = remarks(base, steps, channels, from_drive) + doubts
+    return ImportSummary(out, writer.n_samples, base, steps, named, said)
+
+
+def _begun(
+    source: Source, columns: Mapping[str, Column], out: Path, setup: Setup, scales: Mapping[str, tuple[float, float]],
+    attributes: Mapping[str, Any],
+) -> ColumnWriter:
+    """The column file, empty; each channel in the type that its column has."""
+    dtypes = {role: source.dtype(columns[role].name) for role in scales}
+    ending = {"channels": list(scales), "started": "", "ended": "complete", "why": "", "ended_at": ""}
+    return ColumnWriter(out, setup, dtypes, scales, {**attributes, **ending})
+
+
+def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[float, float]:
+    """Volts of one unit of what is stored, and the offset."""
+    described = getattr(setup.channels, role)
+    range_v = described.range_v if described is not None else 10.0
+    if column.unit == "fs":
+        return range_v, 0.0
+    factor, offset = source.scale(column.name, range_v)
+    unit_v = VOLT_UNITS.get(column.unit, 1.0)
+    return factor * unit_v, offset * unit_v
+
+
+def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -> Setup:
+    """The set-up as the file has it: without a channel that is absent; 1 V a unit for a calibrated acceleration."""
+    changed: dict[str, Any] = {}
+    if "continuity" not in channels:
+        changed["continuity"] = None
+    unit = columns["accelerometer"].unit
+    if unit in ACCELERATION_UNITS:
+        old = setup.channels.accelerometer
+        relative = old.sensitivity.uncertainty / old.sensitivity.value
+        source = f"column {columns['accelerometer'].name} is in {unit}"
+        sensitivity = old.sensitivity.model_copy(update={"value": 1.0, "uncertainty": relative, "source": source})
+        changed["accelerometer"] = old.model_copy(
+            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit], "range_v": MOST_OF[unit]}
+        )
+    return setup.model_copy(update={"channels": setup.channels.model_copy(update=changed)})
+
+
+def _timebase(
+    source: Source, writer: ColumnWriter, intake: Intake, time: Column | None, setup: Setup, rate_hz: float | None
+) -> Timebase:
+    """Rate, pauses, jitter; even times are written over rounded ones."""
+    if time is None:
+        base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
+    else:
+        def times(start: int, stop: int) -> Floats:
+            return np.asarray(writer.read("timestamp", start, stop) * 1e-9, np.float64)
+
+        refuse_mixed_rates(source.path, times, writer.n_samples, intake.rounding_s)
+        base = timebase_of(times, writer.n_samples, intake.rounding_s)
+        if intake.repeated and not base.uniform:
+            raise InputError(f"{source.path}: {intake.repeated} comes twice; wanted times that rise.")
+        if rate_hz is not None and abs(base.rate_hz / rate_hz - 1.0) > 0.01:
+            raise InputError(
+                f"{source.path}: the time column says {base.rate_hz:.6g} samples/s, not {rate_hz:.6g}; is the unit of "
+                "time right (--map time=COLUMN:ms)?"
+            )
+        refuse_other_unit(source.path, time, base.rate_hz, setup)
+    if base.uniform:
+        writer.replace_timestamps(lambda a, b: timestamps_ns(a, b, base.rate_hz, base.gaps[:, :2]))
+    return base
+
+
+def _volts(writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], role: str) -> Read:
+    """Gives volts of samples ``a .. b`` of a channel."""
+    factor, offset = scales[role]
+    return lambda a, b: np.asarray(writer.read(role, a, b) * factor + offset, np.float64)
+
+
+def _find(
+    writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], setup: Setup, base: Timebase, intake: Intake,
+    progress: Progress | None,
+) -> tuple[NDArray[np.void], bool]:
+    """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
+
+    def volts(role: str) -> Read:
+        return _volts(writer, scales, role)
+
+    found: list[FoundStep] = []
+    for role in ("drive", "accelerometer"):
+        if role in scales and not found:
+            from_drive = role == "drive"
+            found = _found(volts(role), writer.n_samples, setup, base, intake, progress)
+            if not from_drive and not intake.set_values:
+                shortest = SHORTEST_FELT_CYCLES * base.rate_hz
+                found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
+    achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
+    g_per_volt = setup.drive.g_per_volt
+    if from_drive and g_per_volt is not None:
+        gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
+    else:
+        gammas = achieved[:, 0]
+    return step_table(found, setup.forcing, base.rate_hz, gammas, achieved), from_drive
+
+
+def _found(
+    read: Callable[[int, int], Floats], n_samples: int, setup: Setup, base: Timebase, intake: Intake,
+    progress: Progress | None,
+) -> list[FoundStep]:
+    """Steps of one channel: cut where the file says that something was set, else where the channel changes."""
+    set_hz = dict(intake.set_values.get("frequency", []))
+    changes = {row for values in intake.set_values.values() for row, _ in values}
+    cuts = sorted({0, n_samples, *changes, *(int(g) for g in base.gaps[:, 0])})
+    found: list[FoundStep] = []
+    near_hz = setup.forcing.frequency_hz
+    for a, b in pairwise(cuts):
+        near_hz = set_hz.get(a, near_hz)
+        if near_hz > 0.5 * base.rate_hz and set_hz:
+            raise InputError(
+                f"set frequency {near_hz:.6g} from sample {a} on: wanted less than half the sample rate, "
+                f"{0.5 * base.rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
+            )
+        if intake.set_values:
+            found += given_step(read, a, b, base.rate_hz, setup.forcing, near_hz)
+        else:
+            found += find_steps(read, a, b, base.rate_hz, setup.forcing)
+        if progress is not None:
+            progress("finding steps", b)
+    return found
+
+
+def _achieved(read: Callable[[int, int], Floats], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
+    """Gamma at the plate over a step's hold, from the accelerometer's tones, and its uncertainty."""
+    settled = step.settled(rate_hz)
+    tones = fit(read, settled, step.stop, rate_hz, step.frequency_hz, setup.forcing)
+    sensor = setup.channels.accelerometer
+    volts_per_g = sensor.volts_per_mps2 * setup.g_mps2.value
+    gamma = gamma_of(tones.amplitudes / volts_per_g, setup.forcing)
+    noise = gamma_of(tones.amplitude_sigma() / volts_per_g + 0j, setup.forcing)
+    return gamma, float(np.hypot(noise, gamma * sensor.sensitivity.uncertainty / sensor.sensitivity.value))
+
+
+def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:
+    """One block for each unbroken run."""
+    starts = [0, *(int(g) for g in base.gaps[:, 0])]
+    rows = np.zeros(len(starts), BLOCK_DTYPE)
+    rows["first_sample"] = starts
+    rows["n_samples"] = np.diff([*starts, n_samples])
+    rows["lost_before"][1:] = base.gaps[:, 1]
+    rows["lost_uncertainty"][1:] = base.gaps[:, 2]
+    return rows
+
+
+def _late_attributes(
+    source: Source, columns: Mapping[str, Column], setup: Setup, base: Timebase, intake: Intake,
+    extra: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    started = ""
+    if EPOCH_S < intake.origin_s < YEAR_9999_S:
+        when = datetime.datetime.fromtimestamp(intake.origin_s, datetime.UTC)
+        started = when.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
+    return {
+        "setup_json": setup.model_dump_json(),
+        "rate_hz": base.rate_hz,
+        "uniform": base.uniform,
+        "jitter_s": base.jitter_s,
+        "started": started,
+        "imported_at": now_utc(),
+        "imported_from": source.path.name,
+        "imported_sha256": _sha256(source.path),
+        "imported_columns": [f"{role}={column.name}" + (f":{column.unit}" if column.unit else "")
+                             for role, column in columns.items()],
+        "time_origin_s": intake.origin_s,
+        "extra_json": json.dumps(dict(extra or {})),
+    }
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

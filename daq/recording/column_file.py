@@ -1,0 +1,297 @@
+"""The column file: what a recording is once it is closed. One HDF5 dataset a channel, compressed and checksummed.
+
+The rule kept here: a column file is written beside its final name, whole, checked, and only then renamed; a reader
+never meets half of one. Layout in docs/reference/recording-format.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import hdf5plugin
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.recording.disk import DiskFile
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+
+FORMAT = "shakerbench recording"
+FORMAT_VERSION = 1
+CHUNK_SAMPLES = 65536
+SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
+LONG_NAMES = {
+    "continuity": "contact circuit voltage",
+    "accelerometer": "plate accelerometer voltage",
+    "drive": "looped-back drive voltage",
+}
+STEP_UNITS = {"frequency_hz": "Hz"}
+SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node"}
+Compression = Literal["lz4", "gzip"]
+
+
+def text_crc(attributes: Mapping[str, Any]) -> int:
+    """CRC-32 of attributes as sorted JSON: HDF5 itself does not checksum variable-length text."""
+    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items() if k != "attributes_crc32"}
+    return zlib.crc32(json.dumps(plain, sort_keys=True).encode())
+
+
+class ColumnWriter:
+    """Write a column file piece by piece; memory does not depend on its length.
+
+    Parameters
+    ----------
+    path
+        Final name. The writer works in ``<path>.part`` and renames at the end.
+    setup
+        What was measured with what.
+    dtypes
+        Channel name to sample type: integer for codes, float for volts.
+    scales
+        Channel name to ``(volts_per_code, offset_v)``.
+    attributes
+        Root attributes (text, numbers, bools).
+    overwrite
+        Whether ``path`` may exist (a closing run replaces its own frames file).
+    compression
+        ``lz4`` (bitshuffle-LZ4) or ``gzip`` for readers without that plugin.
+
+    Raises
+    ------
+    InputError
+        When ``path`` exists and may not be replaced.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        setup: Setup,
+        dtypes: Mapping[str, np.dtype[Any]],
+        scales: Mapping[str, tuple[float, float]],
+        attributes: Mapping[str, Any],
+        *,
+        overwrite: bool = False,
+        compression: Compression = "lz4",
+    ) -> None:
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: exists already and is never overwritten; choose another name.")
+        self.path = path
+        self.part = path.with_name(path.name + ".part")
+        self.n_samples = 0
+        self._filters: dict[str, Any] = (
+            dict(hdf5plugin.Bitshuffle(nelems=SHUFFLED_SAMPLES, cname="lz4")) if compression == "lz4"
+            else {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+        )
+        self._disk = DiskFile(self.part)
+        self._file = h5py.File(self._disk, "w", libver=("v110", "v110"))
+        self._attributes = dict(attributes)
+        self._sets = {"timestamp": self._dataset("timestamp", np.dtype("<i8"))}
+        for name, dtype in dtypes.items():
+            self._sets[name] = self._channel(name, dtype, scales[name], setup)
+        self._held: dict[str, list[NDArray[Any]]] = {name: [] for name in self._sets}
+        self._n_held = 0
+        self._crc = dict.fromkeys(self._sets, 0)
+
+    def _dataset(self, name: str, dtype: np.dtype[Any]) -> Any:
+        return self._file.create_dataset(
+            name, (0,), maxshape=(None,), dtype=dtype, chunks=(CHUNK_SAMPLES,), fletcher32=True, **self._filters
+        )
+
+    def _channel(self, name: str, dtype: np.dtype[Any], scale: tuple[float, float], setup: Setup) -> Any:
+        dataset = self._dataset(name, dtype)
+        dataset.attrs["scale_factor"], dataset.attrs["add_offset"] = map(np.float64, scale)
+        dataset.attrs["units"] = "V"
+        dataset.attrs["long_name"] = LONG_NAMES.get(name, name)
+        described = getattr(setup.channels, name, None)
+        if described is not None:
+            dataset.attrs["coupling"] = described.coupling
+            dataset.attrs["terminal"] = described.terminal
+            dataset.attrs["serial_number"] = described.serial_number
+        return dataset
+
+    def append(self, timestamps_ns: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
+        """Add samples: ``timestamps_ns`` (n,) and one array (n,) a channel."""
+        pieces = {"timestamp": timestamps_ns, **columns}
+        if set(pieces) != set(self._sets) or len({len(p) for p in pieces.values()}) != 1:
+            got = {name: len(piece) for name, piece in pieces.items()}
+            raise ValueError(f"wanted equal lengths of {list(self._sets)}, got {got}")
+        for name, piece in pieces.items():
+            self._held[name].append(np.asarray(piece, self._sets[name].dtype))
+        self._n_held += len(timestamps_ns)
+        if self._n_held >= CHUNK_SAMPLES:
+            self._write(self._n_held - self._n_held % CHUNK_SAMPLES)
+
+    def _write(self, n: int) -> None:
+        """Write the first ``n`` held samples of every column (whole chunks, but for the last)."""
+        for name, dataset in self._sets.items():
+            held = np.concatenate(self._held[name]) if len(self._held[name]) != 1 else self._held[name][0]
+            dataset.resize((self.n_samples + n,))
+            dataset[self.n_samples :] = held[:n]
+            self._crc[name] = crc32(held[:n], self._crc[name])
+            self._held[name] = [held[n:].copy()]
+        self._disk.check()
+        self.n_samples += n
+        self._n_held -= n
+
+    def flush(self) -> None:
+        """Write what is held back, so that `read` sees every sample."""
+        if self._n_held:
+            self._write(self._n_held)
+        self._file.flush()
+        self._disk.check()
+
+    def read(self, name: str, start: int, stop: int) -> NDArray[Any]:
+        """Samples of a column as stored, ``(stop - start,)``, after `flush`."""
+        piece: NDArray[Any] = self._sets[name][start:stop]
+        return piece
+
+    def replace_timestamps(self, stamps: Callable[[int, int], NDArray[np.int64]]) -> None:
+        """Write other times over those appended; ``stamps(start, stop)`` gives nanoseconds."""
+        self._crc["timestamp"] = 0
+        for start in range(0, self.n_samples, CHUNK_SAMPLES):
+            piece = stamps(start, min(start + CHUNK_SAMPLES, self.n_samples))
+            self._sets["timestamp"][start : start + len(piece)] = piece
+            self._crc["timestamp"] = crc32(np.asarray(piece, "<i8"), self._crc["timestamp"])
+        self._disk.check()
+
+    def check(
+        self,
+        steps: NDArray[np.void],
+        blocks: NDArray[np.void],
+        side: Mapping[str, NDArray[np.void]] | None = None,
+        **late: Any,
+    ) -> None:
+        """Write tables and attributes, close, and read every byte back.
+
+        Parameters
+        ----------
+        steps, blocks
+            `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
+        side
+            `daq.recording.tables.SIDE_TABLES` by name; one without rows is left out.
+        late
+            Attributes known only now (``ended``, ``why``, ...).
+
+        Raises
+        ------
+        OSError
+            When the disk refuses, or what was written does not read back.
+        """
+        self.flush()
+        _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)
+        _write_table(self._file, "blocks", "block", blocks.astype(BLOCK_DTYPE), BLOCK_NAMES)
+        for name, rows in (side or {}).items():
+            if len(rows):
+                dtype = SIDE_TABLES[name]
+                _write_table(self._file, name, SIDE_DIMENSION[name], rows.astype(dtype), dtype.names or ())
+        self._attributes |= late
+        self._finish_attributes()
+        self._file.close()
+        self._disk.check()
+        self._disk.close()
+        with h5py.File(self.part, "r") as written:
+            faults = check_columns(written)
+        if faults:
+            raise OSError(f"{self.part}: what was written does not read back: {faults[0]}")
+        sync(self.part)
+
+    def rename(self) -> None:
+        """Put the checked file into its final place, in one step."""
+        self.part.replace(self.path)
+
+    def _finish_attributes(self) -> None:
+        time = self._sets["timestamp"]
+        started = str(self._attributes.get("started", ""))
+        time.attrs["units"] = f"nanoseconds since {started.removesuffix('Z')}" if started else "1e-9 s"
+        time.attrs["long_name"] = "time since the first sample"
+        time.make_scale("timestamp")
+        for name, dataset in self._sets.items():
+            dataset.attrs["crc32"] = np.uint32(self._crc[name])
+            if name != "timestamp":
+                dataset.dims[0].attach_scale(time)
+        self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION}
+        self._attributes["attributes_crc32"] = text_crc(self._attributes)
+        self._file.attrs.update(self._attributes)
+
+    def abandon(self) -> None:
+        """Close and remove the unfinished file."""
+        if self._file.id.valid:
+            self._file.close()
+        self._disk.close()
+        self.part.unlink(missing_ok=True)
+
+
+def _write_table(file: Any, name: str, dimension: str, rows: NDArray[np.void], fields: tuple[str, ...]) -> None:
+    """A table as a group of one-dimensional datasets, which every HDF5 reader understands."""
+    group = file.create_group(name)
+    scale = group.create_dataset(dimension, data=np.arange(len(rows), dtype="<i8"))
+    scale.make_scale(dimension)
+    for field in fields:
+        data = np.ascontiguousarray(rows[field])
+        options = {"chunks": (max(len(rows), 1),), "fletcher32": True, "maxshape": (None,)}
+        dataset = group.create_dataset(field, data=data, **options)
+        dataset.dims[0].attach_scale(scale)
+        if field in STEP_UNITS:
+            dataset.attrs["units"] = STEP_UNITS[field]
+
+
+def read_table(group: Any, dtype: np.dtype[Any]) -> NDArray[np.void]:
+    """The table of a column file as one structured array; a field that the file lacks is zero."""
+    names = [n for n in dtype.names or () if n in group]
+    rows = np.zeros(len(group[names[0]]) if names else 0, dtype)
+    for name in names:
+        rows[name] = group[name][()]
+    return rows
+
+
+def check_columns(file: Any) -> list[str]:
+    """Faults of an open column file; reads every sample, in chunks."""
+    faults = []
+    length = file["timestamp"].shape[0]
+    for name, dataset in file.items():
+        if not hasattr(dataset, "shape"):
+            faults += [f"{name}/{key}: {error}" for key, error in _unreadable(dataset)]
+            continue
+        if dataset.shape != (length,):
+            faults.append(f"{name}: {dataset.shape[0]} samples, but timestamp has {length}")
+        faults += _check_samples(name, dataset)
+    return faults
+
+
+def _unreadable(group: Any) -> list[tuple[str, str]]:
+    bad = []
+    for key, dataset in group.items():
+        try:
+            dataset[()]
+        except (OSError, RuntimeError) as error:
+            bad.append((key, str(error)))
+    return bad
+
+
+def _check_samples(name: str, dataset: Any) -> list[str]:
+    faults, crc = [], 0
+    for start in range(0, dataset.shape[0], CHUNK_SAMPLES):
+        stop = min(start + CHUNK_SAMPLES, dataset.shape[0])
+        try:
+            crc = crc32(dataset[start:stop], crc)
+        except (OSError, RuntimeError):
+            faults.append(f"{name}: samples {start} to {stop - 1} do not read back")
+    if not faults and crc != int(dataset.attrs.get("crc32", -1)):
+        faults.append(f"{name}: the checksum over all its samples does not fit")
+    return faults
+
+
+def sync(path: Path) -> None:
+    """Ask the operating system to put the file on the disk."""
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,66 @@
+"""Whether two recordings are one: the same file under two names, or the same samples in two files.
+
+The rule kept here: a run counts once. Evidence that is given twice would halve every uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.recording.tables import crc32
+from daq.recording.column_file import CHUNK_SAMPLES
+from daq.setup.errors import InputError
+from daq.recording.reader import Recording, open_recording
+
+
+def content_id(recording: Recording) -> tuple[tuple[str, int, int], ...]:
+    """Name, number of samples and CRC-32 of every channel, as stored; the same for each copy of a run.
+
+    Profile, note and compression do not enter: a copy that was calibrated anew holds the same run.
+    """
+    return tuple((name, recording.n_samples, _crc(recording, name)) for name in recording.channels)
+
+
+def _crc(recording: Recording, channel: str) -> int:
+    crc = 0
+    for start in range(0, recording.n_samples, CHUNK_SAMPLES):
+        crc = crc32(recording.codes(channel, start, start + CHUNK_SAMPLES), crc)
+    return crc
+
+
+def refuse_repeated(paths: Sequence[Path]) -> None:
+    """Refuse a recording that is named twice.
+
+    Parameters
+    ----------
+    paths
+        Recordings that are to be judged together.
+
+    Raises
+    ------
+    InputError
+        Naming the two: one file, by a second name or a link, or two files that hold the same samples.
+    """
+    if len(paths) < 2:
+        return
+    seen: list[tuple[Path, int, tuple[tuple[str, int, int], ...] | None]] = []
+    for path in paths:
+        for other, _, _ in seen:
+            if path.exists() and other.exists() and path.samefile(other):
+                raise InputError(f"{other} and {path} are one file; name each recording once, or its run counts twice.")
+        with open_recording(path) as recording:
+            own = recording.n_samples
+            alike = [i for i, (_, n, _) in enumerate(seen) if n == own]
+            known = content_id(recording) if alike else None
+        for i in alike:
+            other, n, content = seen[i]
+            if content is None:
+                with open_recording(other) as recording:
+                    content = content_id(recording)
+                seen[i] = (other, n, content)
+            if content == known:
+                raise InputError(
+                    f"{other} and {path} hold the same samples; name each run once, or it counts twice."
+                )
+        seen.append((path, own, known))

@@ -1,0 +1,282 @@
+"""The recorder as a process of its own, fed through a ring in shared memory.
+
+The rule kept here: nothing that an operator's process does (pictures, garbage collection, a busy script, reading
+other files) can cost a sample. The recorder does nothing but take blocks and write them; the ring holds what comes
+while the disk is slow. `RecorderProcess` is used like `RecordingWriter`.
+"""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import Block
+from daq.setup.errors import InputError
+from daq.recording.shared_ring import Ring, renumbered
+from daq.setup.setup import Setup
+from daq.recording.writer import Ending, RecordingWriter
+
+RING_S = 30.0  # that the recorder may be kept from writing
+LEAST_RING_S = 4.0
+RING_BYTES = 2**25  # beyond which a ring holds no more than `LEAST_RING_S`
+SWITCH_S = 0.0005
+IDLE_S = 0.001
+START_S = 60.0
+CLOSE_S = 600.0
+NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP")  # words to the run, which then closes the recording
+_BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class RecorderProcess:
+    """Record one run in a process of its own.
+
+    Parameters
+    ----------
+    path, setup, options
+        As for `RecordingWriter`.
+    block_samples
+        Largest block that will come.
+    ring_s
+        Seconds that the ring holds; None takes what a stalled disk or a stopped recorder needs.
+    patience_s
+        How long `append` waits for room in a full ring before the block counts as lost; 0 for a device, which cannot
+        wait.
+    private
+        Whether nobody else attaches to the ring by its name; it then has none any more once the recorder runs.
+
+    Raises
+    ------
+    InputError
+        As for `RecordingWriter`.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        setup: Setup,
+        *,
+        block_samples: int = 1024,
+        ring_s: float | None = None,
+        patience_s: float = 10.0,
+        private: bool = True,
+        **options: Any,
+    ) -> None:
+        self.path = Path(path)
+        rate_hz, channels = setup.sampling.rate_hz, len(options["channels"])
+        if ring_s is None:
+            ring_s = max(LEAST_RING_S, min(RING_S, RING_BYTES / (2 * channels * rate_hz)))
+        self.ring = Ring.for_seconds(ring_s, rate_hz, block_samples, channels)
+        self._patience_s, self._ring_s = patience_s, ring_s
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        shape = (self.ring.slots, block_samples, len(options["channels"]), self.ring.name)
+        self._process = context.Process(
+            target=_record, args=(theirs, shape, str(path), setup.model_dump_json(), options), name="recorder"
+        )
+        with _one_blas_thread(), _held_signals():
+            self._process.start()
+        theirs.close()
+        self.n_samples = 0
+        self._is_open = True
+        self._fault = ""  # what the recorder said when it gave up
+        try:
+            self._answer("start", START_S)
+        except (InputError, OSError):
+            self.ring.close()
+            raise
+        if private:
+            self.ring.unname()
+
+    @property
+    def safe_samples(self) -> int:
+        """Frames that a kill can no longer lose."""
+        return self.ring.counter("safe_samples")
+
+    def append(self, *blocks: Block) -> None:
+        """Hand blocks over; they are safe once `safe_samples` has passed them.
+
+        Raises
+        ------
+        OSError
+            When the recorder had to give up (disk full, file gone), or has not written for as long as the ring holds;
+            what it has is kept, and what the ring holds is written as soon as it can.
+        """
+        for block in (piece for whole in blocks for piece in whole.pieces(self.ring.block_samples)):
+            if self._pipe.poll():
+                self._answer("error", 0.0)
+            until = time.monotonic() + self._patience_s
+            while self.ring.backlog >= self.ring.slots and time.monotonic() < until and self._process.is_alive():
+                time.sleep(IDLE_S)
+            if not self.ring.put(block):
+                raise OSError(
+                    f"{self.path}: the recorder has not written for {self._ring_s:.0f} s (stopped, or a stalled disk); "
+                    "nothing after that is kept"
+                )
+            self.n_samples += len(block.codes)
+
+    def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
+        """As `RecordingWriter.mark_step`."""
+        names = step.dtype.names if isinstance(step, np.void) else tuple(step)
+        self._pipe.send(("mark_step", {name: step[name] for name in names or ()}))
+
+    def mark_drive(self, changes: NDArray[np.void]) -> None:
+        """As `RecordingWriter.mark_drive`."""
+        self.mark_rows("drive_changes", changes)
+
+    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
+        """As `RecordingWriter.mark_rows`."""
+        self._pipe.send((table, rows))
+
+    def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
+        """End the recording once everything handed over is written; as `RecordingWriter.close`."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        try:
+            self._pipe.send(("close", (how, why, expected_samples)))
+            self._answer("close", CLOSE_S)
+        except (BrokenPipeError, ConnectionResetError, EOFError) as error:
+            said = self._fault or f"{self.path}: the recorder is gone; run: bench recover {self.path}"
+            raise OSError(said) from error
+        finally:
+            self._process.join(5.0)
+            self.ring.close()
+
+    def _answer(self, to: str, within_s: float) -> None:
+        """Wait for the recorder's answer; an error it reports is raised here."""
+        until = time.monotonic() + within_s
+        while not self._pipe.poll(min(0.2, within_s)):
+            if not self._process.is_alive() or time.monotonic() > until:
+                raise OSError(f"{self.path}: the recorder does not answer ({to}); run: bench recover {self.path}")
+        kind, message = self._pipe.recv()
+        if kind == "input":
+            raise InputError(message)
+        if kind == "error":
+            self._fault = message
+            raise OSError(message)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close a run that its owner did not close: an exception says why."""
+        if error is None:
+            self.close("complete")
+        else:
+            self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
+
+
+class _one_blas_thread:
+    """While it lasts, processes that start are told to use one thread for linear algebra."""
+
+    def __enter__(self) -> None:
+        self._before = {name: os.environ.get(name) for name in _BLAS}
+        os.environ.update(dict.fromkeys(_BLAS, "1"))
+
+    def __exit__(self, *_: object) -> None:
+        for name, value in self._before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _not_for_us() -> list[signal.Signals]:
+    """Signals that the recorder outlives, of those that this system has."""
+    return [signal.Signals[name] for name in NOT_FOR_US if hasattr(signal, name)]
+
+
+@contextmanager
+def _held_signals() -> Iterator[None]:
+    """Signals for the run held back (POSIX), so that none meets the recorder before it knows to ignore them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _not_for_us())
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _record(
+    pipe: Connection, shape: tuple[int, int, int, str], path: str, setup_json: str, options: dict[str, Any]
+) -> None:
+    """The recorder's whole life."""
+    for number in _not_for_us():
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _not_for_us())
+    try:
+        writer = RecordingWriter(path, Setup.model_validate_json(setup_json), **options)
+    except InputError as error:
+        pipe.send(("input", str(error)))
+        return
+    ring = Ring(*shape)
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(SWITCH_S)
+    pipe.send(("ready", ""))
+    closing: tuple[Ending, str, int | None] | None = None
+    try:
+        while closing is None or ring.backlog:
+            blocks = ring.take()
+            if blocks:
+                writer.append(*renumbered(blocks, writer.n_samples))
+                ring.set_counter("safe_samples", writer.n_samples)
+            if closing is None:
+                closing = _obey(pipe, writer, 0.0 if blocks else IDLE_S)
+        how, why, expected_samples = closing
+        writer.close(how, why, expected_samples=expected_samples)
+        pipe.send(("closed", ""))
+    except OSError as error:
+        _give_up(writer, pipe, error)
+    finally:
+        ring.close()
+        ring.unname()
+
+
+def _obey(pipe: Connection, writer: RecordingWriter, wait_s: float) -> tuple[Ending, str, int | None] | None:
+    """Do what is asked; returns how to close when that is asked, or when the asking process is gone."""
+    while pipe.poll(wait_s):
+        wait_s = 0.0
+        try:
+            word, what = pipe.recv()
+        except (EOFError, ConnectionResetError):
+            return ("failed", "the process that drove the run is gone", None)
+        if word == "close":
+            how, why, expected_samples = what
+            return (how, why, expected_samples)
+        if word == "mark_step":
+            writer.mark_step(what)
+        else:
+            writer.mark_rows(word, what)
+    return None
+
+
+def _give_up(writer: RecordingWriter, pipe: Connection, error: OSError) -> None:
+    """Keep what there is and say why; the other side may be gone."""
+    message = str(error)
+    try:
+        writer.close("failed", message)
+    except OSError as also:
+        message = f"{message}; {also}"
+    try:
+        pipe.send(("error", message))
+    except (BrokenPipeError, ConnectionResetError):
+        return

@@ -1,0 +1,202 @@
+"""A ring of blocks in shared memory: one process puts blocks in, another takes them out, neither waits for the other.
+
+The rule kept here: nothing is torn and nothing is dropped in silence. Each slot carries the checksum of its frames, so
+a slot that is read while it is being written is read again; a block that finds the ring full is counted, and the next
+one that fits says how many samples are missing before it. The memory is taken when it is asked for, not when it is
+written to, and it is left behind by nobody: its name tells whose it is.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+import time
+from dataclasses import replace
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+
+import numpy as np
+
+from daq.recording.tables import BLOCK_DTYPE, Block, crc32
+
+NAME = "shakerbench"
+YOUNG_S = 60.0  # a segment that is still being handed over is no one's to clear
+FOLDER = Path("/dev/shm")  # of named segments, where the system shows them (Linux)
+_COUNTERS = ("put", "taken", "safe_samples", "dropped_blocks", "worst_backlog")
+
+
+class Ring:
+    """Slots for blocks of up to ``block_samples`` frames.
+
+    Parameters
+    ----------
+    slots, block_samples, channels
+        How many blocks it holds, and how large they may be.
+    name
+        Of an existing ring to attach to; None makes one.
+
+    Raises
+    ------
+    OSError
+        Where the system's shared memory has no room for it.
+    """
+
+    def __init__(self, slots: int, block_samples: int, channels: int, name: str | None = None) -> None:
+        self.slots, self.block_samples, self.channels = slots, block_samples, channels
+        head = 8 * len(_COUNTERS)
+        rows = slots * BLOCK_DTYPE.itemsize
+        size = head + rows + slots * block_samples * channels * 2
+        self._owner = name is None
+        self._is_named = True
+        if name is None:
+            clear_left_behind()
+            self._memory = SharedMemory(f"{NAME}-{os.getpid()}-{secrets.token_hex(3)}", create=True, size=size)
+            self._reserve(size)
+        else:
+            self._memory = SharedMemory(name)
+        buffer = self._memory.buf
+        self._counters = np.ndarray(len(_COUNTERS), np.int64, buffer)
+        self._rows = np.ndarray(slots, BLOCK_DTYPE, buffer, head)
+        self._frames = np.ndarray((slots, block_samples, channels), np.int16, buffer, head + rows)
+        self._missing = 0
+        if self._owner:
+            self._counters[:] = 0
+
+    @classmethod
+    def for_seconds(cls, seconds: float, rate_hz: float, block_samples: int, channels: int) -> Ring:
+        """A ring that holds at least ``seconds`` of frames."""
+        return cls(max(4, int(np.ceil(seconds * rate_hz / block_samples)) + 1), block_samples, channels)
+
+    @property
+    def name(self) -> str:
+        """By which another process attaches."""
+        return self._memory.name
+
+    def counter(self, name: str) -> int:
+        """One of ``put``, ``taken`` (blocks), ``safe_samples``, ``dropped_blocks``, ``worst_backlog`` (blocks)."""
+        return int(self._counters[_COUNTERS.index(name)])
+
+    def set_counter(self, name: str, value: int) -> None:
+        """Set a counter; each has one writer."""
+        self._counters[_COUNTERS.index(name)] = value
+
+    @property
+    def backlog(self) -> int:
+        """Blocks put in and not yet taken out."""
+        return int(self._counters[0] - self._counters[1])
+
+    def put(self, block: Block) -> bool:
+        """Put a block in; False when the ring is full: the block is lost, and the next one will say so.
+
+        Raises
+        ------
+        ValueError
+            For a block that is larger than a slot.
+        """
+        n = len(block.codes)
+        if n > self.block_samples:
+            raise ValueError(f"wanted at most {self.block_samples} frames, got {n}")
+        waiting = self.backlog
+        if waiting >= self.slots:
+            self._missing += n + block.lost_before
+            self._counters[3] += 1
+            return False
+        slot = int(self._counters[0]) % self.slots
+        self._frames[slot, :n] = block.codes
+        lost = block.lost_before + self._missing
+        self._rows[slot] = (
+            block.first_sample, n, block.flags, block.clock_ns, lost, block.lost_uncertainty, block.adc_ns,
+            crc32(block.codes),
+        )
+        self._missing = 0
+        self._counters[4] = max(self._counters[4], waiting + 1)
+        self._counters[0] += 1
+        return True
+
+    def take(self, most: int = 64) -> list[Block]:
+        """Take out what is there, in order, at most so many blocks; never waits."""
+        taken: list[Block] = []
+        at = int(self._counters[1])
+        for i in range(at, min(int(self._counters[0]), at + most)):
+            slot = i % self.slots
+            row = self._rows[slot].copy()
+            codes = self._frames[slot, : int(row["n_samples"])].copy()
+            if crc32(codes) != int(row["crc32"]):
+                break  # not all of it is visible to this process yet: next time
+            taken.append(
+                Block(
+                    int(row["first_sample"]), codes, int(row["flags"]), int(row["clock_ns"]), int(row["lost_before"]),
+                    int(row["lost_uncertainty"]), int(row["adc_ns"]),
+                )
+            )
+        self._counters[1] = at + len(taken)
+        return taken
+
+    def _reserve(self, size: int) -> None:
+        """Take all of the memory now: on Linux it is found missing only when it is written to, and the process dies."""
+        path = FOLDER / self._memory.name
+        if not sys.platform.startswith("linux") or not path.is_file():
+            return
+        try:
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            self._memory.close()
+            self.unname()
+            raise OSError(
+                f"shared memory: no room for the {size / 1e6:.1f} MB between run and recorder in {FOLDER} ({error}); "
+                "free some there (containers: a larger --shm-size)"
+            ) from error
+
+    def unname(self) -> None:
+        """Take the memory's name away: it is freed with the last process that holds it, however that ends."""
+        if self._is_named:
+            self._is_named = False
+            try:
+                self._memory.unlink()
+            except FileNotFoundError:
+                return  # the other side was first
+
+    def close(self) -> None:
+        """Let go of the memory; its maker also frees it."""
+        self._counters = self._rows = self._frames = np.zeros(0)
+        self._memory.close()
+        if self._owner:
+            self.unname()
+
+
+def clear_left_behind(folder: Path = FOLDER) -> list[str]:
+    """Remove rings whose process was killed before it could; returns their names. Only where they are files (Linux)."""
+    if not sys.platform.startswith("linux") or not folder.is_dir():
+        return []
+    cleared = []
+    for path in folder.glob(f"{NAME}-*-*"):
+        owner = path.name.split("-")[1]
+        try:
+            if owner.isdecimal() and not _is_alive(int(owner)) and time.time() - path.stat().st_mtime > YOUNG_S:
+                path.unlink()
+                cleared.append(path.name)
+        except OSError:
+            continue  # somebody else's, or gone meanwhile
+    return cleared
+
+
+def _is_alive(pid: int) -> bool:
+    """Whether there is such a process (POSIX)."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def renumbered(blocks: list[Block], first_sample: int) -> list[Block]:
+    """Blocks that follow each other from ``first_sample`` on."""
+    placed = []
+    for block in blocks:
+        placed.append(replace(block, first_sample=first_sample))
+        first_sample += len(block.codes)
+    return placed

@@ -1,0 +1,265 @@
+"""Write a recording while a run lasts, and turn its frames into columns when it ends.
+
+The rule kept here: what was acknowledged is never lost. The frames stay until the column file beside them has been
+written, read back and found right; one rename then puts it in their place.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import Block, BlockFlag, volts_per_code
+from daq.recording.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
+from daq.setup.errors import InputError
+from daq.recording.frame_file import FrameWriter
+from daq.recording.provenance import software_commit, software_version
+from daq.recording.reader import open_recording, timestamps_ns
+from daq.setup.setup import Setup
+
+RESERVE_BYTES = 8_000_000
+Ending = Literal["complete", "stopped", "failed"]
+
+
+def now_utc() -> str:
+    """The wall clock as ISO 8601 in UTC."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
+
+
+def root_attributes(
+    setup: Setup,
+    *,
+    profile_text: str,
+    backend: str,
+    simulated: bool,
+    note: str | None = None,
+    extra: Mapping[str, Any] | None = None,
+    scenario_sha256: str | None = None,
+) -> dict[str, Any]:
+    """Root attributes that every recording carries, whoever writes it; texts are empty where nothing is known."""
+    return {
+        "setup_json": setup.model_dump_json(),
+        "profile_text": profile_text,
+        "backend": backend,
+        "simulated": simulated,
+        "note": note or "",
+        "extra_json": json.dumps(dict(extra or {})),
+        "scenario_sha256": scenario_sha256 or "",
+        "software_version": software_version(),
+        "software_commit": software_commit(),
+        "rate_hz": setup.sampling.rate_hz,
+        "uniform": True,
+        "recovered": False,
+    }
+
+
+class RecordingWriter:
+    """Record one run.
+
+    Parameters
+    ----------
+    path
+        File to create; refused when it exists.
+    setup
+        What is measured with what; its ``sampling.rate_hz`` is the recording's.
+    profile_text
+        The whole profile as its file says it.
+    channels
+        Names in the order of a block's columns.
+    backend, simulated
+        Which back end, and whether it is a simulation.
+    note, extra
+        The operator's note and free keys (anything JSON knows).
+    scenario_sha256
+        Hash of a hidden scenario.
+    scales
+        Channel name to ``(volts_per_code, offset_v)``; the default is the channel's range over 16 bits.
+    expected_samples
+        How long the run will be; refused where the disk has no room for it.
+
+    Raises
+    ------
+    InputError
+        When ``path`` exists, its folder does not, or the disk is too full.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        setup: Setup,
+        *,
+        profile_text: str,
+        channels: Sequence[str],
+        backend: str,
+        simulated: bool,
+        note: str | None = None,
+        extra: Mapping[str, Any] | None = None,
+        scenario_sha256: str | None = None,
+        scales: Mapping[str, tuple[float, float]] | None = None,
+        expected_samples: int = 0,
+    ) -> None:
+        self.path = Path(path)
+        require_space(self.path, expected_samples, len(channels))
+        attributes = root_attributes(
+            setup, profile_text=profile_text, backend=backend, simulated=simulated, note=note, extra=extra,
+            scenario_sha256=scenario_sha256,
+        )
+        known = {name: (scales or {}).get(name, _default_scale(setup, name)) for name in channels}
+        attributes |= {
+            "channels": list(channels),
+            "scales_json": json.dumps(known),
+            "started": now_utc(),
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+        }
+        self._frames = FrameWriter(self.path, channels, attributes)
+
+    @property
+    def n_samples(self) -> int:
+        """Frames recorded so far; the next block must start here."""
+        return self._frames.n_samples
+
+    def append(self, *blocks: Block) -> None:
+        """Write blocks that follow each other; once this returns a killed process does not lose them.
+
+        Raises
+        ------
+        ValueError
+            When a block does not follow the one before.
+        OSError
+            When the disk refuses.
+        """
+        self._frames.append(*blocks)
+
+    def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
+        """Write a step's row (`STEP_DTYPE` or a mapping of its fields) and sync the file to the disk.
+
+        A row with the same ``first_sample`` as the last one replaces it: mark a step when it begins, and again with
+        what was achieved when it ends.
+        """
+        self._frames.mark_step(step)
+
+    def mark_drive(self, changes: NDArray[np.void]) -> None:
+        """Add `DRIVE_DTYPE` rows: changes of the drive's amplitudes that were played."""
+        self.mark_rows("drive_changes", changes)
+
+    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
+        """Add rows to one of `daq.recording.tables.SIDE_TABLES`."""
+        self._frames.mark_rows(table, rows)
+
+    def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
+        """End the recording: write the column file beside, check it, rename it into place.
+
+        Parameters
+        ----------
+        how, why
+            How the run ended, and the reason where it was not completed.
+        expected_samples
+            Samples that the device must have given (played, or clocked). The recording is marked as suspect where
+            recorded and declared as lost do not add up to that, within the uncertainty of the gaps.
+
+        Raises
+        ------
+        OSError
+            When the column file cannot be written; the frames are kept, and `bench recover` can finish the job.
+        """
+        where = self.path
+        try:
+            if not self._frames.is_broken:
+                self._frames.end({"ended": how, "why": why, "ended_at": now_utc(), **self._balance(expected_samples)})
+            where = self._frames.close()
+            columns_from_frames(where, where)
+        except (OSError, RuntimeError) as error:
+            raise OSError(
+                f"{where}: the recorded frames are safe in this file, but the run could not be finished as columns "
+                f"({error}); make room and run: bench recover {where}"
+            ) from error
+        if where != self.path:
+            raise OSError(f"{self.path}: was removed while it was being written; all of the run is kept in {where}")
+
+    def _balance(self, expected_samples: int | None) -> dict[str, Any]:
+        """Whether recorded and lost samples add up."""
+        if expected_samples is None:
+            return {}
+        missing = expected_samples - self._frames.n_samples - self._frames.n_lost
+        return {"expected_samples": expected_samples, "suspect": abs(missing) > self._frames.n_doubtful}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close a run that its owner did not close: an exception says why."""
+        if self._frames.is_open:
+            if error is None:
+                self.close("complete")
+            else:
+                self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
+
+
+def require_space(path: Path, n_samples: int, n_channels: int) -> None:
+    """Refuse to begin what the disk cannot hold: frames, the column file beside them, and a reserve.
+
+    Raises
+    ------
+    InputError
+        Naming what is needed and what is free.
+    """
+    needed = n_samples * (4 * n_channels + 8) + RESERVE_BYTES
+    if path.parent.is_dir() and shutil.disk_usage(path.parent).free < needed:
+        free = shutil.disk_usage(path.parent).free
+        raise InputError(
+            f"{path}: the run needs up to {needed / 1e6:.0f} MB while it is recorded and closed, and {path.parent} has "
+            f"{free / 1e6:.0f} MB free; make room or record elsewhere."
+        )
+
+
+def _default_scale(setup: Setup, name: str) -> tuple[float, float]:
+    described = getattr(setup.channels, name, None)
+    return (volts_per_code(described.range_v if described is not None else 10.0), 0.0)
+
+
+def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]:
+    """Write the column file of a frames file; returns the blocks whose checksum did not fit (flagged, kept).
+
+    Parameters
+    ----------
+    source, target
+        Frames file and column file; the same path replaces it.
+    changed
+        Root attributes that differ from the frames file's.
+    """
+    damaged: list[int] = []
+    with open_recording(source) as recording:
+        frames = recording.frames
+        if frames is None:
+            raise InputError(f"{source}: is a column file already; nothing to do.")
+        setup, gaps, names = recording.setup, recording.gaps, recording.channels
+        attributes = dict(recording.stored) | changed
+        writer = ColumnWriter(
+            target, setup, dict.fromkeys(names, np.dtype("<i2")), {n: recording.scale(n) for n in names}, attributes,
+            overwrite=source == target,
+        )
+        try:
+            for which, rows in frames.pieces(CHUNK_SAMPLES):
+                damaged += frames.damaged_in(which, rows)
+                start = int(frames.blocks["first_sample"][which.start])
+                stamps = timestamps_ns(start, start + len(rows), recording.rate_hz, gaps)
+                writer.append(stamps, {name: rows[:, i] for i, name in enumerate(names)})
+            blocks = frames.blocks.copy()
+            blocks["flags"][damaged] |= int(BlockFlag.DAMAGED)
+            writer.check(recording.steps, blocks, frames.side)
+        except BaseException:
+            writer.abandon()
+            raise
+    writer.rename()
+    return damaged

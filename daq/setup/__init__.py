@@ -1,0 +1,1 @@
+"""TODO what setup is for."""

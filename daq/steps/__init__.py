@@ -1,0 +1,1 @@
+"""TODO what steps is for."""

@@ -1,0 +1,189 @@
+"""Find the steps of a ramp in a recorded drive (or, where there is none, in the plate's acceleration).
+
+The rule kept here: a step is a stretch in which every tone's amplitude and the frequency hold still; what moves before
+it is its fade. The frequency is fitted to the phase over the whole hold, because every later phase rides on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import STEP_DTYPE
+from daq.steps.forcing_detection import Read, regions, weights
+from daq.setup.setup import Forcing
+from daq.lock_in import ToneFit
+from daq.steps.tone_tracking import Still, fit, frequency_correction, same_frequency, split_exactly, still_parts
+
+Floats = NDArray[np.float64]
+
+SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
+SHORTEST_CYCLES = 4.0  # of a step that somebody set
+QUIET = 2e-3  # of the largest amplitude
+SAME_FREQUENCY = 3e-5  # relative
+SAME_MOTION = 1e-3  # relative
+_READ_AHEAD = 1 << 18
+
+
+@dataclass(frozen=True)
+class FoundStep:
+    """One step as found.
+
+    Attributes
+    ----------
+    start, hold, stop
+        First sample of the fade, first sample of what holds still, end (exclusive).
+    frequency_hz, frequency_sigma_hz
+        Fitted frequency of the first tone.
+    tones
+        Complex amplitudes of the tones (in volts, phase at sample 0) over the hold after settling.
+    """
+
+    start: int
+    hold: int
+    stop: int
+    frequency_hz: float
+    frequency_sigma_hz: float
+    tones: ToneFit
+
+    def settled(self, rate_hz: float) -> int:
+        """First sample that counts as hold: two cycles after what moves, or the middle of a short step."""
+        return min(self.hold + round(SETTLE_CYCLES * rate_hz / self.frequency_hz), (self.hold + self.stop) // 2)
+
+
+def find_steps(
+    read: Read,
+    start: int,
+    stop: int,
+    rate_hz: float,
+    forcing: Forcing,
+) -> list[FoundStep]:
+    """Steps between two samples, in order.
+
+    Parameters
+    ----------
+    read
+        Gives volts of samples ``a .. b``.
+    start, stop, rate_hz
+        What to look at.
+    forcing
+        Ratio and relative amplitudes of the tones, and a rough frequency: right within a factor of 8 is enough.
+    """
+    ahead = _ReadAhead(read, stop)
+    found: list[FoundStep] = []
+    near = regions(ahead.read, start, stop, rate_hz, forcing)
+    for region in split_exactly(ahead.read, near, rate_hz, forcing):
+        for part in same_frequency(ahead.read, region, rate_hz, forcing):
+            still = still_parts(ahead.read, part, rate_hz, forcing)
+            found += [_refined(ahead.read, one, rate_hz, forcing) for one in still]
+    found = _joined(ahead.read, found, rate_hz, forcing)
+    loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
+    return [s for s in found if np.abs(s.tones.amplitudes).max() > QUIET * loudest]
+
+
+def given_step(
+    read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing, frequency_hz: float
+) -> list[FoundStep]:
+    """The step that somebody set between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
+    if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < SHORTEST_CYCLES:
+        return []
+    return [_refined(_ReadAhead(read, stop).read, Still(start, start, stop, frequency_hz), rate_hz, forcing)]
+
+
+def step_table(
+    found: list[FoundStep],
+    forcing: Forcing,
+    rate_hz: float,
+    gammas: Floats,
+    achieved: NDArray[np.void] | None = None,
+) -> NDArray[np.void]:
+    """`STEP_DTYPE` rows of found steps.
+
+    Parameters
+    ----------
+    found, forcing, rate_hz
+        What was found, and in what.
+    gammas
+        Gamma of each step, NaN where unknown.
+    achieved
+        ``(n, 2)`` gamma measured at the plate and its uncertainty.
+    """
+    rows = np.zeros(len(found), STEP_DTYPE)
+    for row, step in zip(rows, found, strict=True):
+        settled = step.settled(rate_hz)
+        row["first_sample"], row["n_samples"] = step.start, step.stop - step.start
+        row["settle_samples"], row["fade_samples"] = settled - step.start, step.hold - step.start
+        row["frequency_hz"], row["ratio"] = step.frequency_hz, forcing.ratio
+        row["cycles"] = (step.stop - settled) * step.frequency_hz / rate_hz
+        row["settle_cycles"] = (settled - step.hold) * step.frequency_hz / rate_hz
+    rows["gamma"] = gammas
+    rows["achieved_gamma"] = rows["achieved_gamma_uncertainty"] = np.nan
+    if achieved is not None:
+        rows["achieved_gamma"], rows["achieved_gamma_uncertainty"] = achieved.T
+    known = np.nan_to_num(gammas)
+    rows["direction"][1:] = np.sign(np.diff(known))
+    rows["direction"][:1] = np.sign(known[:1])
+    return rows
+
+
+def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
+    """Gamma from the tones' acceleration amplitudes in units of g: least squares on the forcing's shape.
+
+    ``|a_m| / g = gamma m^2 |d_m|`` with ``d_m`` the tones of ``x_p / A``.
+    """
+    shape = np.array([w for _, w in weights(forcing)])
+    return float(np.sum(shape * np.abs(amplitudes)) / np.sum(shape**2))
+
+
+class _ReadAhead:
+    """Many small reads in nearly rising order, served from few large ones."""
+
+    def __init__(self, read: Read, stop: int) -> None:
+        self._read, self._stop = read, stop
+        self._start, self._held = 0, np.zeros(0)
+
+    def read(self, start: int, stop: int) -> Floats:
+        """Volts of samples ``start .. stop``."""
+        if start < self._start or stop > self._start + len(self._held):
+            self._start = start
+            self._held = self._read(start, min(max(stop, start + _READ_AHEAD), max(self._stop, stop)))
+        return self._held[start - self._start : stop - self._start]
+
+
+def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing) -> list[FoundStep]:
+    """Join neighbours that one unbroken motion explains: equal tones, the phase continued across the border."""
+    kept = found[:1]
+    for step in found[1:]:
+        last = kept[-1]
+        nearby = step.hold - last.stop < SETTLE_CYCLES * rate_hz / step.frequency_hz
+        if nearby and _continues(last, step, rate_hz):
+            kept[-1] = _refined(read, Still(last.start, last.hold, step.stop, last.frequency_hz), rate_hz, forcing)
+        else:
+            kept.append(step)
+    return kept
+
+
+def _continues(last: FoundStep, step: FoundStep, rate_hz: float) -> bool:
+    """Whether two steps' tones agree, in amplitude, frequency and phase, where they meet."""
+    if abs(last.frequency_hz - step.frequency_hz) > SAME_FREQUENCY * step.frequency_hz:
+        return False
+    there_s = step.hold / rate_hz
+    before, after = (
+        one.tones.amplitudes * np.exp(2j * np.pi * one.tones.frequencies_hz * there_s) for one in (last, step)
+    )
+    return bool(np.all(np.abs(before - after) < SAME_MOTION * np.abs(after).max()))
+
+
+def _refined(read: Read, still: Still, rate_hz: float, forcing: Forcing) -> FoundStep:
+    """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
+    frequency, sigma = still.frequency_hz, np.nan
+    rough = fit(read, still.hold, still.stop, rate_hz, frequency, forcing)
+    settled = FoundStep(still.start, still.hold, still.stop, frequency, sigma, rough).settled(rate_hz)
+    for _ in range(2):
+        correction, sigma = frequency_correction(read, settled, still.stop, rate_hz, frequency, forcing)
+        frequency += correction
+    tones = fit(read, settled, still.stop, rate_hz, frequency, forcing)
+    return FoundStep(still.start, still.hold, still.stop, frequency, sigma, tones)

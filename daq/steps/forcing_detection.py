@@ -1,0 +1,131 @@
+"""Where in a signal a forcing is present, and roughly at which frequency: the first look before steps are found.
+
+The rule kept here: nothing is assumed but the range of the frequency and the ratio of the two tones; a stretch in
+which the forcing's tones do not carry a fifth of the alternating power is silence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.setup.setup import Forcing
+
+Floats = NDArray[np.float64]
+Read = Callable[[int, int], Floats]
+
+WINDOW_CYCLES = 10.0
+SPAN = 8.0  # the frequency is sought between hint / SPAN and hint * SPAN
+TONE_SHARE = 0.2
+QUIET = 2e-3  # of the largest amplitude
+SAME_FREQUENCY = 0.05
+_PAD = 4
+_POINTS_A_CYCLE = 16
+
+
+@dataclass(frozen=True)
+class Region:
+    """Samples ``start .. stop`` in which a forcing near ``frequency_hz`` is present."""
+
+    start: int
+    stop: int
+    frequency_hz: float
+
+
+@lru_cache(maxsize=16)
+def weights(forcing: Forcing) -> tuple[tuple[int, float], ...]:
+    """Expected relative acceleration of the tones, ``(multiple, amplitude)``: displacement times multiple squared."""
+    return tuple((m, m * m * abs(z)) for m, z in forcing.displacement_tones() if abs(z) > 1e-12)
+
+
+def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[Region]:
+    """Stretches of a nearly constant forcing frequency, in order.
+
+    Parameters
+    ----------
+    read
+        Gives volts of samples ``a .. b``.
+    start, stop, rate_hz
+        What to look at.
+    forcing
+        Its tones' ratio and amplitudes, and a frequency that is right within a factor of `SPAN`.
+    """
+    hint_hz = forcing.frequency_hz
+    tones = weights(forcing)
+    window = round(min(max(WINDOW_CYCLES / hint_hz, 0.1), 2.0) * rate_hz)
+    hop = max(window // 2, 1)
+    if stop - start < window:
+        window = hop = stop - start
+    if window < 8:
+        return []
+    top = max(m for m, _ in tones)
+    reduce = max(1, int(rate_hz / (_POINTS_A_CYCLE * SPAN * hint_hz * top)))
+    if window // reduce < 8:  # far less than a cycle
+        return []
+    starts = np.arange(start, stop - window + 1, hop)
+    found = np.array([_look(read(int(s), int(s) + window), rate_hz, reduce, tones, hint_hz) for s in starts])
+    frequency, amplitude, share = found.T
+    active = (share > TONE_SHARE) & (amplitude > QUIET * amplitude.max()) & (amplitude > 0)
+    return _grouped(starts, window, frequency, active, (start, stop))
+
+
+def _look(x: Floats, rate_hz: float, reduce: int, tones: tuple[tuple[int, float], ...], hint_hz: float) -> Floats:
+    """Frequency, amplitude and share of the power of the best fitting forcing in one window."""
+    if reduce > 1:
+        x = x[: len(x) // reduce * reduce].reshape(-1, reduce).mean(axis=1)
+        rate_hz /= reduce
+    x = x - x.mean()
+    hann = np.hanning(len(x) + 2)[1:-1]
+    n_fft = 1 << int(np.ceil(np.log2(len(x) * _PAD)))
+    spectrum = np.abs(np.fft.rfft(x * hann, n_fft)) * (2.0 / hann.sum())
+    step = rate_hz / n_fft
+    top = max(m for m, _ in tones)
+    low = max(int(hint_hz / SPAN / step), 2 * _PAD)
+    high = min(int(hint_hz * SPAN / step), (len(spectrum) - 2) // top)
+    power = float(np.mean(x**2))
+    if high <= low or power == 0.0:
+        return np.zeros(3)
+    bins = np.arange(low, high + 1)
+    score = sum((w * spectrum[bins * m] for m, w in tones), np.zeros(len(bins)))
+    k = int(bins[np.argmax(score)])
+    strongest = max(tones, key=lambda tone: tone[0] * spectrum[k * tone[0]])[0]
+    frequency = _peak(spectrum, k * strongest, strongest) * step / strongest
+    amplitudes = [spectrum[k * m] for m, _ in tones]
+    amplitude = float(np.hypot.reduce(amplitudes))
+    return np.array([frequency, amplitude, 0.5 * amplitude**2 / power])
+
+
+def _peak(spectrum: Floats, around: int, reach: int) -> float:
+    """Top of the peak near a bin, by a parabola through its logarithm, in bins."""
+    low, high = max(around - reach, 1), min(around + reach, len(spectrum) - 2)
+    k = low + int(np.argmax(spectrum[low : high + 1]))
+    a, b, c = np.log(spectrum[k - 1 : k + 2] + 1e-300)
+    bend = a - 2.0 * b + c
+    return k + (0.5 * float(a - c) / float(bend) if bend < 0 else 0.0)
+
+
+def _grouped(
+    starts: NDArray[np.int64], window: int, frequency: Floats, active: NDArray[np.bool_], ends: tuple[int, int]
+) -> list[Region]:
+    """Join active windows of like frequency, and let each region reach half-way into what lies between."""
+    groups: list[list[int]] = []
+    for i in np.flatnonzero(active):
+        if groups and i - groups[-1][-1] <= 2:
+            reference = float(np.median(frequency[groups[-1][-9:]]))
+            if abs(frequency[i] - reference) < SAME_FREQUENCY * reference:
+                groups[-1].append(int(i))
+                continue
+        groups.append([int(i)])
+    groups = [g for g in groups if len(g) > 1 or len(starts) < 3]  # one window alone straddles a change
+    found: list[Region] = []
+    for j, group in enumerate(groups):
+        before = ends[0] if j == 0 else (starts[groups[j - 1][-1]] + window + starts[group[0]]) // 2
+        after = ends[1] if j == len(groups) - 1 else (starts[group[-1]] + window + starts[groups[j + 1][0]]) // 2
+        first, last = int(starts[group[0]]), int(starts[group[-1]]) + window
+        begin, end = max(before, first - 2 * window), min(after, last + 2 * window)
+        found.append(Region(int(begin), int(end), float(np.median(frequency[group]))))
+    return found

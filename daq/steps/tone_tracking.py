@@ -1,0 +1,313 @@
+"""Follow a forcing's tones cycle by cycle, and cut where they change.
+
+The rule kept here: what is compared from cycle to cycle is a joint least-squares fit of the tones to that cycle, so
+neither the sampling's phase nor a constant nor the other tone leaks in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.steps.changepoints import segments
+from daq.steps.forcing_detection import Read, Region, weights
+from daq.setup.setup import Forcing
+from daq.lock_in import ToneFit, fit_tones
+
+Floats = NDArray[np.float64]
+
+SHORTEST_WINDOWS = 4  # a shorter stillness is part of a fade
+PIECE_WINDOWS = 20  # of a sweep that never rests
+LEAST_SWEEP = 12  # windows; what is shorter may be a fade, what is longer and holds still is a step
+RESTS = 0.3  # share of the loud windows below which what holds still is chance, and the whole a sweep
+QUIET = 2e-3  # of the largest amplitude
+STEADY = 3e-4  # relative change of amplitude from cycle to cycle that nobody calls a step
+SAME_LEVEL = 1e-3
+SAME_ADVANCE = 1e-3  # radians a window
+PENALTY = 30.0
+_WINDOW_POINTS = 16
+_PIECES = 40
+_DEEPEST = 6
+_LOOKED_AT = 16  # windows from which the noise's colour is taken
+
+
+@dataclass(frozen=True)
+class Still:
+    """A stretch in which the tones hold still: first sample of its fade, of the stillness, end, rough frequency."""
+
+    start: int
+    hold: int
+    stop: int
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
+class _Track:
+    """Fits of successive windows: amplitudes (n, k), noise (n, 1), the main tone's phase advance (n,), loudness."""
+
+    edges: NDArray[np.int64]
+    amplitude: Floats
+    floor: Floats
+    advance: Floats
+    main: int
+    loud: NDArray[np.bool_]
+
+    def frequency_change(self, a: int, b: int, multiple: float, rate_hz: float) -> float:
+        """How far windows ``a .. b`` are from the reference frequency (first tone, hertz), by the median advance."""
+        inner = self.advance[min(a + 1, b - 1) : b]
+        window_s = float(self.edges[b] - self.edges[a]) / ((b - a) * rate_hz)
+        return float(np.median(inner)) / (2.0 * np.pi * window_s * multiple)
+
+
+def tones_hz(frequency_hz: float, forcing: Forcing) -> Floats:
+    """Frequencies of the forcing's tones when the first is at ``frequency_hz``."""
+    return frequency_hz * np.array([float(m) for m, _ in weights(forcing)])
+
+
+def fit(read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, forcing: Forcing) -> ToneFit:
+    """The forcing's tones in samples ``start .. stop``."""
+    return fit_tones(read(start, stop), start, rate_hz, tones_hz(frequency_hz, forcing))
+
+
+def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forcing) -> list[Region]:
+    """Move the border between two touching regions to where the one frequency stops fitting and the other starts."""
+    exact = list(near)
+    for i in range(len(exact) - 1):
+        left, right = exact[i], exact[i + 1]
+        if right.start > left.stop:
+            continue
+        reach = round(max(10 / left.frequency_hz, 0.1) * rate_hz)
+        low, high = max(left.start, left.stop - reach), min(right.stop, left.stop + reach)
+        edges = _edges(low, high, rate_hz, min(left.frequency_hz, right.frequency_hz))
+        misfit = np.array([
+            [fit(read, a, b, rate_hz, side.frequency_hz, forcing).rms ** 2 for side in (left, right)]
+            for a, b in pairwise(edges)
+        ]).reshape(-1, 2)
+        before = np.concatenate([[0.0], np.cumsum(misfit[:, 0])])
+        after = np.concatenate([np.cumsum(misfit[::-1, 1])[::-1], [0.0]])
+        border = int(edges[np.argmin(before + after)])
+        exact[i], exact[i + 1] = replace(left, stop=border), replace(right, start=border)
+    return exact
+
+
+def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing, depth: int = 0) -> list[Region]:
+    """Cut a region where its frequency changes, however little; each part carries its own frequency.
+
+    A fit at a frequency that is off wobbles from cycle to cycle by a tenth of what the phase advances, so large
+    changes are cut first and each part is looked at again.
+    """
+    track = _track(read, region, rate_hz, forcing)
+    if track is None or not track.loud.any():
+        return []
+    smooth = _running_median(track.advance[:, None], 5)[:, 0]
+    loud = smooth[track.loud]
+    spread = float(np.percentile(loud, 98) - np.percentile(loud, 2))
+    own = track.frequency_change(0, len(track.advance), weights(forcing)[track.main][0], rate_hz)
+    settled = replace(region, frequency_hz=region.frequency_hz + own)
+    if depth >= _DEEPEST or spread < 5.0 * SAME_ADVANCE:
+        return [settled]
+    relative = track.floor[track.loud, 0] / track.amplitude[track.loud, track.main]
+    noise = max(float(_noise(track.advance[:, None]).mean()), float(np.median(relative)))
+    sigma = np.full((len(smooth), 1), max(0.1 * spread, noise))
+    cuts = segments(smooth[:, None], sigma, np.array([SAME_ADVANCE]), PENALTY)
+    cuts = _absorbed(cuts)
+    if len(cuts) == 1:
+        return [settled]
+    parts: list[Region] = []
+    for a, b in cuts:
+        change = track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
+        piece = Region(int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change)
+        parts += same_frequency(read, piece, rate_hz, forcing, depth + 1)
+    return parts
+
+
+def _absorbed(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Short pieces join what follows (they are the change itself), the last one what precedes."""
+    kept: list[tuple[int, int]] = []
+    begin = 0
+    for _, stop in cuts:
+        if stop - begin >= SHORTEST_WINDOWS:
+            kept.append((begin, stop))
+            begin = stop
+    end = cuts[-1][1]
+    if begin < end:
+        kept = [*kept[:-1], (kept[-1][0] if kept else 0, end)]
+    return kept
+
+
+def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> list[Still]:
+    """Stretches of a region in which every amplitude and the phase's advance hold still, each with its fade."""
+    track = _track(read, region, rate_hz, forcing)
+    if track is None or not track.loud.any():
+        return []
+    values, sigma, same = _features(track)
+    parts = segments(values, sigma, same, PENALTY)
+    steady = np.array([_steady(track, a, b, sigma) for a, b in parts]) & ~_on_the_way(track.amplitude, parts)
+    covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
+    if covered < RESTS * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
+        parts, steady = _in_pieces(track.loud)
+    found: list[Still] = []
+    fade_from = None
+    for (a, b), take in zip(parts, steady, strict=True):
+        if track.loud[a:b].mean() < 0.5:
+            fade_from = None
+        elif not take:
+            fade_from = a if fade_from is None else fade_from
+        else:
+            begin = a if fade_from is None else fade_from
+            change = track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
+            found.append(Still(int(track.edges[begin]), int(track.edges[a]), int(track.edges[b]),
+                               region.frequency_hz + change))
+            fade_from = None
+    return found
+
+
+def frequency_correction(
+    read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, forcing: Forcing
+) -> tuple[float, float]:
+    """How far the true frequency is from ``frequency_hz``: slope of the tones' phases, with its standard deviation."""
+    pieces = _edges(start, stop, rate_hz, frequency_hz)
+    edges = pieces[:: max(1, len(pieces) // _PIECES)]
+    if len(edges) < 3:
+        return 0.0, np.inf
+    fits = [fit(read, a, b, rate_hz, frequency_hz, forcing) for a, b in pairwise(edges)]
+    time = (edges[:-1] + edges[1:] - 1) / (2.0 * rate_hz)
+    time = time - time.mean()
+    estimates, information = [], []
+    for k, (multiple, _) in enumerate(weights(forcing)):
+        z = np.array([one.amplitudes[k] for one in fits])
+        phase = np.unwrap(np.angle(z))
+        noise = np.median([one.rms * np.sqrt(2.0 / one.n) for one in fits]) / max(float(np.abs(z).mean()), 1e-300)
+        sigma = max(float(noise), 1e-12) / (multiple * 2.0 * np.pi * np.sqrt(time @ time))
+        estimates.append(float(time @ phase / (time @ time)) / (2.0 * np.pi * multiple))
+        information.append(sigma**-2)
+    total = float(np.sum(information))
+    return float(np.dot(estimates, information)) / total, total**-0.5
+
+
+def _edges(start: int, stop: int, rate_hz: float, frequency_hz: float) -> NDArray[np.int64]:
+    """Sample indices that cut ``start .. stop`` into whole cycles, enough samples in each piece for a fit."""
+    cycle = rate_hz / frequency_hz
+    piece = cycle * max(1, int(np.ceil(_WINDOW_POINTS / cycle)))
+    whole = np.arange(int((stop - start) / piece + 1e-9) + 1)
+    edges: NDArray[np.int64] = start + np.rint(whole * piece).astype(np.int64)
+    return edges
+
+
+def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Track | None:
+    """Fits of successive windows of a region; None where it is too short to hold a step."""
+    edges = _edges(region.start, region.stop, rate_hz, region.frequency_hz)
+    if len(edges) < SHORTEST_WINDOWS + 1:
+        return None
+    fits = [fit(read, a, b, rate_hz, region.frequency_hz, forcing) for a, b in pairwise(edges)]
+    z = np.array([one.amplitudes for one in fits])
+    amplitude = np.abs(z)
+    rms, n = np.array([one.rms for one in fits]), np.array([one.n for one in fits])
+    share = _independent_share(read, edges, fits, rate_hz)
+    usual = _running(rms[:, None], 25, 0.8)  # a fade leaves much over, but that is short and no noise
+    floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], (rms * np.sqrt(2.0 / n))[:, None])
+    loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * rms * np.sqrt(2.0 / n))
+    main = int(np.argmax(np.median(amplitude, axis=0)))
+    advance = np.zeros(len(fits))
+    advance[1:] = np.angle(z[1:, main] * np.conj(z[:-1, main]))
+    advance[1:][~(loud[1:] & loud[:-1])] = 0.0
+    return _Track(edges, amplitude, floor, advance, main, loud)
+
+
+def _independent_share(read: Read, edges: NDArray[np.int64], fits: list[ToneFit], rate_hz: float) -> float:
+    """Share of the samples that count as independent noise: hum or ringing repeats itself, white noise does not.
+
+    From the median lag-one correlation r of what the fits leave over, ``(1 - r) / (1 + r)``.
+    """
+    correlations = []
+    for k in np.unique(np.linspace(0, len(fits) - 1, _LOOKED_AT).astype(np.int64)):
+        x, one = read(int(edges[k]), int(edges[k + 1])), fits[k]
+        turns = np.outer(one.frequencies_hz / rate_hz, np.arange(edges[k], edges[k + 1]))
+        rest = x - one.offset - (one.amplitudes[:, None] * np.exp(2j * np.pi * turns)).sum(axis=0).real
+        power = float(rest @ rest)
+        correlations.append(float(rest[1:] @ rest[:-1]) / power if power > 0 else 0.0)
+    r = min(max(float(np.median(correlations)), 0.0), 0.999)
+    return (1.0 - r) / (1.0 + r)
+
+
+def _features(track: _Track) -> tuple[Floats, Floats, Floats]:
+    """What must hold still, its noise, and the least change that counts: amplitudes and the phase's advance."""
+    amplitude, floor, main = track.amplitude, track.floor, track.main
+    none = np.zeros_like(amplitude)
+    sigma_a = np.maximum.reduce(
+        [_noise(amplitude), floor + none, STEADY * amplitude, 0.1 * QUIET * amplitude.max() + none]
+    )
+    relative = sigma_a[:, main] / np.maximum(amplitude[:, main], 1e-300)
+    both = track.loud & np.concatenate([[False], track.loud[:-1]])
+    sigma_p = np.maximum(np.maximum(relative, _noise(track.advance[:, None])[:, 0]), SAME_ADVANCE)
+    sigma_p = np.where(both, np.minimum(sigma_p, 1.0), 1.0)
+    same = np.append(SAME_LEVEL * np.median(amplitude[track.loud], axis=0), SAME_ADVANCE)
+    return np.column_stack([amplitude, track.advance]), np.column_stack([sigma_a, sigma_p]), same
+
+
+def _noise(x: Floats) -> Floats:
+    """Standard deviation of each value, from second differences near it (a fade has none), shape of ``x``."""
+    if len(x) < 3:
+        return np.zeros_like(x)
+    bend = np.abs(np.diff(x, 2, axis=0))
+    spread: Floats = 1.4826 / np.sqrt(6.0) * _running_median(np.pad(bend, ((1, 1), (0, 0)), mode="edge"), 25)
+    return spread
+
+
+def _running_median(x: Floats, width: int) -> Floats:
+    return _running(x, width, 0.5)
+
+
+def _running(x: Floats, width: int, quantile: float) -> Floats:
+    """Quantile over a sliding window along the first axis; the ends are mirrored."""
+    half = min(width, len(x) - 1) // 2
+    padded = np.pad(x, ((half, half), (0, 0)), mode="reflect")
+    view = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    found: Floats = np.median(view, axis=-1) if quantile == 0.5 else np.quantile(view, quantile, axis=-1)
+    return found
+
+
+def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
+    """Whether a part is long, loud, and moves from end to end by less than 1 % or 6 standard errors (10 % or 2)."""
+    n = b - a
+    if n < SHORTEST_WINDOWS or track.loud[a:b].mean() <= 0.5:
+        return False
+    if n >= SHORTEST_WINDOWS + 2:  # the windows at the ends may hold a piece of what is beyond
+        a, b, n = a + 1, b - 1, n - 2
+    amplitude = track.amplitude[a:b]
+    x = np.arange(n) - (n - 1) / 2.0
+    change = np.abs(x @ amplitude / (x @ x)) * (n - 1)
+    noise = sigma[a:b, : amplitude.shape[1]].mean(axis=0) / np.sqrt(x @ x) * (n - 1)
+    little, much = 0.01 * amplitude.max(), 0.1 * amplitude.max()
+    return not np.any(((change > little) & (change > 6.0 * noise)) | ((change > much) & (change > 2.0 * noise)))
+
+
+def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Whether each short part belongs to a fade: it moves as fast as the path from the part before to the one after.
+
+    A step between two others stands still while the path does not; a fade that was cut in pieces moves with it.
+    """
+    middle = np.array([(a + b - 1) / 2.0 for a, b in parts])
+    mean = np.array([amplitude[a:b].mean(axis=0) for a, b in parts])
+    moving = np.zeros(len(parts), bool)
+    for i, (a, b) in enumerate(parts):
+        before, after = max(i - 1, 0), min(i + 1, len(parts) - 1)
+        x = np.arange(a, b) - middle[i]
+        if before == after or not x.any() or b - a > LEAST_SWEEP:
+            continue
+        own = x @ amplitude[a:b] / (x @ x)
+        path = (mean[after] - mean[before]) / (middle[after] - middle[before])
+        onward = own @ (mean[after] - mean[i]) >= 0.0 and own @ (mean[i] - mean[before]) >= 0.0
+        moving[i] = onward and own @ path > 0.5 * float(path @ path)
+    return moving
+
+
+def _in_pieces(loud: NDArray[np.bool_]) -> tuple[list[tuple[int, int]], NDArray[np.bool_]]:
+    """A sweep that never rests, taken in equal pieces of its loud part."""
+    where = np.flatnonzero(loud)
+    cuts = list(range(int(where[0]), int(where[-1]) + 2, PIECE_WINDOWS))
+    parts = list(pairwise(cuts)) or [(int(where[0]), int(where[-1]) + 1)]
+    return parts, np.array([b - a >= SHORTEST_WINDOWS for a, b in parts])

@@ -1,0 +1,1 @@
+"""TODO what bifurcations is for."""

@@ -1,0 +1,165 @@
+"""A locked cycle followed in gamma, or in any one parameter, to where it ends; and an end followed in a second one.
+
+The rule kept here: a cycle is followed by Newton from the cycle before, never by running the orbit; a period doubling
+is the root of ``multiplier + 1``, a fold that of ``(1 - multiplier)^2``, which is straight where the multiplier itself
+has a vertical slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from model.orbits.attractor import LockedCycle, State
+
+Close = Callable[[float, State, int], LockedCycle | None]
+"""Maps (parameter, a state near, flights) to the locked cycle there."""
+
+End = Literal["period doubling", "merged", "fold", "grazing", "limit"]
+
+FIRST_STEP = 1e-4
+LONGEST_STEP = 2e-2
+SMALLEST_STEP = 1e-13
+JUMP = 0.3  # a flight time that changes by more than this in one step belongs to another cycle
+HALVES = 0.02  # two halves of a cycle alike to this are about to meet, at the doubling of half the cycle
+NEAR_FOLD = 0.8  # a cycle lost with a multiplier beyond this is lost at a fold
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A stable locked cycle between ``low`` and ``high``, and what ends it at either."""
+
+    low: float
+    high: float
+    ends: tuple[End, End]
+    flights: int
+    periods: int
+
+
+def state_of(cycle: LockedCycle) -> State:
+    """A state on the cycle, just after an impact."""
+    return State(float(cycle.phase[0]), float(cycle.start[0]))
+
+
+def follow_both_ways(close: Close, at: float, cycle: LockedCycle, low: float, high: float) -> Branch:
+    """Follow ``cycle``, known at the parameter ``at``, down and up to where it ends or to ``low`` and ``high``."""
+    below, how_below = _follow(close, at, cycle, low)
+    above, how_above = _follow(close, at, cycle, high)
+    return Branch(below, above, (how_below, how_above), cycle.tau.size, cycle.periods)
+
+
+def _next(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycle | None:
+    """The same cycle at another parameter; None when Newton finds none or a different one."""
+    new = close(parameter, state_of(cycle), cycle.tau.size)
+    if new is None or new.periods != cycle.periods:
+        return None
+    return new if any(np.max(np.abs(np.roll(new.tau, k) - cycle.tau)) < JUMP for k in range(new.tau.size)) else None
+
+
+def _follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[float, End]:
+    direction = 1.0 if limit > at else -1.0
+    step = FIRST_STEP
+    trail = [(at, cycle)]
+    while True:
+        here, known = trail[-1]
+        target = here + direction * step
+        if direction * (target - limit) > 0.0:
+            target = limit
+        new = _next(close, target, known)
+        if new is not None and new.multiplier <= -1.0:
+            return _doubling(close, trail[-1], (target, new)), "period doubling"
+        if new is None or new.multiplier >= 1.0:
+            step *= 0.25
+            if step < SMALLEST_STEP * max(1.0, abs(here)):
+                return _lost(close, trail)
+            continue
+        if target == limit:
+            return limit, "limit"
+        trail = [*trail[-2:], (target, new)]
+        step = min(1.5 * step, LONGEST_STEP)
+
+
+def _doubling(close: Close, inside: tuple[float, LockedCycle], outside: tuple[float, LockedCycle]) -> float:
+    def test(parameter: float) -> float:
+        if parameter == outside[0]:
+            return outside[1].multiplier + 1.0
+        cycle = _next(close, parameter, inside[1])
+        return (cycle or inside[1]).multiplier + 1.0
+
+    return float(brentq(test, inside[0], outside[0], xtol=1e-14, rtol=1e-14))
+
+
+def _lost(close: Close, trail: Sequence[tuple[float, LockedCycle]]) -> tuple[float, End]:
+    """Where and how a cycle ended that cannot be followed any further."""
+    here, cycle = trail[-1]
+    if cycle.multiplier < NEAR_FOLD or len(trail) < 2:
+        return here, "grazing"
+    n = cycle.tau.size
+    if n % 2 == 0 and float(np.max(np.abs(cycle.tau[: n // 2] - cycle.tau[n // 2 :]))) < HALVES:
+        half = close(here, state_of(cycle), n // 2)
+        merging = None if half is None else doubling_near(close, here, half, 1e-3)
+        if merging is not None:
+            return merging[0], "merged"
+    before, old = trail[-2]
+    a, b = (1.0 - old.multiplier) ** 2, (1.0 - cycle.multiplier) ** 2
+    return (here if a == b else here + b * (here - before) / (a - b)), "fold"
+
+
+def doubling_curve(
+    close_at: Callable[[float], Close], second: Floats, gamma: float, cycle: LockedCycle, reach: float = 0.2
+) -> Floats:
+    """Gamma of a period doubling as a function of a second parameter.
+
+    Parameters
+    ----------
+    close_at
+        Maps the second parameter to the `Close` in gamma.
+    second : (m,) array
+        Values of the second parameter, the first one near that at which ``gamma`` and ``cycle`` are known.
+    gamma, cycle
+        The doubling there and its cycle.
+    reach
+        How far gamma is searched for from one value to the next.
+
+    Returns
+    -------
+    (m,) array
+        NaN from the value on at which the cycle or its doubling is lost.
+    """
+    out = np.full(len(second), np.nan)
+    for i, value in enumerate(second):
+        close = close_at(float(value))
+        found = doubling_near(close, gamma, cycle, reach)
+        if found is None:
+            break
+        gamma, cycle = found
+        out[i] = gamma
+    return out
+
+
+def doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) -> tuple[float, LockedCycle] | None:
+    """Secant for ``multiplier = -1`` from ``gamma``, each cycle found from the one before."""
+    n = cycle.tau.size
+    here, old, last = gamma, gamma - 1e-6, None
+    first = close(old, state_of(cycle), n)
+    if first is None:
+        return None
+    miss_old = first.multiplier + 1.0
+    for _ in range(60):
+        new = close(here, state_of(last or first), n)
+        if new is None or abs(here - gamma) > reach:
+            return None
+        last, miss = new, new.multiplier + 1.0
+        if abs(miss) < 1e-12 or abs(here - old) < 1e-14:
+            return here, new
+        if miss == miss_old:  # the multiplier does not depend on gamma here: no doubling to be located
+            return None
+        old, miss_old, here = here, miss, here - miss * (here - old) / (miss - miss_old)
+    return None

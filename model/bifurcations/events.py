@@ -1,0 +1,282 @@
+"""Every change of the cycle reached from rest, as gamma grows: where, of which kind, from which period to which.
+
+The rule kept here: each is located by its own equation. An edge of a window with a reset is where a landing meets a
+threshold or the end of a take-off window, or where a graze begins (bisected on whole numbers to neighbouring doubles);
+a period doubling or a fold of a locked cycle is the root of its multiplier; a take-off window is born at a maximum of
+the forcing; at an accumulation a landing falls on an unstable cycle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from model.bifurcations import itinerary_windows
+from model.orbits.ideal_ball import Itinerary
+from model.flight.branches import TWO_PI
+from model.orbits.ideal_cycles import FLIGHTS, PERIOD
+from model.bifurcations.locked_windows import Map, locked_beside, locked_within
+from model.orbits.attractor import State
+from model.bifurcations.itinerary_windows import Window
+
+NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
+MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
+LONGEST = 32  # flights of the longest cycle looked for
+SAME = 1e-9  # two edges nearer than this are one event
+CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles has not jumped (cube roots move 1e-5)
+BESIDE = 8  # doubles beyond an edge at which the other side is looked at
+BESIDE_CYCLE = 0.1  # how near to a cycle a landing must pass on either side of an accumulation
+FALLS = 1e-6  # how near to a cycle a landing must come at an accumulation: rounding, stretched on the way
+LAST_COMMON = 6  # landings before the orbits part, of which one is asked whether it falls on a cycle
+ACCUMULATES = 4  # flights of the longest unstable cycle on which an accumulation is looked for
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Side:
+    """The cycle on one side of a bifurcation; all None where none of those looked for is there."""
+
+    period: int | None = None
+    flights: int | None = None
+    resets: int | None = None
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """One change of the attractor: where in gamma, its type, and the cycles just below and above.
+
+    ``type`` is one of: ``take-off``, ``new take-off window``, ``take-off windows merge``, ``lock`` (a cycle with a
+    reset stops sticking, or a locked 1-cycle is born at a fold), ``stick lost``, ``stick gained``, ``flight lost``,
+    ``flight gained`` (one of zero length, at the end of a take-off window), ``grazing`` (a landing jumps), ``period
+    doubling``, ``fold``, ``accumulation``, ``basin`` (the orbit from rest goes to another cycle; neither changes).
+    """
+
+    gamma: float
+    type: str
+    before: Side
+    after: Side
+
+
+def bifurcations(
+    ball: Map, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
+) -> list[Bifurcation]:
+    """All bifurcations between ``low`` and ``high`` of the cycle reached from rest, in order.
+
+    Parameters
+    ----------
+    narrowest
+        Width in gamma of the narrowest window whose edges are sought.
+    longest
+        Flights of its longest cycle.
+
+    Raises
+    ------
+    ValueError
+        If the range is empty, negative or not finite.
+    """
+    found = cycle_windows(ball, low, high, narrowest=narrowest, longest=longest)
+    births, merges = ball.take_off_levels
+    levels = {float(g): "new take-off window" for g in births} | {float(g): "take-off windows merge" for g in merges}
+    if births.size:
+        levels[float(births[0])] = "take-off"
+    events = [
+        Bifurcation(g, kind, _side_at(ball, g, -1, found), _side_at(ball, g, +1, found))
+        for g, kind in levels.items()
+        if low <= g <= high
+    ]
+    cuts = [low, high, *levels]
+    events += _edges(ball, found, cuts)
+    events += _accumulations(ball, found, cuts)
+    return sorted(events, key=lambda e: e.gamma)
+
+
+def cycle_windows(
+    ball: Map, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
+) -> list[Window]:
+    """The windows of gamma, wider than ``narrowest``, with one cycle of at most ``longest`` flights each, in order.
+
+    Raises
+    ------
+    ValueError
+        If the range is empty, negative or not finite.
+    """
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
+        raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+    if not narrowest > 0.0:
+        raise ValueError(f"the narrowest window must be wider than 0, not {narrowest:g}")
+    finest = min(narrowest, ball.coarse)
+    if not (high - low) <= MOST_GAMMAS * finest:
+        raise ValueError(
+            f"bifurcations from {low:g} to {high:g} down to windows of {finest:g} want {(high - low) / finest:.1e} "
+            f"gammas looked at, more than {MOST_GAMMAS:.0e}: ask for a narrower range, or for wider windows "
+            "(--narrowest)"
+        )
+    births, merges = ball.take_off_levels
+    levels = [g for g in sorted([*births, *merges]) if low < g < high]
+    out: list[Window] = []
+    for a, b in zip([low, *levels], [*levels, high], strict=True):
+        if not births.size or b <= births[0]:
+            continue
+        room = 4 * np.spacing(max(b, 1.0))  # at the level itself the tables are in two minds
+        out += itinerary_windows.windows(
+            lambda g: ball.signatures(g, ball.most_flights), lambda w: locked_beside(ball, w),
+            lambda stretches, spacing: locked_within(ball, stretches, spacing), a + room, b - room, narrowest,
+            longest, ball.coarse,
+        )
+    return out
+
+
+def _near(gamma: float, others: Iterable[float]) -> bool:
+    return any(abs(gamma - g) < SAME for g in others)
+
+
+def _edges(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
+    """One event an edge, edges that two windows share taken once; ``cuts`` are no edges of their own."""
+    out = []
+    ends = sorted([(w.high, w, True) for w in windows] + [(w.low, w, False) for w in windows], key=lambda e: e[0])
+    i = 0
+    while i < len(ends):
+        gamma = ends[i][0]
+        here = [e for e in ends[i : i + 2] if e[0] - gamma < SAME]
+        if len(here) == 2 and here[0][2] == here[1][2]:
+            here = here[:1]
+        i += len(here)
+        if not _near(gamma, cuts):
+            left = next((w for _, w, is_high in here if is_high), None)
+            right = next((w for _, w, is_high in here if not is_high), None)
+            event = _event(ball, gamma, left, right)
+            if event.type != "basin" or event.before != event.after:
+                out.append(event)
+    return out
+
+
+def _event(ball: Map, gamma: float, left: Window | None, right: Window | None) -> Bifurcation:
+    known = (left.how[1] if left is not None else "") or (right.how[0] if right is not None else "")
+    before = _side(left) if left is not None else _side_at(ball, gamma, -1, [])
+    after = _side(right) if right is not None else _side_at(ball, gamma, +1, [])
+    if known in ("period doubling", "merged"):
+        factor = 2.0 if known == "period doubling" else 0.5
+        return Bifurcation(gamma, "period doubling", *_doubled(before, after, factor))
+    if known == "fold" and right is not None and right.flights == 1 and right.locked:
+        return Bifurcation(gamma, "lock", before, after)
+    if known in ("fold", "grazing"):
+        return Bifurcation(gamma, known, before, after)
+    room = BESIDE * np.spacing(max(gamma, 1.0))
+    low = left.high if left is not None and not left.locked else gamma - room
+    high = right.low if right is not None and not right.locked else max(gamma, low) + room
+    kind = change(ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights))
+    if ball.bounces:
+        return Bifurcation(gamma, kind, before, after)
+    if kind == "stick lost" and before.resets == 1:  # a locked cycle begins there, however short its window
+        return Bifurcation(gamma, "lock", before, _unstuck(before))
+    if kind == "stick gained" and after.resets == 1:
+        return Bifurcation(gamma, kind, _unstuck(after), after)
+    return Bifurcation(gamma, kind, before, after)
+
+
+def _doubled(before: Side, after: Side, factor: float) -> tuple[Side, Side]:
+    """A locked cycle and its double, where only one of the two has a window wide enough to be listed."""
+    if before.flights is not None and after.flights is None:
+        return before, _times(before, factor)
+    if after.flights is not None and before.flights is None:
+        return _times(after, factor), after
+    return before, after
+
+
+def _times(side: Side, factor: float) -> Side:
+    if side.period is None or side.flights is None:
+        return side
+    return Side(int(side.period * factor), int(side.flights * factor), side.resets)
+
+
+def _unstuck(side: Side) -> Side:
+    return Side(side.period, side.flights, 0)
+
+
+def change(below: Itinerary, above: Itinerary) -> str:
+    """What happens between two neighbouring gammas: told by the first flight whose landing index differs."""
+    n = min(below.index.size, above.index.size)
+    differ = np.flatnonzero((below.index[:n] != above.index[:n]) | (below.rests[:n] != above.rests[:n]))
+    if differ.size == 0:
+        return "basin"
+    k = int(differ[0])
+    if below.index[k] == above.index[k]:  # a chatter that comes to its end, or just does not
+        return "stick lost" if below.rests[k] else "stick gained"
+    if abs(math.remainder(below.landing[k] - above.landing[k], TWO_PI)) > CONTINUOUS:
+        return "grazing"
+    if k < min(below.first, above.first):
+        return "basin"
+    crossed = max(int(below.index[k]), int(above.index[k]))
+    lands_later_above = above.index[k] > below.index[k]
+    if crossed % 2 == 0:  # the edge crossed is a threshold: before it the ball sticks, after it it is thrown
+        return "stick lost" if lands_later_above else "stick gained"
+    return "flight lost" if lands_later_above else "flight gained"
+
+
+def _side(window: Window) -> Side:
+    return Side(window.period, window.flights, window.resets)
+
+
+def _side_at(ball: Map, gamma: float, direction: int, windows: list[Window]) -> Side:
+    """The cycle just beside ``gamma``: from the windows, else from the orbit from rest there."""
+    beside = gamma + direction * 64 * np.spacing(max(gamma, 1.0))
+    for window in windows:
+        if window.low <= beside <= window.high:
+            return _side(window)
+    row = ball.signatures(np.array([beside]), ball.most_flights)[0]
+    if row[FLIGHTS] == 0:
+        return Side(1, 0, 0)
+    return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[1])) if row[FLIGHTS] > 0 else Side()
+
+
+def _accumulations(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
+    """Points in the gaps between windows at which a landing of the orbit from rest falls on an unstable cycle."""
+    out: list[Bifurcation] = []
+    for left, right in pairwise(windows):
+        if right.low - left.high < SAME or left.locked or right.locked or _near(left.high, cuts):
+            continue
+        for n in range(1, ACCUMULATES + 1):
+            gamma = _falls_on_cycle(ball, left.high, right.low, n)
+            if gamma is not None:
+                out.append(Bifurcation(gamma, "accumulation", _side(left), _side(right)))
+                break
+    return out
+
+
+def _falls_on_cycle(ball: Map, low: float, high: float, n: int) -> float | None:
+    """The gamma between two at which the orbits' last common landing falls on an unstable cycle of ``n`` flights."""
+    below, above = ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights)
+    m = min(below.index.size, above.index.size)
+    differ = np.flatnonzero(below.index[:m] != above.index[:m])
+    common = int(differ[0]) if differ.size else m
+    for k in range(common - 1, max(common - 1 - LAST_COMMON, -1), -1):
+        if below.index[k] % 2 == 1:
+            return None
+
+        def miss(gamma: float, k: int = k) -> float:
+            landing = ball.itinerary(gamma, k + 1).landing[k]
+            cycle = ball.close(gamma, State(landing), n)
+            if cycle is None or abs(cycle.multiplier) <= 1.0:
+                raise _NoCycleError
+            off = [math.remainder(landing - p, TWO_PI) for p in cycle.phase]
+            return min(off, key=abs)
+
+        try:
+            a, b = miss(low), miss(high)
+            if a * b < 0.0 and max(abs(a), abs(b)) < BESIDE_CYCLE:
+                gamma = float(brentq(miss, low, high, xtol=1e-15, rtol=1e-15))
+                return gamma if abs(miss(gamma)) < FALLS else None
+        except _NoCycleError:
+            continue
+    return None
+
+
+class _NoCycleError(ArithmeticError):
+    """There is no unstable cycle where a landing was to fall on one."""

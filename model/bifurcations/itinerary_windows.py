@@ -1,0 +1,195 @@
+"""The windows of gamma in which the orbit from rest ends in one and the same cycle, to the last digit of their edges.
+
+The rule kept here: a window is told by whole numbers alone (`Signatures`), so an edge is bisected to neighbouring
+doubles with no tolerance; the stretch between two windows is searched again, ever finer, until it is narrower than the
+narrowest window asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.orbits.ideal_cycles import CODE, FLIGHTS, PERIOD, RESETS
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Signatures = Callable[[Floats], Integers]
+"""Maps gammas (m,) to (m, SIGNATURE_SIZE) whole numbers, see `model.orbits.ideal_cycles`."""
+
+DIGITS = 11  # of gamma, to which the same edge found twice is the same
+DOUBLES_APART = 2  # an edge is known when its bracket is this many units in the last place wide
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch ``[low, high]`` of gamma with one cycle: its flights, resets and length in forcing periods."""
+
+    low: float
+    high: float
+    flights: int
+    resets: int
+    period: int
+    code: int
+    locked: bool = False
+    how: tuple[str, str] = ("", "")
+    """What ends it below and above, where that is known from the family (`model.bifurcations.locked_family`); empty: to be seen."""
+
+    @property
+    def width(self) -> float:
+        """In gamma."""
+        return self.high - self.low
+
+
+def windows(
+    signatures: Signatures,
+    locked_beside: Callable[[Window], list[Window]],
+    locked_within: Callable[[list[tuple[float, float]], float], list[Window]],
+    low: float,
+    high: float,
+    narrowest: float,
+    longest: int,
+    coarse: float,
+) -> list[Window]:
+    """Every window wider than ``narrowest`` of a cycle of at most ``longest`` flights, in order.
+
+    The orbits' tables must keep their shape between ``low`` and ``high`` (no take-off window is born or merged).
+
+    Parameters
+    ----------
+    signatures
+        Of the orbits from rest.
+    locked_beside
+        The windows of locked cycles that begin at the edges of a window with a reset.
+    locked_within
+        The windows of locked cycles that are met in stretches not yet covered, sampled at a spacing.
+    narrowest, coarse
+        Width in gamma, and spacing of the search that goes everywhere: what begins and ends between two of its gammas,
+        with the same cycle on both sides, is not seen.
+    """
+    pieces: list[Window] = []
+    asked: set[tuple[float, float]] = set()
+    locked: list[Window] = []
+    found: list[Window] = []
+    stretches = [(low, high)] if low < high else []
+    for spacing in [s for s in (100.0 * coarse, coarse, coarse / 10.0) if s > narrowest] + [0.9 * narrowest]:
+        pieces = _joined(pieces + _windows_of(signatures, _grid(stretches, spacing), narrowest, longest))
+        closed = [w for w in pieces if w.width > narrowest]
+        for window in closed:
+            edges = round(window.low, DIGITS), round(window.high, DIGITS)
+            if edges not in asked:
+                asked.add(edges)
+                locked += [w for w in locked_beside(window) if w.width > narrowest]
+        open_ = _between(_reached(locked, closed, low, high), low, high, narrowest)
+        locked += [w for w in locked_within(open_, spacing) if w.width > narrowest]
+        found = _reached(locked, closed, low, high)
+        stretches = _between(found, low, high, narrowest)
+    return found
+
+
+def _joined(found: list[Window]) -> list[Window]:
+    """In order, pieces of one window joined: a search cut it where it began, or only the way into the cycle changed."""
+    out: list[Window] = []
+    for window in sorted(found, key=lambda w: w.low):
+        if out and out[-1].code == window.code and window.low <= out[-1].high + 8 * np.spacing(max(window.low, 1.0)):
+            out[-1] = replace(out[-1], high=max(out[-1].high, window.high))
+        else:
+            out.append(window)
+    return out
+
+
+def _reached(locked: list[Window], sticking: list[Window], lowest: float, highest: float) -> list[Window]:
+    """All in order; of a locked cycle only where no orbit from rest goes to a cycle with a reset instead."""
+    out = list(sticking)
+    ends = np.array([w.high for w in sticking])
+    seen: set[float] = set()
+    for window in (w for w in locked if lowest < w.high and w.low < highest):
+        first = int(np.searchsorted(ends, window.low, side="right"))
+        low, top = max(window.low, lowest), min(window.high, highest)
+        while low < top:
+            other = sticking[first] if first < len(sticking) else None
+            high = top if other is None else min(top, other.low)
+            if high - low > 8 * np.spacing(high) and round(low, DIGITS) not in seen:
+                seen.add(round(low, DIGITS))
+                out.append(_part(window, low, high))
+            low = top if other is None else max(low, other.high)
+            first += 1
+    return sorted(out, key=lambda w: w.low)
+
+
+def _part(window: Window, low: float, high: float) -> Window:
+    how = (window.how[0] if low == window.low else "", window.how[1] if high == window.high else "")
+    return replace(window, low=low, high=high, how=how)
+
+
+def _grid(stretches: list[tuple[float, float]], spacing: float) -> list[Floats]:
+    return [np.linspace(a, b, max(int(np.ceil((b - a) / spacing)), 2) + 1) for a, b in stretches]
+
+
+def _between(found: list[Window], low: float, high: float, narrowest: float) -> list[tuple[float, float]]:
+    """Stretches covered by no window and wide enough to hold one."""
+    ends = [low, *(w.high for w in found)]
+    starts = [*(w.low for w in found), high]
+    return [(a, b) for a, b in zip(ends, starts, strict=True) if b - a > narrowest]
+
+
+def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, longest: int) -> list[Window]:
+    """Windows met by the samples of each grid, their edges bisected between neighbouring samples that differ."""
+    left: list[float] = []
+    right: list[float] = []
+    ends: list[tuple[float, Integers, float, float, bool]] = []
+    for grid in grids:
+        rows = signatures(grid)
+        change = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))
+        first = np.concatenate([[0], change + 1])
+        last = np.concatenate([change, [grid.size - 1]])
+        for i, j in zip(first, last, strict=True):
+            if 1 <= rows[i, FLIGHTS] <= longest:
+                before, after = max(i - 1, 0), min(j + 1, grid.size - 1)
+                # beside the same cycle, entered otherwise, even a narrow piece belongs to a window that may be wide
+                kin_beside = any(k != m and rows[k, CODE] == rows[m, CODE] for k, m in ((before, i), (after, j)))
+                ends.append((grid[i], rows[i], grid[before], grid[after], kin_beside))
+                left.append(grid[i])
+                right.append(grid[j])
+    if not ends:
+        return []
+    rows = np.array([e[1] for e in ends])
+    low, below = np.array(left), np.array([e[2] for e in ends])
+    high, above = np.array(right), np.array([e[3] for e in ends])
+    kin = np.array([e[4] for e in ends])
+    for tolerance in (0.02 * narrowest, 0.0):
+        low, below = bisect(signatures, low, below, rows, tolerance)
+        high, above = bisect(signatures, high, above, rows, tolerance)
+        wide = (high - low > 0.9 * narrowest) | kin
+        kin = kin[wide]
+        rows, low, below, high, above = rows[wide], low[wide], below[wide], high[wide], above[wide]
+    return [
+        Window(float(a), float(b), int(r[FLIGHTS]), int(r[RESETS]), int(r[PERIOD]), int(r[CODE]))
+        for a, b, r in zip(low, high, rows, strict=True)
+    ]
+
+
+def bisect(
+    signatures: Signatures, inside: Floats, outside: Floats, rows: Integers, tolerance: float
+) -> tuple[Floats, Floats]:
+    """Brackets narrowed to ``tolerance`` (0: neighbouring doubles): where the signatures ``rows`` still hold, and not.
+
+    Where ``outside`` has the signature too (the search ended there) both are ``outside``.
+    """
+    inside, outside = inside.copy(), outside.copy()
+    if inside.size == 0:
+        return inside, outside
+    known = np.all(signatures(outside) == rows, axis=1)
+    inside[known] = outside[known]
+    while True:
+        smallest = DOUBLES_APART * np.spacing(np.maximum(np.abs(inside), 1.0))
+        open_ = np.abs(outside - inside) > np.maximum(smallest, tolerance)
+        if not open_.any():
+            return inside, outside
+        middle = 0.5 * (inside[open_] + outside[open_])
+        same = np.all(signatures(middle) == rows[open_], axis=1)
+        inside[open_] = np.where(same, middle, inside[open_])
+        outside[open_] = np.where(same, outside[open_], middle)

@@ -1,0 +1,101 @@
+"""The windows of gamma of cycles that never stick, and what a ball must know for its bifurcations to be found.
+
+The rule kept here: without restitution every locked cycle begins where a landing meets a threshold, and its family is
+followed from there (`model.bifurcations.locked_family`); with restitution there is no such place, and locked cycles are met by running
+orbits and followed from where they were met (`model.bifurcations.continuation`).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.bifurcations import locked_family
+from model.orbits.ideal_ball import Itinerary
+from model.bifurcations.continuation import follow_both_ways
+from model.orbits.attractor import Ball, attractor
+from model.bifurcations.itinerary_windows import Window
+
+MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
+
+Floats = NDArray[np.float64]
+
+
+class Map(Ball, Protocol):
+    """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
+
+    def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+        """See `model.orbits.ideal_ball.IdealBall.signatures`."""
+        ...
+
+    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
+        """See `model.orbits.ideal_ball.IdealBall.itinerary`."""
+        ...
+
+    def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
+        """See `model.orbits.ideal_cycles.locked_family`."""
+        ...
+
+    @property
+    def bounces(self) -> bool:
+        """Whether an impact can throw it back; then the state after a landing is a phase and a speed."""
+        ...
+
+    @property
+    def most_flights(self) -> int:
+        """Before an orbit from rest is given up in the search: the way into the cycle and the cycle."""
+        ...
+
+    @property
+    def coarse(self) -> float:
+        """Spacing in gamma of the search that goes everywhere."""
+        ...
+
+    @property
+    def take_off_levels(self) -> tuple[Floats, Floats]:
+        """See `model.orbits.ideal_ball.IdealBall.take_off_levels`."""
+        ...
+
+
+def locked_beside(ball: Map, window: Window) -> list[Window]:
+    """Windows of the locked cycles that begin where the last stick of ``window`` is lost."""
+    if window.resets != 1 or ball.bounces:
+        return []
+    out = []
+    for edge in (window.low, window.high):
+        for take_off_window in range(len(ball.take_off_levels[0])):
+
+            def point(gamma: float, after: float, n: int, j: int = take_off_window) -> locked_family.Point:
+                return ball.locked_family(gamma, j, after, n)
+
+            family = locked_family.follow(point, window.flights, edge)
+            if family is not None:
+                up = family.end > family.start
+                out.append(
+                    Window(
+                        min(family.start, family.end), max(family.start, family.end), window.flights, 0, window.period,
+                        0, True, ("", family.how) if up else (family.how, ""),
+                    )
+                )
+    return out
+
+
+def locked_within(ball: Map, stretches: list[tuple[float, float]], spacing: float) -> list[Window]:
+    """Windows of locked cycles met by sampling the orbits from rest: all there is to do where a landing has a speed."""
+    if not ball.bounces:
+        return []
+    out: list[Window] = []
+    for low, high in stretches:
+        count = min(max(int((high - low) / spacing), 1), MOST_SAMPLES)
+        for gamma in low + (np.arange(count) + 0.5) * (high - low) / count:
+            if any(w.low <= gamma <= w.high for w in out):
+                continue
+            found = attractor(ball, float(gamma), max_flights=4 * ball.most_flights)
+            cycle = ball.close(float(gamma), found.last, found.flights) if found.locked else None
+            if cycle is not None:
+                branch = follow_both_ways(ball.close, float(gamma), cycle, low, high)
+                how = tuple("" if end == "limit" else end for end in branch.ends)
+                out.append(Window(branch.low, branch.high, found.flights, 0, cycle.periods, 0, True, (how[0], how[1])))
+    return out

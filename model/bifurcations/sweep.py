@@ -1,0 +1,138 @@
+"""Bifurcations as a bench sees them: gamma is stepped, the attractor is looked at, and a change is bisected.
+
+The rule kept here: the state is carried from step to step (a sweep, with its hysteresis) or each step starts from rest;
+where the change is a period doubling it is then solved for by its own equation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from model.bifurcations.events import LONGEST, Bifurcation, Side
+from model.bifurcations.continuation import doubling_near
+from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
+from model.orbits.integrated_ball import RolledBall
+
+STEPS = 600  # of a sweep
+CHANGES_A_STEP = 8  # bisected in one step at most
+MOST_FLIGHTS = 2048
+SHARP = 1e-12  # gamma
+ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
+COARSER = 4  # times fewer steps for an integrated ball, each of whose orbits costs an integration
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    ball: Ball
+    carry: bool
+    exact: bool
+
+    def look(self, gamma: float, start: State) -> Attractor:
+        return attractor(self.ball, gamma, start if self.carry else AT_REST, MOST_FLIGHTS)
+
+
+def observed(
+    ball: Ball, low: float, high: float, *, sweep: str | None = None, steps: int = STEPS, narrowest: float = 1e-6
+) -> list[Bifurcation]:
+    """Changes of the attractor between ``low`` and ``high`` in the order met.
+
+    Parameters
+    ----------
+    sweep
+        ``"up"`` or ``"down"``: the state is carried, and `before` and `after` follow the sweep; None: each gamma from
+        rest, upwards.
+    steps
+        Gammas looked at; a window narrower than a step is met by chance alone.
+    narrowest
+        A change is bisected to `SHARP`, windows between two changes in one step down to this width.
+
+    Raises
+    ------
+    ValueError
+        If the range is empty, negative or not finite.
+    """
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
+        raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+    ends = (high, low) if sweep == "down" else (low, high)
+    exact = not isinstance(ball, RolledBall)
+    walk = _Sweep(ball, sweep is not None, exact)
+    grid = np.linspace(*ends, (steps if exact else steps // COARSER) + 1)
+    here = walk.look(float(grid[0]), AT_REST)
+    out: list[Bifurcation] = []
+    for a, b in pairwise(grid):
+        start, at = float(a), here
+        for _ in range(CHANGES_A_STEP):
+            end = walk.look(float(b), at.last)
+            if key(end) == key(at):
+                break
+            gamma, beside, left, right = _bisect(walk, start, float(b), at)
+            # what comes and goes within the narrowest window counts as one change
+            ahead = beside + math.copysign(min(narrowest, abs(b - beside)), b - a)
+            after = walk.look(ahead, right.last)
+            if key(after) != key(at):
+                out.append(_typed(ball, gamma, left, after))
+            start, at = ahead, after
+            if abs(b - start) <= narrowest:
+                break
+        here = walk.look(float(b), at.last)
+    return out
+
+
+def key(found: Attractor) -> tuple[object, ...]:
+    """What makes two attractors look different; of a chatter not how many of its bounces were flown one by one."""
+    if _irregular(found):
+        return ("irregular",)
+    flights = found.flights if found.kind == "periodic" else 0
+    return found.kind, found.period, found.resets, found.locked, flights
+
+
+def _bisect(walk: _Sweep, a: float, b: float, at: Attractor) -> tuple[float, float, Attractor, Attractor]:
+    """The first change met from ``a`` towards ``b``: gamma, the first gamma beyond, and both attractors."""
+    left, right = at, walk.look(b, at.last)
+    while abs(b - a) > (SHARP if walk.exact else ROUGHLY):
+        middle = 0.5 * (a + b)
+        found = walk.look(middle, left.last)
+        if key(found) == key(at):
+            a, left = middle, found
+        else:
+            b, right = middle, found
+    return 0.5 * (a + b), b, left, right
+
+
+def _typed(ball: Ball, gamma: float, left: Attractor, right: Attractor) -> Bifurcation:
+    before, after = _side(left), _side(right)
+    if left.flights == 0 or right.flights == 0:
+        return Bifurcation(gamma, "take-off" if left.flights == 0 else "rest", before, after)
+    if left.locked and right.locked and 2 in (_ratio(left, right), _ratio(right, left)):
+        short = left if _ratio(left, right) == 2 else right
+        cycle = ball.close(gamma, State(short.last.phase, short.last.speed), short.flights)
+        exact = None if cycle is None else doubling_near(ball.close, gamma, cycle, 1e-3)
+        return Bifurcation(gamma if exact is None else exact[0], "period doubling", before, after)
+    if left.resets and right.locked:
+        return Bifurcation(gamma, "lock" if left.flights == right.flights else "stick lost", before, after)
+    if left.locked and right.resets:
+        return Bifurcation(gamma, "stick gained", before, after)
+    if left.resets != right.resets and not (_irregular(left) or _irregular(right)):
+        return Bifurcation(gamma, "stick lost" if left.resets > right.resets else "stick gained", before, after)
+    if abs(left.flights - right.flights) == 1 and left.period == right.period:
+        return Bifurcation(gamma, "flight lost" if left.flights > right.flights else "flight gained", before, after)
+    return Bifurcation(gamma, "jump", before, after)
+
+
+def _ratio(one: Attractor, other: Attractor) -> float:
+    return other.flights / one.flights
+
+
+def _irregular(found: Attractor) -> bool:
+    """Chaotic, or a cycle so long that no bench tells it from chaos."""
+    return found.kind == "chaotic" or found.flights > LONGEST
+
+
+def _side(found: Attractor) -> Side:
+    if _irregular(found):
+        return Side()
+    return Side(found.period, found.flights, found.resets)

@@ -1,0 +1,48 @@
+"""Declared effects by where they act: on the ball, between drive and plate, or in what the instruments show.
+
+The rule kept here: each acts once. Who flies over a plate that was measured leaves the drive's effects out, because
+they are in the measurement; who starts from what was asked of the drive applies them first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from model.effects import effect
+from model.effects.base import COMPILED_HOOKS, Registered
+
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def of_the_ball(effects: Effects) -> dict[str, dict[str, float]]:
+    """Effects that act on the ball's flight, its take-off or its impact: what `model.orbits.make_ball.ball_of` takes."""
+    return {n: dict(t) for n, t in effects.items() if effect(n).hooks.keys() & set(COMPILED_HOOKS)}
+
+
+def reading(effects: Effects) -> float:
+    """Factor by which the accelerometer reads too much."""
+    return math.prod(float(e.hooks["reading"](dict(t))) for e, t in _with(effects, "reading"))
+
+
+def plate_gain(effects: Effects, accel_g: float) -> float:
+    """Plate motion over what the drive asks for, where it asks for a first tone of ``accel_g``.
+
+    A pure delay moves the whole pattern, not its size; the named effects treat all tones alike.
+    """
+    omega, asked = np.ones(1), np.array([accel_g])
+    factors = [e.hooks["transfer"](dict(t), omega, asked)[0] for e, t in _with(effects, "transfer")]
+    return float(np.abs(np.prod(factors)))
+
+
+def shapes_the_plate(effects: Effects) -> list[str]:
+    """Names of declared effects that give the plate a motion whose phase nobody declared."""
+    hooks = ("harmonics", "hum_mps2", "modulation")
+    return sorted({e.effect.name for hook in hooks for e, _ in _with(effects, hook)})
+
+
+def _with(effects: Effects, hook: str) -> list[tuple[Registered, Mapping[str, float]]]:
+    found = ((effect(n), t) for n, t in effects.items())
+    return [(e, {**e.effect.absent, **t}) for e, t in found if hook in e.hooks]

@@ -1,0 +1,1 @@
+"""TODO what flight is for."""

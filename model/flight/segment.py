@@ -1,0 +1,249 @@
+"""A stage of a flight: the motion while gravity and friction keep their sign, and the roots of its height.
+
+From a phase ``phi0`` with height ``h0`` and relative speed ``v0``, under a steady pull ``level`` (1 for the ideal ball,
+``1 + mu_up`` going up and ``1 - mu_down`` going down a rough rod), the height above the plate is
+
+    h(tau) = h0 + gamma [s(phi0) - s(phi0 + tau)] + gamma s'(phi0) tau + v0 tau - level tau^2 / 2,
+    s(phi) = sum_j b_j sin(n_j phi + p_j),
+
+the paper's eq. 4 when ``h0 = v0 = 0`` and ``level = 1``. Its second derivative is ``gamma q - level``, so the edges of
+`model.flight.branches` at ``gamma / level`` split it into convex and concave branches. The rule kept here: a root is returned
+only when it is proven to be the first of its branch. A concave branch entered above the plate holds a root only if it
+ends below, and then one; in a convex one Newton from the left cannot pass the first root, and ``h' >= 0`` with
+``h > 0`` proves there is none.
+"""
+
+from __future__ import annotations
+
+import math
+
+from model.flight.numerics import (
+    C4,
+    C6,
+    C8,
+    C10,
+    C12,
+    C14,
+    C16,
+    C18,
+    S3,
+    S5,
+    S7,
+    S9,
+    S11,
+    S13,
+    S15,
+    S17,
+    Floats,
+    compiled,
+    sincos,
+)
+
+UNDECIDED = 2  # a graze closer than double precision can tell
+SHORT = 0.125  # over shorter times the height is computed as tau^2 times a series: the plain sum is rounding noise
+ROUNDING = 32 * 2.2e-16  # bound on the relative rounding of a height
+
+Stage = tuple[float, float, float, float, float, float, float]  # phi0, s0, s0', a0 = h''(0), v0, h0, level
+
+
+@compiled
+def shape(tones: Floats, phi: float) -> tuple[float, float, float]:
+    """``s(phi)``, ``s'(phi)`` and ``q(phi) = -s''(phi)``."""
+    s = 0.0
+    slope = 0.0
+    q = 0.0
+    for j in range(tones.shape[0]):
+        n = tones[j, 0]
+        sine, cosine = sincos(n * phi + tones[j, 2])
+        sine *= tones[j, 1]
+        s += sine
+        slope += tones[j, 1] * n * cosine
+        q += n * n * sine
+    return s, slope, q
+
+
+@compiled
+def stage_from(
+    tones: Floats, gamma: float, phi0: float, v0: float, h0: float, level: float, at_threshold: bool
+) -> Stage:
+    """The stage that starts at ``phi0``; ``at_threshold`` says that ``gamma q = level`` there exactly."""
+    s0, slope0, q0 = shape(tones, phi0)
+    return phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - level, v0, h0, level
+
+
+@compiled
+def _remainders(x: float) -> tuple[float, float, float, float]:
+    """``(1 - cos x)/x^2 - 1/2``, ``(x - sin x)/x^2``, ``sin x/x - 1`` and ``(1 - cos x)/x`` without cancellation."""
+    y = x * x
+    if y < 1.0:
+        z = y * y
+        cosine = y * ((C4 + y * C6) + z * (C8 + y * C10) + z * z * ((C12 + y * C14) + z * (C16 + y * C18)))
+        sine = (S3 + y * S5) + z * (S7 + y * S9) + z * z * ((S11 + y * S13) + z * (S15 + y * S17))
+        return -cosine, -x * sine, y * sine, x * (0.5 - cosine)
+    sine_half = math.sin(0.5 * x)
+    one_minus_cos = 2.0 * sine_half * sine_half
+    sine = math.sin(x)
+    return one_minus_cos / y - 0.5, (x - sine) / y, sine / x - 1.0, one_minus_cos / x
+
+
+@compiled
+def _motion_short(tones: Floats, gamma: float, stage: Stage, tau: float) -> tuple[float, float, float]:
+    """`motion` at a small ``tau`` with a small *relative* error of ``h - h0`` and ``h'``."""
+    g = 0.5 * stage[3]
+    g_slope = stage[3]
+    a = stage[3]
+    for j in range(tones.shape[0]):
+        n = tones[j, 0]
+        sine, cosine = sincos(n * stage[0] + tones[j, 2])
+        weight = gamma * tones[j, 1] * n * n
+        sine *= weight
+        cosine *= weight
+        x = n * tau
+        cos_part, sin_part, sinc_part, vers_part = _remainders(x)
+        g += sine * cos_part + cosine * sin_part
+        g_slope += sine * sinc_part + cosine * vers_part
+        a += x * (cosine * (1.0 + sinc_part) - sine * vers_part)
+    return stage[5] + tau * (stage[4] + tau * g), stage[4] + tau * g_slope, a
+
+
+@compiled
+def motion(tones: Floats, gamma: float, stage: Stage, phi: float, tau: float) -> tuple[float, float, float]:
+    """``h, h', h''`` at the phase ``phi`` (any turn), ``tau`` after the start of ``stage``."""
+    if tau < SHORT:
+        return _motion_short(tones, gamma, stage, tau)
+    _, s0, slope0, _, v0, h0, level = stage
+    s, slope, q = shape(tones, phi)
+    h = h0 + gamma * (s0 + slope0 * tau - s) + tau * (v0 - 0.5 * level * tau)
+    return h, gamma * (slope0 - slope) + v0 - level * tau, gamma * q - level
+
+
+@compiled
+def rounding_of_height(tones: Floats, gamma: float, stage: Stage, tau: float) -> float:
+    """Bound on the rounding error of the height from `motion` at ``tau``."""
+    size = 0.0
+    if tau < SHORT:
+        for j in range(tones.shape[0]):
+            size += tones[j, 1] * tones[j, 0] ** 2
+        return ROUNDING * (stage[5] + tau * (stage[4] + tau * (stage[6] + gamma * size)))
+    for j in range(tones.shape[0]):
+        size += tones[j, 1]
+    return ROUNDING * (stage[5] + gamma * (size + abs(stage[2]) * tau) + tau * (stage[4] + stage[6] * tau))
+
+
+@compiled
+def root_in_concave(
+    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float, guess: float
+) -> tuple[float, float]:
+    """The one root in ``(lo, hi]`` of a branch with ``h(lo) >= 0 >= h(hi)``, and ``-h'`` there: Halley in a bracket.
+
+    ``guess`` is where to begin; phases are those of the branch, ``turns`` more than the stage's.
+    """
+    x = guess if lo < guess < hi else 0.5 * (lo + hi)
+    h1 = 0.0
+    for _ in range(100):
+        tau = x - stage[0] + turns
+        h, h1, h2 = motion(tones, gamma, stage, x, tau)
+        if h > 0.0:
+            lo = x
+        elif h < 0.0:
+            hi = x
+        else:
+            return x, -h1
+        determinant = 2.0 * h1 * h1 - h * h2
+        if h1 < 0.0 and determinant > h1 * h1:
+            step = 2.0 * h * h1 / determinant
+            size = abs(step)
+            if size <= 1e-6 * min(1.0, tau) and size * abs(h2) <= -1e-6 * h1:  # Halley's next error: below 1e-18
+                return x - step, h2 * step - h1
+            new = x - step
+        else:
+            new = lo
+        if not lo < new < hi:
+            new = 0.5 * (lo + hi)
+            if new in (lo, hi):
+                return new, -h1
+        x = new
+    return x, -h1
+
+
+@compiled
+def root_in_convex(
+    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float
+) -> tuple[bool, float, float, int]:
+    """First root in ``(lo, hi]`` of a branch entered with ``h > 0 > h'``: ``(found, phase, -h', flag)``.
+
+    A minimum nearer to zero than the rounding of h is flagged: double precision cannot decide it.
+    """
+    x = lo
+    flag = 0
+    h1 = 0.0
+    for _ in range(200):
+        tau = x - stage[0] + turns
+        h, h1, h2 = motion(tones, gamma, stage, x, tau)
+        if abs(h - 0.5 * h1 * h1 / h2) < rounding_of_height(tones, gamma, stage, tau):
+            flag = UNDECIDED
+        if h1 >= 0.0:
+            return False, x, 0.0, flag
+        if h <= 0.0:
+            return True, x, -h1, flag
+        step = -h / h1
+        x += step
+        if x > hi:
+            return False, x, 0.0, flag
+        if step <= 1e-8 * min(1.0, tau) and step * h2 <= -1e-8 * h1:  # Newton's next step: below 1e-16
+            return True, x, -h1 - h2 * step, flag
+    return True, x, -h1, UNDECIDED
+
+
+@compiled
+def standstill(
+    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float, guess: float, rising: bool
+) -> float:
+    """The one phase in ``(lo, hi]`` where ``h' = 0``; ``rising`` says that it enters the branch below zero.
+
+    Newton inside a bracket, from ``guess``: on a branch ``h'`` is monotone.
+    """
+    x = guess if lo < guess <= hi else 0.5 * (lo + hi)
+    for _ in range(100):
+        tau = x - stage[0] + turns
+        _, h1, h2 = motion(tones, gamma, stage, x, tau)
+        if h1 == 0.0:
+            return x
+        if (h1 < 0.0) == rising:
+            lo = x
+        else:
+            hi = x
+        step = h1 / h2
+        if abs(step) <= 1e-8 * min(1.0, tau):  # Newton's next step: below 1e-16
+            return min(max(x - step, lo), hi)
+        new = x - step
+        if not lo < new < hi:
+            new = 0.5 * (lo + hi)
+            if new in (lo, hi):
+                return new
+        x = new
+    return x
+
+
+@compiled
+def total_speed(tones: Floats) -> float:
+    """Bound on ``|s'|``."""
+    total = 0.0
+    for j in range(tones.shape[0]):
+        total += tones[j, 0] * tones[j, 1]
+    return total
+
+
+@compiled
+def surely_above(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float]:
+    """Times between which the plate at its highest stays below the ball's path; (1, 0) when there are none."""
+    _, s0, slope0, _, v0, h0, level = stage
+    highest = 0.0
+    for j in range(tones.shape[0]):
+        highest += tones[j, 1]
+    v = gamma * slope0 + v0
+    discriminant = v * v - 2.0 * level * (gamma * (highest - s0) - h0)
+    if discriminant <= 0.0:
+        return 1.0, 0.0
+    root = math.sqrt(discriminant)
+    return (v - root) / level, (v + root) / level

@@ -1,0 +1,1 @@
+"""TODO what integrator is for."""

@@ -1,0 +1,1 @@
+"""TODO what orbits is for."""

@@ -1,0 +1,297 @@
+"""What a ball does in the long run at one gamma: cycles, chaos, coexisting attractors and their basins.
+
+The rule kept here: a cycle with a reset is closed exactly (the threshold repeats); a locked cycle is the root of its
+own equation (Newton) and stable by its multiplier; what is neither within `MAX_FLIGHTS` flights is called chaotic, and
+its exponent is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.flight.branches import TWO_PI
+
+MAX_FLIGHTS = 4096
+FEW_FLIGHTS = 256  # tried first: most orbits have arrived by then
+LONGEST_LOCKED = 64  # flights of the longest cycle without a reset that is looked for
+NEAR = 0.2  # how closely the tail of an orbit repeats before Newton is tried, in phase
+ARRIVED = 1e-6  # distance from a locked cycle at which an orbit has reached it
+JUST_DOUBLED = -1.1  # a multiplier at which an orbit may still be on its way from a cycle to its double
+HALVINGS = 24  # of the distance to that cycle, at which the double is looked for
+SLOW = 0.97  # a multiplier beyond which an orbit may still be on its way after `MAX_FLIGHTS`
+CHAOS_SHOWN = 64  # flights shown of an orbit that never closes
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Kind = Literal["periodic", "chattering", "chaotic"]
+
+
+@dataclass(frozen=True)
+class State:
+    """A ball at the plate: folded phase, and speed off the plate (0: at rest), in units g/w."""
+
+    phase: float = 0.0
+    speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Path:
+    """Flights one after another, arrays of equal length.
+
+    Parameters
+    ----------
+    tau, phase, speed
+        Flight time, folded take-off phase, impact speed relative to the plate (1/w, radians, g/w).
+    slope
+        Factor by which the flight stretches a small shift in phase (0 after a reset); NaN where not known.
+    reset
+        Flights that start from rest.
+    chatter
+        Flights that are bounces of a completed chatter.
+    first, periods
+        Where the cycle starts and its length in forcing periods; ``first = -1`` when nothing repeated.
+    last
+        State after the last flight.
+    """
+
+    tau: Floats
+    phase: Floats
+    speed: Floats
+    slope: Floats
+    reset: NDArray[np.bool_]
+    chatter: NDArray[np.bool_]
+    first: int
+    periods: int
+    last: State
+
+
+@dataclass(frozen=True)
+class LockedCycle:
+    """A cycle that never sticks: a root of ``T^n(x) = x``; ``start`` is the speed at take-off, ``speed`` at impact."""
+
+    phase: Floats
+    start: Floats
+    tau: Floats
+    speed: Floats
+    periods: int
+    multiplier: float
+    """The Floquet multiplier largest in size (real part where complex)."""
+
+
+@dataclass(frozen=True)
+class Attractor:
+    """Where an orbit ends.
+
+    Parameters
+    ----------
+    kind
+        ``chattering``: a cycle in which an infinity of ever smaller bounces ends in rest.
+    period
+        In forcing periods; None when chaotic.
+    flights, resets
+        Of one cycle; `resets` of them start from rest. Chaotic: of the flights shown.
+    locked
+        A cycle that never sticks.
+    tau, phase, speed
+        One cycle, from the reset flight on where there is one; the last `CHAOS_SHOWN` flights when chaotic.
+    multiplier
+        Floquet multiplier: 0 with a reset, None when chaotic.
+    exponent
+        Lyapunov exponent per flight; None with a reset (minus infinity) or where unknown.
+    last
+        The state in which it was left, from which a sweep goes on.
+    """
+
+    kind: Kind
+    period: int | None
+    flights: int
+    resets: int
+    locked: bool
+    tau: Floats
+    phase: Floats
+    speed: Floats
+    multiplier: float | None
+    exponent: float | None
+    last: State
+
+    @property
+    def label(self) -> str:
+        """For a person: which of the look-alikes it is."""
+        if self.flights == 0:
+            return "at rest on the plate"
+        if self.kind == "chaotic":
+            return "chaotic"
+        how = "locked" if self.locked else f"with {'chatter' if self.kind == 'chattering' else 'reset'}"
+        return f"{self.flights}-cycle {how}, period {self.period}"
+
+
+class Ball(Protocol):
+    """A ball on a plate of known tones, at any gamma."""
+
+    def fly(self, gamma: float, start: State, max_flights: int) -> Path:
+        """Fly from ``start`` until a threshold repeats or ``max_flights`` are flown; none when it never leaves."""
+        ...
+
+    def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
+        """The cycle of ``n`` flights that never sticks nearest to ``near`` (just after an impact), if there is one."""
+        ...
+
+
+AT_REST = State()
+
+
+def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int = MAX_FLIGHTS) -> Attractor:
+    """Where the orbit from ``start`` ends.
+
+    Raises
+    ------
+    ValueError
+        If gamma is negative or not finite.
+    """
+    if not (math.isfinite(gamma) and gamma >= 0.0):
+        raise ValueError(f"gamma must be finite and not negative, not {gamma}")
+    none = np.empty(0)
+    for flights in sorted({min(FEW_FLIGHTS, max_flights), max_flights}):
+        path = ball.fly(gamma, start, flights)
+        if path.tau.size == 0:
+            return Attractor("periodic", 1, 0, 0, False, none, none, none, 0.0, None, path.last)
+        if path.first >= 0:
+            return _closed(path)
+        tail = _locked(ball, gamma, path)
+        if tail is not None:
+            break
+    if tail is not None:
+        n = tail.tau.size
+        exponent = math.log(abs(tail.multiplier)) / n if tail.multiplier else None
+        return Attractor(
+            "periodic", tail.periods, n, 0, True, tail.tau, tail.phase, tail.speed, tail.multiplier, exponent, path.last
+        )
+    shown = slice(-CHAOS_SHOWN, None)
+    resets = int(path.reset[shown].sum())
+    return Attractor(
+        "chaotic", None, path.tau[shown].size, resets, False, path.tau[shown], path.phase[shown], path.speed[shown],
+        None, _exponent(path.slope[path.slope.size // 4 :]), path.last,
+    )
+
+
+def _closed(path: Path) -> Attractor:
+    cycle = slice(path.first, None)
+    reset = path.reset[cycle]
+    # several resets: begin at the one with the smallest phase, so that the order does not depend on the start
+    starts = np.flatnonzero(reset)
+    shift = -int(starts[np.argmin(np.mod(path.phase[cycle][starts], TWO_PI))])
+    tau, phase, speed = (np.roll(x[cycle], shift) for x in (path.tau, path.phase, path.speed))
+    kind: Kind = "chattering" if bool(path.chatter[cycle].any()) else "periodic"
+    return Attractor(
+        kind, path.periods, tau.size, int(reset.sum()), False, tau, np.mod(phase, TWO_PI), speed, 0.0, None, path.last
+    )
+
+
+def _locked(ball: Ball, gamma: float, path: Path) -> LockedCycle | None:
+    """The stable cycle to which the path tends, if it tends to one."""
+    phase, speed = path.phase, path.speed
+    for n in range(1, min(LONGEST_LOCKED, phase.size // 4) + 1):
+        middle = phase.size // 2
+        apart = _apart(phase[-1 - n], phase[-1]) + abs(speed[-1] - speed[-1 - n])
+        earlier = _apart(phase[middle - n], phase[middle]) + abs(speed[middle] - speed[middle - n])
+        if apart > NEAR:
+            continue
+        cycle = ball.close(gamma, path.last, n) if apart <= max(earlier, ARRIVED) else None
+        cycle = cycle or _just_doubled(ball, gamma, path.last, n)
+        if cycle is None or not abs(cycle.multiplier) < 1.0:
+            continue
+        off = min(_apart(p, phase[-1]) for p in cycle.phase)
+        if off < ARRIVED or (abs(cycle.multiplier) > SLOW and off < NEAR):
+            return cycle
+    return None
+
+
+def _just_doubled(ball: Ball, gamma: float, last: State, n: int) -> LockedCycle | None:
+    """The cycle of ``n`` flights that has just parted from one of half as many.
+
+    There an orbit comes or goes for longer than it is flown, and Newton falls back onto the unstable half: so the
+    double is looked for at ever smaller and larger parts of the orbit's distance from the half.
+    """
+    half = ball.close(gamma, last, n // 2) if n % 2 == 0 else None
+    if half is None or not JUST_DOUBLED < half.multiplier < -1.0:
+        return None
+    nearest = int(np.argmin([_apart(p, last.phase) for p in half.phase]))
+    phase, speed = float(half.phase[nearest]), float(half.start[nearest])
+    off = math.remainder(last.phase - phase, TWO_PI), last.speed - speed
+    most = NEAR / max(abs(off[0]) + abs(off[1]), 1e-9)
+    for part in most * 0.5 ** np.arange(HALVINGS):
+        cycle = ball.close(gamma, State(phase + part * off[0], max(speed + part * off[1], 0.0)), n)
+        if cycle is not None and abs(cycle.multiplier) < 1.0:
+            return cycle
+    return None
+
+
+def _apart(phase: float, other: float) -> float:
+    return abs(math.remainder(phase - other, TWO_PI))
+
+
+def _exponent(slope: Floats) -> float | None:
+    with np.errstate(divide="ignore"):
+        value = float(np.mean(np.log(np.abs(slope)))) if slope.size else math.nan
+    return value if math.isfinite(value) else None
+
+
+def sweep(ball: Ball, gammas: Iterable[float], start: State = AT_REST) -> list[Attractor]:
+    """Step through ``gammas`` in the order given, each from the state in which the one before was left."""
+    found = []
+    for gamma in gammas:
+        found.append(attractor(ball, gamma, start))
+        start = found[-1].last
+    return found
+
+
+@dataclass(frozen=True)
+class Basins:
+    """Coexisting attractors and which start leads to which: ``which[i, j]`` for ``phases[i]``, ``speeds[j]``."""
+
+    attractors: tuple[Attractor, ...]
+    which: Integers
+    phases: Floats
+    speeds: Floats
+
+
+def basins(ball: Ball, gamma: float, phases: Floats, speeds: Floats) -> Basins:
+    """Attractors reached from a grid of starts.
+
+    Parameters
+    ----------
+    phases : (m,) array
+        Phases at which the ball starts, on the plate.
+    speeds : (k,) array
+        Speeds off the plate, in g/w; 0 puts it down at rest.
+
+    Returns
+    -------
+    Basins
+        Cycles are told apart by their flights; chaotic orbits count as one attractor.
+    """
+    found: list[Attractor] = []
+    which = np.empty((len(phases), len(speeds)), dtype=np.int64)
+    for i, phase in enumerate(phases):
+        for j, speed in enumerate(speeds):
+            one = attractor(ball, gamma, State(float(phase), float(speed)))
+            same = [k for k, other in enumerate(found) if same_attractor(one, other)]
+            if not same:
+                found.append(one)
+            which[i, j] = same[0] if same else len(found) - 1
+    return Basins(tuple(found), which, np.asarray(phases), np.asarray(speeds))
+
+
+def same_attractor(one: Attractor, other: Attractor, tolerance: float = 1e-6) -> bool:
+    """Whether two attractors at one gamma are the same, wherever their cycles are entered."""
+    if (one.kind, one.period, one.flights, one.resets) != (other.kind, other.period, other.flights, other.resets):
+        return False
+    if one.kind == "chaotic" or one.flights == 0:
+        return True
+    return any(bool(np.all(np.abs(np.roll(one.tau, k) - other.tau) < tolerance)) for k in range(one.flights))

@@ -1,0 +1,161 @@
+"""The ball with any set of effects as `model.orbits.attractor` wants it, flown by the integrated kernel of `model.integrator.one_step`.
+
+The rule kept here: SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
+the take-off phase from rest repeats within `REPEATS`, not exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.integrator import one_step
+from model.orbits.ideal_ball import resting
+from model.flight.branches import TWO_PI
+from model.orbits.attractor import LockedCycle, Path, State
+from model.integrator.kernel import LONGEST_PERIODS
+from model.tones import Forcing, Plate
+
+REPEATS = 1e-6  # phase
+MOST_FLIGHTS = 300  # flown, whatever is asked for: each costs an integration
+TANGENT = 1e-5  # shift of phase and speed by which the Jacobian is measured
+NEWTON = 12
+
+
+@dataclass(frozen=True)
+class RolledBall:
+    """A ball on ``forcing`` at ``frequency_hz`` with ``effects`` by name and parameter."""
+
+    forcing: Forcing
+    effects: Mapping[str, Mapping[str, float]]
+    frequency_hz: float
+    g_mps2: float
+
+    @property
+    def omega_radps(self) -> float:
+        """Of the first tone."""
+        return TWO_PI * self.frequency_hz
+
+    @property
+    def bounces(self) -> bool:
+        """Whether an impact can throw it back."""
+        return "restitution" in self.effects
+
+    def _check(self, gamma: float) -> None:
+        """Refuse a gamma at which a flight may be longer than the integration follows it."""
+        n, b, _ = self.forcing.tones.T
+        most = 0.5 * TWO_PI * LONGEST_PERIODS / float(np.sum(n * b))
+        if not gamma <= most:
+            raise ValueError(
+                f"gamma = {gamma:g}: with these effects a flight is followed for {LONGEST_PERIODS:g} periods of the "
+                f"forcing, which is enough up to gamma = {most:.4g} on this plate"
+            )
+
+    def _march(self, gamma: float, phase: float, launch: float, flights: int) -> one_step.Orbit:
+        n, b, p = self.forcing.tones.T
+        self._check(gamma)
+        w = self.omega_radps
+        plate = Plate(n * w, 1j * gamma * self.g_mps2 * n**2 * b * np.exp(1j * p))
+        return one_step.march(
+            self.effects, g_mps2=self.g_mps2, period_s=1.0 / self.frequency_hz, omega_radps=plate.omega_radps,
+            acceleration_mps2=plate.acceleration, flights=flights, start_s=phase / w,
+            impact_mps=self._impact_for(launch) * self.g_mps2 / w,
+        )
+
+    def _impact_for(self, launch: float) -> float:
+        """The impact speed that rebounds at ``launch`` (both in g/w): the kernel is started at an impact."""
+        e0 = self.effects.get("restitution", {}).get("e0", 0.0)
+        e1 = self.effects.get("restitution", {}).get("e1_s_per_m", 0.0) * self.g_mps2 / self.omega_radps
+        if launch <= 0.0 or e0 <= 0.0:
+            return 0.0
+        if e1 == 0.0:
+            return launch / e0
+        root = e0 * e0 - 4.0 * e1 * launch
+        return (e0 - math.sqrt(root)) / (2.0 * e1) if root >= 0.0 else e0 / (2.0 * e1)
+
+    def fly(self, gamma: float, start: State, max_flights: int) -> Path:
+        """See `model.orbits.attractor.Ball.fly`."""
+        w, speed_unit = self.omega_radps, self.g_mps2 / self.omega_radps
+        found = self._march(gamma, start.phase, start.speed, min(max_flights, MOST_FLIGHTS))
+        count = found.takeoff_s.size
+        if count == 0:
+            return resting(start)
+        takeoff, landing = found.takeoff_s * w, found.landing_s * w
+        phase, reset = np.mod(takeoff, TWO_PI), found.after_rest
+        chatter = np.zeros(count, dtype=bool)
+        chatter[:-1] = reset[1:] & self.bounces
+        first, stop = _closes(phase, reset)
+        periods = round((takeoff[stop] - takeoff[first]) / TWO_PI) if first >= 0 else 0
+        kept = slice(0, stop)
+        launch = found.launch_mps[stop] / speed_unit if stop < count else 0.0
+        last = State(float(landing[stop - 1] % TWO_PI), float(launch))
+        return Path(
+            (landing - takeoff)[kept], phase[kept], found.impact_mps[kept] / speed_unit,
+            np.full(stop, math.nan), reset[kept], chatter[kept], first, periods, last,
+        )
+
+    def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
+        """See `model.orbits.attractor.Ball.close`: Newton with a measured Jacobian."""
+        x = np.array([near.phase, near.speed])
+        size = 2 if self.bounces else 1
+        for _ in range(NEWTON):
+            here = self._after(gamma, x, n)
+            if here is None:
+                return None
+            jacobian = np.zeros((size, size))
+            for j in range(size):
+                shift = TANGENT * np.eye(2)[j]
+                ahead, behind = self._after(gamma, x + shift, n), self._after(gamma, x - shift, n)
+                if ahead is None:
+                    return None
+                # just beyond a threshold a ball shifted back would rest: there one side has to do
+                span = TANGENT if behind is None else 2.0 * TANGENT
+                jacobian[:, j] = _difference(ahead, here if behind is None else behind)[:size] / span
+            miss = _difference(here, x)[:size]
+            step = np.linalg.solve(np.eye(size) - jacobian, miss)
+            x[:size] += step
+            if np.max(np.abs(step)) < 1e-9:
+                return self._cycle(gamma, x, n, jacobian)
+        return None
+
+    def _after(self, gamma: float, state: np.ndarray, n: int) -> np.ndarray | None:
+        """State after ``n`` flights that do not rest."""
+        found = self._march(gamma, float(state[0]), float(state[1]), n + 1)
+        if found.takeoff_s.size < n + 1 or found.after_rest.any():
+            return None
+        w = self.omega_radps
+        return np.array([found.takeoff_s[n] * w, found.launch_mps[n] * w / self.g_mps2])
+
+    def _cycle(self, gamma: float, state: np.ndarray, n: int, jacobian: np.ndarray) -> LockedCycle | None:
+        found = self._march(gamma, float(state[0]), float(state[1]), n + 1)
+        w = self.omega_radps
+        values = np.linalg.eigvals(jacobian)
+        largest = values[np.argmax(np.abs(values))]
+        size = float(largest.real) if largest.imag == 0.0 else math.copysign(abs(largest), largest.real)
+        phase = np.mod(found.takeoff_s[:n] * w, TWO_PI)
+        turn = -int(np.argmin(phase))
+        tau = (found.landing_s - found.takeoff_s)[:n] * w
+        start, speed = found.launch_mps[:n] * w / self.g_mps2, found.impact_mps[:n] * w / self.g_mps2
+        periods = round((found.takeoff_s[n] - found.takeoff_s[0]) * self.frequency_hz)
+        phase, start, tau, speed = (np.roll(a, turn) for a in (phase, start, tau, speed))
+        return LockedCycle(phase, start, tau, speed, periods, size)
+
+
+def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    apart = one - other
+    apart[0] -= TWO_PI * round(apart[0] / TWO_PI)
+    return np.asarray(apart)
+
+
+def _closes(phase: np.ndarray, reset: np.ndarray) -> tuple[int, int]:
+    """First and last flight of the first stretch that ends where it began from rest; (-1, all) when there is none."""
+    seen: list[int] = []
+    for k in np.flatnonzero(reset):
+        for other in seen:
+            if abs(math.remainder(phase[k] - phase[other], TWO_PI)) < REPEATS:
+                return other, int(k)
+        seen.append(int(k))
+    return -1, phase.size

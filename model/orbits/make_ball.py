@@ -1,0 +1,84 @@
+"""Which ball flies with a set of effects: the ideal kernel, the exact rough one, or the integrated one.
+
+The rule kept here: the fastest ball that knows every effect asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from model.orbits.ideal_ball import IdealBall
+from model.effects import effect, resolve
+from model.effects.base import COMPILED_HOOKS
+from model.orbits.attractor import Ball
+from model.tones import STANDARD_GRAVITY_MPS2, Forcing
+
+EXACT = frozenset({"coulomb_friction", "restitution"})
+
+
+def ball_of(
+    forcing: Forcing,
+    effects: Mapping[str, Mapping[str, float]],
+    *,
+    frequency_hz: float | None = None,
+    g_mps2: float = STANDARD_GRAVITY_MPS2,
+) -> Ball:
+    """The ball on ``forcing`` with ``effects`` by name and parameter (`model.effects`).
+
+    Parameters
+    ----------
+    frequency_hz
+        First tone; needed where an effect has a scale of its own (a rate, a length, a speed).
+
+    Raises
+    ------
+    ValueError
+        For an unknown effect or parameter or a value out of bounds, for an effect of the drive or of an instrument
+        (the motion of the plate is given here), and where the frequency is needed and missing.
+    """
+    values = resolve(effects)
+    active = {}
+    for name, table in values.items():
+        entry = effect(name)
+        if not entry.hooks.keys() & set(COMPILED_HOOKS):
+            raise ValueError(
+                f"{name} acts on the drive or an instrument, not on the ball: a prediction at a given gamma has none"
+            )
+        if table != entry.effect.absent:
+            active[name] = table
+    if not active:
+        return IdealBall(forcing)
+    scaled = sorted(set(active) - EXACT)
+    if scaled and frequency_hz is None:
+        raise ValueError(f"{', '.join(scaled)} needs --frequency-hz, because it has a scale of its own")
+    if active.keys() <= EXACT:
+        from model.orbits.friction_ball import RoughBall
+
+        return RoughBall(forcing, *rough_of(active, frequency_hz, g_mps2))
+    from model.orbits.integrated_ball import RolledBall
+
+    if frequency_hz is None:
+        raise ValueError("effects in SI units need --frequency-hz")
+    return RolledBall(forcing, active, frequency_hz, g_mps2)
+
+
+def rough_of(
+    effects: Mapping[str, Mapping[str, float]], frequency_hz: float | None, g_mps2: float
+) -> tuple[float, float, float, float]:
+    """``mu_up, mu_down, e0, e1`` of resolved effects, dimensionless (speeds in units of g/w).
+
+    Raises
+    ------
+    ValueError
+        If restitution depends on speed and the frequency is missing, or friction holds the ball for ever.
+    """
+    friction = effects.get("coulomb_friction", {})
+    bounce = effects.get("restitution", {})
+    e1_s_per_m = bounce.get("e1_s_per_m", 0.0)
+    if e1_s_per_m != 0.0 and frequency_hz is None:
+        raise ValueError("restitution.e1_s_per_m needs --frequency-hz, because it has a scale of its own")
+    if not friction.get("mu_down", 0.0) < 1.0:
+        raise ValueError("coulomb_friction.mu_down must be less than 1: else the ball stays on the rod for ever")
+    speed_mps = g_mps2 / (2.0 * math.pi * frequency_hz) if frequency_hz is not None else 0.0
+    return friction.get("mu_up", 0.0), friction.get("mu_down", 0.0), bounce.get("e0", 0.0), e1_s_per_m * speed_mps

@@ -1,0 +1,1 @@
+"""TODO what series is for."""

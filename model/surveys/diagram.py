@@ -1,0 +1,161 @@
+"""Bifurcation diagrams: the cycle at each of many gammas, on a grid or with more gammas where something happens.
+
+The rule kept here: a row says what its attractor is, not only where its points lie; flight times are those of one
+cycle, so a diagram needs no transient thrown away and shows no point twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.surveys import cycle_batch
+from model.flight import first_landing
+from model.orbits.ideal_ball import IdealBall
+from model.orbits.ideal_cycles import FLIGHTS, PERIOD, RESETS
+from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
+from model.precision import check_gamma, lengthened
+from model.orbits.friction_ball import RoughBall
+from model.tones import Forcing
+
+KEEP = 64  # flight times kept of a row
+MOST_FLIGHTS = 256  # before a row is left to `model.orbits.attractor`
+KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
+HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Attractors, one a row: arrays of equal length, ``tau`` (m, keep) filled with NaN beyond a cycle's flights.
+
+    ``kind`` indexes `KINDS`; ``period`` is 0 when chaotic, ``flights`` 0 at rest.
+    """
+
+    gamma: Floats
+    kind: NDArray[np.int8]
+    period: NDArray[np.int32]
+    flights: NDArray[np.int32]
+    resets: NDArray[np.int32]
+    locked: NDArray[np.bool_]
+    tau: Floats
+
+    def sorted(self) -> Rows:
+        """In ascending gamma."""
+        order = np.argsort(self.gamma, kind="stable")
+        return Rows(*(getattr(self, name)[order] for name in FIELDS))
+
+
+FIELDS = ("gamma", "kind", "period", "flights", "resets", "locked", "tau")
+
+
+def joined(parts: list[Rows]) -> Rows:
+    """One after another."""
+    return Rows(*(np.concatenate([getattr(p, name) for p in parts]) for name in FIELDS))
+
+
+def empty_rows(gammas: Floats, keep: int) -> Rows:
+    """Rows to be filled."""
+    m = len(gammas)
+    return Rows(
+        np.array(gammas, dtype=np.float64), np.zeros(m, dtype=np.int8), np.zeros(m, dtype=np.int32),
+        np.zeros(m, dtype=np.int32), np.zeros(m, dtype=np.int32), np.zeros(m, dtype=bool), np.full((m, keep), np.nan),
+    )
+
+
+def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
+    """The attractor reached from rest at each gamma.
+
+    Raises
+    ------
+    ValueError
+        If a gamma is negative or not finite.
+    """
+    grid = np.ascontiguousarray(gammas, dtype=np.float64)
+    if not np.all(np.isfinite(grid) & (grid >= 0.0)):
+        raise ValueError("every gamma must be finite and not negative")
+    if isinstance(ball, IdealBall):
+        rough = None
+    elif isinstance(ball, RoughBall):
+        rough = np.tile(ball.rough, (grid.size, 1))
+    else:
+        rows = empty_rows(grid, keep)
+        for i, gamma in enumerate(grid):
+            put(rows, i, attractor(ball, float(gamma)))
+        return rows
+    return exact_rows(ball.forcing, grid, rough, lambda _: ball, keep)
+
+
+def exact_rows(
+    forcing: Forcing,
+    gammas: Floats,
+    rough: Floats | None,
+    ball_at: Callable[[int], Ball],
+    keep: int,
+) -> Rows:
+    """Rows by the compiled kernels; those that do not close by `model.orbits.attractor.attractor` of ``ball_at(row)``."""
+    lengthening = 1.0 if rough is None else lengthened(rough[:, 1], rough[:, 2])
+    check_gamma(forcing, gammas, lengthening)
+    tones, turning = forcing.tones, first_landing.turning_points(forcing)
+    rows = empty_rows(gammas, keep)
+    outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
+    if rough is None:
+        cycle_batch.ideal_batch(tones, turning, gammas, MOST_FLIGHTS, outcome, rows.tau)
+    else:
+        cycle_batch.rough_batch(tones, turning, gammas, np.ascontiguousarray(rough), MOST_FLIGHTS, outcome, rows.tau)
+    rows.kind[:] = outcome[:, cycle_batch.CHATTERING]
+    rows.period[:] = outcome[:, PERIOD]
+    rows.flights[:] = outcome[:, FLIGHTS]
+    rows.resets[:] = outcome[:, RESETS]
+    for i in np.flatnonzero(outcome[:, FLIGHTS] < 0):
+        put(rows, int(i), attractor(ball_at(int(i)), float(gammas[i])))
+    return rows
+
+
+def put(rows: Rows, i: int, found: Attractor) -> None:
+    """Write one attractor into row ``i``."""
+    rows.kind[i] = KINDS.index(found.kind)
+    rows.period[i] = found.period or 0
+    rows.flights[i] = found.flights
+    rows.resets[i] = found.resets
+    rows.locked[i] = found.locked
+    n = min(found.tau.size, rows.tau.shape[1])
+    rows.tau[i] = np.nan
+    rows.tau[i, :n] = found.tau[:n]
+
+
+def swept(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
+    """The attractors of a sweep through ``gammas`` in the order given, the state carried from each to the next."""
+    grid = np.asarray(gammas, dtype=np.float64)
+    rows = empty_rows(grid, keep)
+    for i, found in enumerate(sweep(ball, grid.tolist(), AT_REST)):
+        put(rows, i, found)
+    return rows
+
+
+def adaptive(
+    rows_at: Callable[[Floats], Rows], low: float, high: float, steps: int, *, halvings: int = HALVINGS
+) -> Rows:
+    """A diagram with more gammas where something happens.
+
+    Every step of an even grid at whose ends the attractor differs (in kind, period, flights or resets) is halved, again
+    and again; chaos beside chaos is left as it is.
+
+    Parameters
+    ----------
+    rows_at
+        Maps gammas to their rows (`diagram` of a ball).
+    """
+    rows = rows_at(np.linspace(low, high, steps))
+    for _ in range(halvings):
+        flights, resets = rows.flights * (rows.kind == 0), rows.resets * (rows.kind < 2)
+        marks = np.stack([rows.kind, rows.period, flights, resets], axis=1)
+        change = np.flatnonzero(np.any(marks[1:] != marks[:-1], axis=1))
+        if change.size == 0 or rows.gamma.size + change.size > 50 * steps:
+            break
+        rows = joined([rows, rows_at(0.5 * (rows.gamma[change] + rows.gamma[change + 1]))]).sorted()
+    return rows

@@ -1,0 +1,292 @@
+"""Many parameter points on many cores: a job, cut into chunks, flown by a pool of processes or a cluster, kept in HDF5.
+
+The rule kept here: a chunk is computed from the job and its bounds alone, so it can run anywhere and in any order; the
+file is written by one process, and a file left unfinished is continued where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from model.orbits.make_ball import EXACT, ball_of, rough_of
+from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
+from model.effects import resolve
+from model.orbits.attractor import Ball, attractor
+from model.precision import MOST_WINDOWS, largest_gamma
+from model.tones import STANDARD_GRAVITY_MPS2, Forcing
+
+CHUNK = 4000  # points: a fraction of a second of an exact ball
+USUAL_WINDOWS = 1000  # of a flight, in parts of `model.precision.MOST_WINDOWS`: full chunks up to there
+MOST_POINTS = 100_000_000
+"""Points of a job: half a kilobyte each."""
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called with the points done and all points."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One parameter of the grid besides gamma: ``effect.parameter`` and its values."""
+
+    name: str
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A grid of parameter points: every gamma for every combination of the axes; gamma runs fastest.
+
+    Parameters
+    ----------
+    ratio, phase_rad
+        c and the second tone's phase.
+    gammas
+        In the order of a sweep, where there is one.
+    effects, axes
+        Effects fixed, and varied.
+    frequency_hz, g_mps2
+        Needed by effects with a scale of their own.
+    sweep
+        Whether the state is carried along the gammas; then a chunk is a whole row of gammas.
+    keep
+        Flight times kept of each point.
+    """
+
+    ratio: int
+    gammas: tuple[float, ...]
+    phase_rad: float = 0.0
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    axes: tuple[Axis, ...] = ()
+    frequency_hz: float | None = None
+    g_mps2: float = STANDARD_GRAVITY_MPS2
+    sweep: bool = False
+    keep: int = KEEP
+
+    @property
+    def forcing(self) -> Forcing:
+        """The plate's motion but for its amplitude."""
+        return Forcing.superposition(self.ratio, phase_rad=(0.0, self.phase_rad))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the grid: the axes, then gamma."""
+        return (*(len(a.values) for a in self.axes), len(self.gammas))
+
+    @property
+    def size(self) -> int:
+        """Points."""
+        return math.prod(self.shape)
+
+    def columns(self, start: int, stop: int) -> dict[str, Floats]:
+        """The parameters of points ``start .. stop - 1`` by name, gamma included."""
+        places = np.unravel_index(np.arange(start, stop), self.shape)
+        named = {a.name: np.asarray(a.values)[p] for a, p in zip(self.axes, places[:-1], strict=True)}
+        return {**named, "gamma": np.asarray(self.gammas)[places[-1]]}
+
+    def effects_at(self, columns: Mapping[str, Floats], i: int) -> dict[str, dict[str, float]]:
+        """All effects of point ``i`` of ``columns``."""
+        table = {name: dict(values) for name, values in self.effects.items()}
+        for axis in self.axes:
+            effect, _, parameter = axis.name.partition(".")
+            table.setdefault(effect, {})[parameter] = float(columns[axis.name][i])
+        return table
+
+    def ball(self, effects: Mapping[str, Mapping[str, float]]) -> Ball:
+        """The ball with ``effects`` on this job's plate."""
+        return ball_of(self.forcing, effects, frequency_hz=self.frequency_hz, g_mps2=self.g_mps2)
+
+
+def check(job: Job) -> None:
+    """Refuse a job that a worker could not compute.
+
+    Raises
+    ------
+    ValueError
+        For an unknown effect or parameter, a value out of bounds or a missing frequency, at any point of the axes.
+    """
+    if job.size == 0:
+        raise ValueError("a job needs at least one gamma and one value of every axis")
+    if job.size > MOST_POINTS:
+        raise ValueError(f"a diagram has at most {MOST_POINTS:,} points (half a kilobyte each), not {job.size:,}")
+    lengths = [len(a.values) for a in job.axes]
+    for which in range(max(lengths, default=1)):
+        columns = {a.name: np.array([a.values[min(which, len(a.values) - 1)]]) for a in job.axes}
+        job.ball(job.effects_at(columns, 0))
+
+
+def compute(job: Job, start: int, stop: int) -> Rows:
+    """The attractors of points ``start .. stop - 1``."""
+    columns = job.columns(start, stop)
+    gammas = columns["gamma"]
+    if job.sweep:
+        return swept(job.ball(job.effects_at(columns, 0)), gammas, keep=job.keep)
+    if {a.name.partition(".")[0] for a in job.axes} | set(job.effects) <= EXACT:
+        rough = None
+        if job.axes or job.effects:
+            first = np.flatnonzero(np.arange(start, stop) % len(job.gammas) == 0)  # where the axes' values change
+            starts = np.unique([0, *first])
+            each = [rough_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
+            rough = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
+        return exact_rows(
+            job.forcing, gammas, rough,
+            lambda i: job.ball(job.effects_at(columns, i)), job.keep,
+        )
+    rows = empty_rows(gammas, job.keep)
+    for i, gamma in enumerate(gammas):
+        put(rows, i, attractor(job.ball(job.effects_at(columns, i)), float(gamma)))
+    return rows
+
+
+def _piece(job: Job, start: int, stop: int) -> tuple[Job, int, int]:
+    """The same points as a job as small as can be: what is sent to a worker."""
+    if job.axes:
+        return job, start, stop
+    return replace(job, gammas=job.gammas[start:stop]), 0, stop - start
+
+
+def run(
+    job: Job,
+    path: Path,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    chunk: int = CHUNK,
+    progress: Progress | None = None,
+) -> None:
+    """Fly all points of ``job`` into the HDF5 file ``path``; a file begun by the same job is continued.
+
+    Parameters
+    ----------
+    workers
+        Processes; 1 computes in this one.
+    cluster
+        Address of a Dask scheduler (``tcp://host:port``), or ``"local"`` for one of ``workers`` processes here.
+
+    Raises
+    ------
+    ValueError
+        For a job that cannot be computed, or a file that belongs to another job.
+    """
+    check(job)
+    chunk = min(chunk, _lively(job))
+    chunk = len(job.gammas) if job.sweep else chunk
+    with _open(job, path, chunk) as file:
+        done: NDArray[np.bool_] = file["chunk_done"][:]
+        todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
+        finished = job.size - sum(stop - start for start, stop in todo)
+        for start, stop, rows in _computed(job, todo, workers, cluster):
+            for name in FIELDS[1:]:
+                file[name][start:stop] = getattr(rows, name)
+            for name, values in job.columns(start, stop).items():
+                file[name][start:stop] = values
+            file["chunk_done"][start // chunk] = True
+            file.flush()
+            finished += stop - start
+            if progress is not None:
+                progress(finished, job.size)
+
+
+def _lively(job: Job) -> int:
+    """Points in a chunk, fewer where flights are long, so that progress is shown and a wish to stop is heeded."""
+    forcing = job.forcing
+    windows = max(job.gammas, default=0.0) / largest_gamma(forcing) * MOST_WINDOWS
+    return max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS))))
+
+
+def _computed(
+    job: Job, todo: list[tuple[int, int]], workers: int, cluster: str | None
+) -> Iterator[tuple[int, int, Rows]]:
+    """Chunks as they come in, in any order."""
+    if cluster is not None:
+        from model.surveys.dask_backend import on_cluster
+
+        yield from on_cluster([(start, stop, _piece(job, start, stop)) for start, stop in todo], workers, cluster)
+    elif workers == 1:
+        for start, stop in todo:
+            yield start, stop, compute(job, start, stop)
+    else:
+        from concurrent.futures import ProcessPoolExecutor, as_completed
+        from multiprocessing import get_context
+
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            waiting = {pool.submit(compute, *_piece(job, start, stop)): (start, stop) for start, stop in todo}
+            for future in as_completed(waiting):
+                start, stop = waiting.pop(future)
+                yield start, stop, future.result()
+
+
+@contextmanager
+def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
+    description = json.dumps({**asdict(job), "chunk": chunk}, sort_keys=True)
+    fresh = not path.exists()
+    try:
+        opened = h5py.File(path, "a")
+    except OSError as error:
+        wanted = "a diagram written by bench predict --out (HDF5), to be continued" if path.is_file() else "a new file"
+        raise ValueError(f"{path}: wanted {wanted}; {_reason(error)}; give another --out") from error
+    with opened as file:
+        if fresh:
+            file.attrs["job"] = description
+            file.attrs["kinds"] = list(KINDS)
+            file.attrs["shape"] = job.shape
+            sample = empty_rows(np.zeros(1), job.keep)
+            columns = dict.fromkeys(["gamma", *(a.name for a in job.axes)], np.dtype(np.float64))
+            for name, dtype in {**columns, **{n: getattr(sample, n).dtype for n in FIELDS[1:]}}.items():
+                wide = (job.keep,) if name == "tau" else ()
+                file.create_dataset(
+                    name, (job.size, *wide), dtype, chunks=(min(chunk, job.size), *wide), compression="lzf"
+                )
+            file.create_dataset("chunk_done", data=np.zeros(-(-job.size // chunk), dtype=bool))
+        elif file.attrs.get("job") != description:
+            raise ValueError(f"{path} holds the results of another job: give another --out, or remove it")
+        yield file
+
+
+def _reason(error: OSError) -> str:
+    """The operating system's reason, or HDF5's first words, without its inner ones."""
+    return os.strerror(error.errno) if error.errno else str(error).partition("(")[2].partition(")")[0] or str(error)
+
+
+def save(job: Job, rows: Rows, path: Path) -> None:
+    """Write rows that were computed elsewhere (an adaptive diagram) as `run` writes its own.
+
+    Raises
+    ------
+    ValueError
+        If ``path`` exists.
+    """
+    if path.exists():
+        raise ValueError(f"{path} exists: give another --out, or remove it")
+    whole = replace(job, gammas=tuple(rows.gamma.tolist()))
+    with _open(whole, path, whole.size) as file:
+        for name in FIELDS:
+            file[name][:] = getattr(rows, name)
+        file["chunk_done"][:] = True
+
+
+def load(path: Path) -> tuple[Rows, dict[str, Any]]:
+    """All finished rows of a file written by `run`, and its attributes.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one written by `run`.
+    """
+    with h5py.File(path, "r") as file:
+        if "chunk_done" not in file:
+            raise ValueError(f"{path} is not a diagram written by bench predict --out")
+        attributes = dict(file.attrs)
+        rows = Rows(*(file[name][:] for name in FIELDS))
+        done = np.repeat(file["chunk_done"][:], file["gamma"].chunks[0])[: rows.gamma.size]
+    return Rows(*(getattr(rows, name)[done] for name in FIELDS)), attributes

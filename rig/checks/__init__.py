@@ -1,0 +1,1 @@
+"""TODO what checks is for."""

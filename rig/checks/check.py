@@ -1,0 +1,249 @@
+"""Before a run: is the rig wired as its profile says? A chirp, a quiet tone, a short flight, and a verdict on each.
+
+The rule kept here: nothing is driven that the profile's limits forbid, the drive fades in and out, and what cannot be
+judged is said to be so. Every verdict that is bad says what to do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.lock_in import fit_tones
+from daq.clocks.clock_sync import find_marker, start_marker
+from rig.backends.base import Backend, Running
+from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
+from rig.profile import Profile
+from rig.programme.ramp import forbidden, peaks, plan
+from rig.programme.sequencer import largest_block
+
+REST_S = 0.5
+ECHO_S = 0.5  # longest delay of the loop-back that is looked for
+QUIET_PEAK = 0.3  # of g: the ball stays down
+FLIGHT_PEAK = 1.6  # of g: the ball takes off
+FADE_CYCLES, SETTLE_CYCLES, HOLD_CYCLES = 8, 8, 20
+GAIN_OFF = 0.02  # by which the loop-back may be off
+SWAPPED_OFF = 0.2  # by which the loop-back is off where it is another input's signal
+SCALE_OFF = 0.05  # by which the accelerometer may be off, at least
+NOISE_PART = 0.05  # of g: accelerometer noise
+MARGIN_DB = 3.0  # kept to a converter's limit
+LEVEL_OFF = 0.25  # of the contact circuit's swing
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; ``passed`` is None where it could not be judged."""
+
+    what: str
+    seen: str
+    passed: bool | None
+    remedy: str = ""
+
+
+class Check:
+    """The findings on one rig.
+
+    Parameters
+    ----------
+    profile
+        What the rig is said to be.
+    backend
+        Not yet started.
+    """
+
+    def __init__(self, profile: Profile, backend: Backend) -> None:
+        self._profile, self._backend = profile, backend
+        self._clock = PhaseClock.of(profile.forcing.frequency_hz, profile.sampling.rate_hz)
+        self._block = largest_block(self._clock, profile.backend.block_samples)
+        self._per_g = peaks(profile, 1.0).gamma_peak
+        self._contact_v = 0.0
+
+    def run(self) -> list[Finding]:
+        """Start the rig, look, and let it go; raises `BackendError` where it does not answer."""
+        with Running(self._backend):
+            rest = self._play(np.zeros(round(REST_S * self._profile.sampling.rate_hz)))
+            findings, delay = self._loopback()
+            tone, quiet = self._tone(QUIET_PEAK, delay)
+            findings += self._motion(tone, quiet, delay)
+            findings += self._contact(rest)
+            findings += self._noise(rest)
+            findings += self._margins(quiet)
+        return findings
+
+    def _play(self, drive_v: Floats) -> dict[str, Floats]:
+        """Volts of every channel while ``drive_v`` is played."""
+        limit = self._profile.limits.drive_v
+        blocks = [
+            self._backend.exchange(np.clip(drive_v[k : k + self._block], -limit, limit))
+            for k in range(0, len(drive_v), self._block)
+        ]
+        codes = np.concatenate([block.codes for block in blocks])
+        scales = self._backend.scales
+        return {
+            name: np.asarray(codes[:, k] * scales[name][0] + scales[name][1], np.float64)
+            for k, name in enumerate(self._backend.channels)
+        }
+
+    def _loopback(self) -> tuple[list[Finding], int]:
+        """Delay of the looped-back drive, from a chirp."""
+        rate_hz = self._profile.sampling.rate_hz
+        quiet, marker = np.zeros(round(ECHO_S * rate_hz)), start_marker(rate_hz)
+        marker_v = self._profile.backend.marker_v
+        heard = self._play(np.concatenate([quiet, marker_v * marker, quiet]))["drive"]
+        found = find_marker(heard, marker)
+        if found is None:
+            remedy = "loop the amplifier's input back into the drive channel; see that it is not turned round"
+            return [Finding("loop-back delay", f"the chirp of {marker_v:g} V is not heard", False, remedy)], 0
+        delay = found - len(quiet)
+        part = delay / rate_hz * self._profile.forcing.frequency_hz
+        seen = f"{delay:.2f} samples, {1e3 * delay / rate_hz:.1f} ms, {part:.2f} of a forcing cycle"
+        remedy = "over one cycle the interlock comes too late: a smaller backend.buffer_s, a faster driver"
+        return [Finding("output latency and loop-back delay", seen, bool(part <= 1.0), remedy)], round(delay)
+
+    def _tone(self, peak_g: float, delay: int) -> tuple[slice, dict[str, Floats]]:
+        """A tone of ``peak_g`` that fades in and out: where it held, as heard, and what was heard."""
+        gamma = peak_g / self._per_g
+        target = drive_amplitudes(self._profile, gamma)
+        zero = tuple(0j for _ in target)
+        start, settled, end = (
+            self._clock.cycle_start(n)
+            for n in (FADE_CYCLES, FADE_CYCLES + SETTLE_CYCLES, FADE_CYCLES + SETTLE_CYCLES + HOLD_CYCLES)
+        )
+        multiples = tuple(m for m, _ in self._profile.forcing.displacement_tones())
+        up = synthesise(self._clock, multiples, Fade(0, start, zero, target), 0, end)
+        down = synthesise(self._clock, multiples, Fade(end, start, target, zero), end, start)
+        heard = self._play(np.concatenate([up, down, np.zeros(delay + 1)]))
+        return slice(settled + delay, end + delay), heard
+
+    def _motion(self, hold: slice, heard: dict[str, Floats], delay: int) -> list[Finding]:
+        """Loop-back gain, and the accelerometer's answer to it."""
+        profile = self._profile
+        tones = [(m, abs(d)) for m, d in profile.forcing.displacement_tones()]
+        k = max(range(len(tones)), key=lambda i: tones[i][0] ** 2 * tones[i][1])
+        frequencies_hz = [m * profile.forcing.frequency_hz for m, _ in tones]
+        rate_hz = profile.sampling.rate_hz
+        loop, plate = (
+            fit_tones(heard[name][hold], hold.start - delay, rate_hz, frequencies_hz).amplitudes[k]
+            for name in ("drive", "accelerometer")
+        )
+        sent = drive_amplitudes(profile, QUIET_PEAK / self._per_g)[k]
+        kept = 1.0 / (1.0 - 1j * (profile.drive.highpass_hz or 0.0) / frequencies_hz[k])
+        gain = abs(loop / (sent * kept))
+        exchanged = self._exchanged(hold, heard, delay, gain)
+        if exchanged is not None:
+            return [exchanged]
+        remedy = "backend.output_range_v or the drive channel's range_v does not fit; measure both with a voltmeter"
+        findings = [Finding("loop-back gain", f"{gain:.4f}", bool(abs(gain - 1.0) <= GAIN_OFF), remedy)]
+        if gain < 0.1:
+            return [*findings, Finding("accelerometer", "not judged without the loop-back", None, remedy)]
+        scale = profile.drive.g_per_volt
+        if scale is None:
+            return findings
+        asked = loop * profile.g_mps2.value * (profile.drive.response(tones[k][0]) or 1.0)
+        sensitivity = profile.channels.accelerometer
+        ratio = plate / sensitivity.volts_per_mps2 / asked
+        turned = math.degrees(math.atan2(ratio.imag, ratio.real))
+        scales = (scale, sensitivity.sensitivity)
+        doubt = math.hypot(*(quantity.uncertainty / quantity.value for quantity in scales))
+        off = abs(abs(ratio) - 1.0)
+        return [
+            *findings,
+            Finding(
+                "accelerometer sign", f"{turned:+.1f} degrees to the drive", abs(turned) < 60.0,
+                "about 180: change channels.accelerometer.sign, or turn its plug; else measure drive.phase_deg",
+            ),
+            Finding(
+                "accelerometer sensitivity", f"{abs(ratio):.4f} of what drive.g_per_volt asks for",
+                bool(off <= max(SCALE_OFF, 3.0 * doubt)),
+                "calibrate drive.g_per_volt, or channels.accelerometer.sensitivity (by a flip test), again",
+            ),
+        ]  # fmt: skip
+
+    def _exchanged(self, hold: slice, heard: dict[str, Floats], delay: int, gain: float) -> Finding | None:
+        """Inputs that read what another should: the drive as it was sent, or the plate's motion at the contact's."""
+        sent = drive_amplitudes(self._profile, QUIET_PEAK / self._per_g)
+        frequencies_hz = [m * self._profile.forcing.frequency_hz for m, _ in self._profile.forcing.displacement_tones()]
+        k = int(np.argmax(np.abs(sent)))
+        size = {
+            name: abs(fit_tones(volts[hold], hold.start - delay, self._profile.sampling.rate_hz, frequencies_hz)
+                      .amplitudes[k]) / abs(sent[k])
+            for name, volts in heard.items()
+        }  # fmt: skip
+        scale = self._profile.drive.g_per_volt
+        motion = abs(self._profile.channels.accelerometer.volts_per_mps2) * self._profile.g_mps2.value
+        asked = motion * scale.value if scale is not None else 0.0  # accelerometer volts a volt of drive
+        pair = None
+        if abs(gain - 1.0) > SWAPPED_OFF:
+            pair = next((n for n in size if n != "drive" and abs(size[n] - 1.0) < SCALE_OFF), None), "drive"
+        elif size["accelerometer"] < 0.1 * asked and 0.5 * asked < size.get("continuity", 0.0) < 2.0 * asked:
+            pair = "continuity", "accelerometer"
+        if pair is None or pair[0] is None:
+            return None
+        seen = f"the {pair[0]} input reads what the {pair[1]} input should"
+        return Finding("inputs", seen, False, "change their plugs, or their numbers (terminals) in the profile")
+
+    def _contact(self, rest: dict[str, Floats]) -> list[Finding]:
+        """The contact circuit: closed at rest, opening and closing when the ball must fly."""
+        channel = self._profile.channels.continuity
+        what = "contact circuit"
+        if channel is None:
+            return []
+        gamma = FLIGHT_PEAK / self._per_g
+        faults = forbidden(self._profile.limits, plan(self._profile).steps[0], peaks(self._profile, gamma))
+        if faults:
+            return [Finding(what, f"not judged: {faults[0]}", None, "raise that limit if the rig allows it")]
+        hold, heard = self._tone(FLIGHT_PEAK, 0)
+        volts, swing_v = heard["continuity"][hold], channel.swing_v
+        self._contact_v = float(np.max(np.abs(volts)))
+        ac = channel.coupling == "ac"
+        middle_v = 0.0 if ac else channel.middle_v
+        is_open = (volts - middle_v) * np.sign(swing_v) > 0.0
+        edges = int(np.count_nonzero(np.diff(is_open)))
+        seen = f"{edges} edges in {HOLD_CYCLES} cycles, open {np.mean(is_open):.0%} of the time"
+        fine = HOLD_CYCLES <= edges <= 6 * HOLD_CYCLES
+        remedy = "no edges: a broken wire or no ball; far too many: a dirty contact; see the levels"
+        findings = [Finding(what, seen, fine, remedy)]
+        if not ac:
+            low, high = np.quantile(volts, [0.05, 0.95])
+            closed_v, open_v = (low, high) if swing_v > 0 else (high, low)
+            worst = max(abs(closed_v - channel.closed_v.value), abs(open_v - channel.open_v.value))
+            resting = float(np.median(rest["continuity"]))
+            seen = f"closed {closed_v:.2f} V, open {open_v:.2f} V, at rest {resting:.2f} V"
+            fine = max(worst, abs(resting - channel.closed_v.value)) < LEVEL_OFF * abs(swing_v)
+            remedy = "set open_v and closed_v to what a voltmeter reads"
+            findings.append(Finding("contact levels", seen, bool(fine), remedy))
+        return findings
+
+    def _noise(self, rest: dict[str, Floats]) -> list[Finding]:
+        """Noise of each channel at rest."""
+        channel = self._profile.channels.accelerometer
+        findings = []
+        for name, volts in rest.items():
+            rms_v = float(np.std(volts))
+            limit_v = {
+                "accelerometer": NOISE_PART * self._profile.g_mps2.value * abs(channel.volts_per_mps2),
+                "drive": 0.01,
+            }.get(name, 0.02 * getattr(self._profile.channels, name).range_v)
+            seen = f"{1e3 * rms_v:.3g} mV rms (allowed {1e3 * limit_v:.3g})"
+            remedy = "shield the cable, mind the grounds; a dead channel has none at all"
+            findings.append(Finding(f"noise of {name}", seen, 0.0 < rms_v <= limit_v, remedy))
+        return findings
+
+    def _margins(self, quiet: dict[str, Floats]) -> list[Finding]:
+        """How far the highest step of the ramp stays from each converter's limit, judged by the quiet tone."""
+        highest = max(peaks(self._profile, gamma).gamma_peak for gamma in set(self._profile.ramp.gammas()))
+        findings = []
+        for name, volts in quiet.items():
+            range_v = getattr(self._profile.channels, name).range_v
+            if name == "continuity":
+                reach_v, where = self._contact_v, "in flight"
+            else:
+                reach_v = float(np.max(np.abs(volts))) * highest / QUIET_PEAK
+                where = f"at gamma_peak {highest:.3g} (impacts not counted)"
+            margin_db = 20.0 * math.log10(range_v / max(reach_v, 1e-9))
+            seen = f"{margin_db:.1f} dB below {range_v:g} V {where}"
+            remedy = "a larger range_v, a lower gain, or a lower ramp"
+            findings.append(Finding(f"margin of {name}", seen, margin_db >= MARGIN_DB, remedy))
+        return findings

@@ -1,0 +1,1 @@
+"""TODO what execution is for."""

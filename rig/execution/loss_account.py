@@ -1,0 +1,160 @@
+"""Where every frame of a run belongs among the samples that were played, losses counted.
+
+The rule kept here: a count that came short is believed at once, and the looped-back drive is asked about the rest
+(`daq.clocks.sample_loss.LossFinder`). What is recorded and what is declared as lost add up to what the device must have given.
+A device that knows where its blocks belong among the played samples, and says so, is believed.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import replace
+from operator import itemgetter
+
+import numpy as np
+
+from daq.recording.tables import Block
+from daq.clocks.sample_loss import LossFinder
+from daq.clocks.loss_search import AtOnce, Beside
+from rig.programme.forcing import Floats
+from rig.execution.high_pass import HighPass
+from rig.profile import Profile
+
+CHUNK_CYCLES = 1.3  # of the forcing, looked at together
+LEAST_CHUNK = 64  # samples
+
+
+class LossAccount:
+    """The losses of one run.
+
+    Parameters
+    ----------
+    profile
+        Rate and forcing; a replay loops nothing back that was played now, so its drive is not asked.
+    drive_column
+        Column of the looped-back drive in a frame.
+    scale
+        Its ``(volts_per_code, offset_v)``.
+    beside
+        Whether searches run in a thread: for a device, which waits for nobody.
+
+    Attributes
+    ----------
+    lost_before : int
+        Samples known to be missing before the last block, when it came.
+    """
+
+    def __init__(
+        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, beside: bool = False
+    ) -> None:
+        rate_hz = profile.sampling.rate_hz
+        chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
+        self._finder = LossFinder(rate_hz, chunk, Beside() if beside else AtOnce())
+        self._column = drive_column
+        self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
+        self.lag_samples = 0
+        self.declares = False
+        self.lost_before = 0
+        self._capacitor = HighPass(profile.drive.highpass_hz, rate_hz)
+        self._places: list[tuple[int, int]] = []
+        self._heard_to = self._settled_to = 0
+        self._short = self._settled_lost = 0
+        self._losses: list[tuple[int, int]] = []
+        self._gaps: list[tuple[int, int]] = []
+
+    def lags(self, lag_samples: int) -> None:
+        """Say how late the drive is heard, of a device that declares its own losses."""
+        self.lag_samples, self.declares = lag_samples, True
+        self._finder.expect(lag_samples)
+
+    @property
+    def lost_samples(self) -> int:
+        """Samples lost so far, settled or declared."""
+        return self._finder.lost_samples
+
+    @property
+    def next_sample(self) -> int:
+        """The played sample that the next frame belongs to."""
+        return self._heard_to if self._places else self._finder.next_sample - self.lag_samples
+
+    @property
+    def settled_sample(self) -> int:
+        """The played sample up to which losses are settled."""
+        if self._places:
+            return self._settled_to
+        return self._finder.heard_samples + self._finder.lost_samples - self.lag_samples
+
+    @property
+    def expected_samples(self) -> int:
+        """Samples that the device must have given; those that came short at the very end are in no gap."""
+        return self._finder.next_sample + self._short
+
+    def played(self, drive_v: Floats) -> None:
+        """Say what the device is about to play."""
+        self._finder.played(self._capacitor(drive_v))
+
+    def heard(self, block: Block, n_played: int) -> list[Block]:
+        """Take in what came back for ``n_played`` samples; gives back the blocks that are settled, to be recorded."""
+        if block.place is None and not self.declares:
+            self._short += n_played - len(block.codes)
+        if not len(block.codes):
+            return []
+        if block.place is None:
+            block = replace(block, lost_before=self._short or block.lost_before)
+            self._short = 0
+            self.lost_before = block.lost_before
+        else:
+            self.lost_before = block.lost_before
+            self._heard_to = block.place + len(block.codes)
+            self._scale = (0.0, 0.0)
+        volts = np.asarray(block.codes[:, self._column], np.float64) * self._scale[0] + self._scale[1]
+        return self._noted(self._finder.heard(block, volts))
+
+    def driven(self, block: Block, drive_v: Floats) -> Floats:
+        """The drive under the frames of ``block``, which came back for ``drive_v``; it may lie behind."""
+        if block.place is None and not self.lag_samples:
+            return drive_v
+        first = self.next_sample - len(block.codes) if block.place is None else block.place
+        return self._finder.piece(first, first + len(block.codes))
+
+    def flush(self) -> list[Block]:
+        """The blocks that still waited, at the end."""
+        return self._noted(self._finder.flush())
+
+    def recorded(self, played: int) -> int:
+        """The recorded index of a played sample (of the next one recorded, where it was lost)."""
+        if self._places:
+            return self._placed(played)
+        played += self.lag_samples
+        lost = 0
+        for first_played, lost_in_all in self._losses:
+            if played >= first_played:
+                lost = lost_in_all
+            elif played > first_played - (lost_in_all - lost):
+                return first_played - lost_in_all
+        return played - lost
+
+    def counted(self, recorded: int) -> int:
+        """A recorded index with the samples lost before it counted."""
+        return recorded + max((lost for at, lost in self._gaps if at <= recorded), default=0)
+
+    def _placed(self, played: int) -> int:
+        """As `recorded`, by what the blocks say of their places."""
+        k = max(bisect_right(self._places, played, key=itemgetter(1)) - 1, 0)
+        first, place = self._places[k]
+        index = max(first + played - place, 0)
+        return min(index, self._places[k + 1][0]) if k + 1 < len(self._places) else index
+
+    def _noted(self, blocks: list[Block]) -> list[Block]:
+        """Remember where gaps lie: a loss shifts recorded against played samples."""
+        for block in blocks:
+            if block.place is not None:
+                shift = block.place - block.first_sample
+                if not self._places or shift != self._places[-1][1] - self._places[-1][0]:
+                    self._places.append((block.first_sample, block.place))
+                self._settled_to = block.place + len(block.codes)
+            if block.lost_before:
+                self._settled_lost += block.lost_before
+                self._losses.append((block.first_sample + self._settled_lost, self._settled_lost))
+                self._gaps.append((block.first_sample, self._settled_lost))
+        return blocks

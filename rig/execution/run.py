@@ -1,0 +1,358 @@
+"""Run a ramp: sequencer, clamp, back end, recorder and watch in one loop, block by block.
+
+The rule kept here: however a run ends (done, asked to, tripped, or an exception anywhere), the drive goes softly to
+zero while the device answers, and the recording is closed with the reason in it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import Block
+from daq.recording.recorder_process import RecorderProcess
+from daq.recording import RecordingWriter
+from rig.execution.amplitude_loop import AmplitudeLoop, Heard, ToneMeter, achieved_gamma
+from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
+from rig.execution.clock_log import ClockLog
+from rig.execution.interlock import Interlock
+from rig.execution.loss_account import LossAccount
+from rig.execution.plate_monitor import MotionWatch
+from rig.profile import Profile
+from rig.programme.ramp import Programme, Step, plan
+from rig.programme.sequencer import Sequencer, State, Stop, change_rows, largest_block
+
+BATCH_SAMPLES = 8192  # of a simulated rig that are written together
+METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
+
+
+Recorder: TypeAlias = RecordingWriter | RecorderProcess
+"""Where a run is recorded: here, or in a process of its own."""
+
+
+class StopRequest:
+    """Where anybody (a signal, a page, a test) asks a run to stop; the strongest wish stands."""
+
+    def __init__(self) -> None:
+        self.wanted: Stop | None = None
+        self.why = ""
+
+    def ask(self, how: Stop, why: str) -> None:
+        """Ask for a stop; a weaker wish than the one that stands is ignored."""
+        if self.wanted is None or how > self.wanted:
+            self.wanted, self.why = how, why
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a run is, once a block.
+
+    ``achieved_gamma`` and its uncertainty are those of the last step held (NaN before), ``limits_in_use`` what part of
+    each limit the block used, ``contact_age_cycles`` how long ago the ball last showed itself.
+    """
+
+    state: State
+    step: Step
+    n_steps: int
+    sample: int
+    n_samples: int
+    plate_mps2: float
+    limits_in_use: Mapping[str, float]
+    contact_age_cycles: float
+    achieved_gamma: float
+    achieved_gamma_uncertainty: float
+    lost_samples: int
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """How a run went."""
+
+    how: Literal["complete", "stopped", "failed"]
+    why: str
+    n_samples: int
+    steps_driven: int
+    steps_planned: int
+    lost_samples: int
+    wall_s: float
+
+
+def run_ramp(
+    profile: Profile,
+    backend: Backend,
+    writer: Recorder,
+    *,
+    progress: Callable[[Status], None] | None = None,
+    stop_request: StopRequest | None = None,
+) -> RunSummary:
+    """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
+
+    Parameters
+    ----------
+    profile
+        What to drive; a programme that a limit forbids must have been refused before (`rig.programme.ramp.forbidden`).
+    backend
+        Not yet started.
+    writer
+        An open recording without samples, here or in a process of its own.
+    progress
+        Called after each block.
+    stop_request
+        Read before each block.
+
+    Returns
+    -------
+    RunSummary
+        ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed`` when the device or the disk
+        failed. Whatever was recorded is kept.
+    """
+    run = _Run(profile, backend, writer, progress or _silent, stop_request or StopRequest())
+    began = time.monotonic()
+    with writer:
+        try:
+            with Running(backend):
+                run.drive()
+        except BackendError as error:
+            run.end("failed", f"back end {backend.name}: {error}")
+        writer.close(run.how, run.why, expected_samples=run.account.expected_samples)
+    return run.summary(time.monotonic() - began)
+
+
+def _silent(status: Status) -> None:
+    """No progress wanted."""
+
+
+class _Run:
+    """The loop of `run_ramp` and what it knows."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        backend: Backend,
+        writer: Recorder,
+        progress: Callable[[Status], None],
+        stop_request: StopRequest,
+    ) -> None:
+        self.how: Literal["complete", "stopped", "failed"] = "complete"
+        self.why = ""
+        drive = backend.channels.index("drive")
+        self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None
+        self.account = LossAccount(profile, drive, backend.scales["drive"], beside=not backend.simulated)
+        self._programme: Programme = plan(profile)
+        self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
+        self._sequencer = Sequencer(
+            self._programme,
+            profile,
+            amplitudes=self._loop.amplitudes if self._loop else None,
+            controlled=self._loop is not None,
+        )
+        self._meter = ToneMeter(profile, min(METER_CYCLES, profile.ramp.hold_cycles))
+        self._metered = -1
+        self._last_achieved = math.nan, math.nan
+        self._interlock = Interlock(profile, backend.channels, backend.scales)
+        self._accelerometer = backend.channels.index("accelerometer")
+        scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+        self._mps2_per_code = scale
+        self._watch = MotionWatch(profile, scale)
+        self._profile, self._backend, self._writer = profile, backend, writer
+        self._progress, self._request = progress, stop_request
+        self._obeyed: Stop | None = None
+        self._recording = True
+        self._pending: list[Block] = []
+        self._device_lost = False
+        self._marks: list[tuple[int, Step, tuple[float, float]]] = []
+        self._steps = 0
+        self._block = largest_block(self._programme.clock, profile.backend.block_samples)
+
+    def end(self, how: Literal["stopped", "failed"], why: str) -> None:
+        """Keep the first reason for which the run is not complete; a failure outranks a stop."""
+        if self.how == "complete" or (how == "failed" and self.how == "stopped"):
+            self.how, self.why = how, why
+
+    def drive(self) -> None:
+        """Exchange blocks until the drive rests at zero."""
+        if isinstance(self._backend, Lagging):
+            self.account.lags(round(self._backend.lag_samples))
+        try:
+            while not self._sequencer.done:
+                self._obey()
+                self._exchange()
+                self._progress(self._status())
+        finally:
+            self._land()
+            self._release(everything=True)
+
+    def summary(self, wall_s: float) -> RunSummary:
+        """What came of it."""
+        return RunSummary(
+            self.how, self.why, self._writer.n_samples, self._steps, len(self._programme.steps),
+            self.account.lost_samples, wall_s,
+        )
+
+    def _land(self) -> None:
+        """Whatever happened: bring the drive softly to zero while the device answers, and note where the step ended."""
+        if self._device_lost:
+            self._record(self.account.flush())
+            step = self._sequencer.step
+            n_samples = min(step.n_samples, self.account.settled_sample - step.first_sample)
+            self._marks.append((step.end_sample, replace(step, n_samples=n_samples), self._achieved(step)))
+            return
+        if not self._sequencer.done:
+            self._sequencer.stop(Stop.RAMP_DOWN)
+        while not self._sequencer.done:
+            self._exchange()
+        self._record(self.account.flush())
+
+    def _obey(self) -> None:
+        """Pass a new stop request on to the sequencer."""
+        wanted = self._request.wanted
+        if wanted is not None and wanted != self._obeyed:
+            self._obeyed = wanted
+            zero = f"; drive zero from sample {self._sequencer.position}" if wanted is Stop.NOW else ""
+            self.end("stopped", f"{self._request.why}{zero}")
+            self._sequencer.stop(wanted)
+
+    def _exchange(self) -> None:
+        """One block: drive out through the clamp, frames in, on record, watched."""
+        drive = self._interlock.clamp(self._sequencer.take(self._block))
+        self.account.played(drive)
+        self._device_lost = True  # until it has answered
+        asked = time.monotonic()
+        block = self._backend.exchange(drive)
+        waited_s = time.monotonic() - asked
+        self._device_lost = False
+        self._record(self.account.heard(block, len(drive)))
+        circuit = self._interlock.circuit(block.codes)
+        self._touching: NDArray[np.bool_] | None
+        self._touching, landed = circuit if circuit is not None else (None, None)
+        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed, self.account.lost_before)
+        self._measure(block)
+        self._note_marks()
+        trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
+        if trip is None and not self._backend.simulated:
+            trip = self._interlock.late(waited_s, len(block.codes))
+        if trip is not None:
+            self.end("stopped", f"interlock: {trip}")
+            self._sequencer.stop(Stop.RAMP_DOWN)
+
+    def _measure(self, block: Block) -> None:
+        """The plate's tones: over each hold for the step table, and while settling for the closed loop."""
+        sequencer = self._sequencer
+        if sequencer.state is State.HOLDING and self._metered != sequencer.step.index:
+            step = self._sequencer.step
+            self._metered = step.index
+            self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
+        first = self.account.next_sample - len(block.codes)
+        acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
+        heard = Heard(first, acceleration, self._motion.quiet, self._touching)
+        self._meter.add(heard)
+        if self._loop is not None:
+            fault = self._loop.observe(heard, sequencer)
+            if fault is not None:
+                self.end("stopped", f"closed loop: {fault}")
+                sequencer.stop(Stop.RAMP_DOWN)
+
+    def _achieved(self, step: Step) -> tuple[float, float]:
+        """Gamma measured over the hold of ``step``, with its uncertainty; NaN where it did not hold."""
+        measured = self._meter.estimate() if self._metered == step.index else None
+        return achieved_gamma(self._profile, measured) if measured else (math.nan, math.nan)
+
+    def _record(self, blocks: list[Block]) -> None:
+        """Keep blocks: at once where they were measured, in batches where they can be simulated again."""
+        self._pending += blocks
+        if not self._backend.simulated or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what waits to the recorder; a disk that refuses stops the run, softly."""
+        pending, self._pending = self._pending, []
+        if self._recording and pending:
+            try:
+                self._writer.append(*pending)
+            except OSError as error:
+                self._disk_failed(error)
+
+    def _note_marks(self) -> None:
+        """Take down the steps that began or ended in this block; write those whose place is settled."""
+        marks, self._sequencer.marks = self._sequencer.marks, []
+        for step in marks:
+            gamma, uncertainty = self._achieved(step)
+            self._last_achieved = (gamma, uncertainty) if math.isfinite(gamma) else self._last_achieved
+            over = step.end_sample <= self._sequencer.position
+            self._marks.append((step.end_sample if over else step.first_sample + 1, step, (gamma, uncertainty)))
+        self._release()
+
+    def _release(self, *, everything: bool = False) -> None:
+        """Write the rows of steps whose losses are settled, and of the changes of the drive."""
+        settled = self.account.settled_sample
+        ready = [mark for mark in self._marks if everything or mark[0] <= settled]
+        self._marks = self._marks[len(ready) :]
+        fades, self._sequencer.fades = self._sequencer.fades, []
+        if ready or fades or everything:
+            self.flush()
+        if not self._recording:
+            return
+        try:
+            if fades:
+                self._writer.mark_drive(change_rows(self._profile, fades))
+            for _, step, achieved in ready:
+                self._mark(step, achieved)
+        except OSError as error:
+            self._disk_failed(error)
+
+    def _disk_failed(self, error: OSError) -> None:
+        self._recording = False
+        self.end("failed", f"recording: {error}")
+        self._sequencer.stop(Stop.RAMP_DOWN)
+
+    def _mark(self, step: Step, achieved: tuple[float, float]) -> None:
+        """Write a step's row: as planned when it begins, as driven when it ends."""
+        first = self.account.recorded(step.first_sample)
+        n = self.account.recorded(step.end_sample) - first
+        settle = self.account.recorded(step.first_sample + step.settle_samples) - first
+        if n <= 0 or not self._recording:
+            return
+        self._steps = step.index + 1
+        gamma, uncertainty = achieved
+        rate = 0.0
+        if self._clocks is not None:
+            for table, rows in self._clocks.rows(self.account.counted(first + (settle + n) // 2)):
+                self._writer.mark_rows(table, rows)
+            rate = self._clocks.rate
+        self._writer.mark_step(
+            {
+                "first_sample": first,
+                "n_samples": n,
+                "settle_samples": min(settle, n),
+                "fade_samples": step.fade_samples,
+                "gamma": step.gamma,
+                "achieved_gamma": gamma,
+                "achieved_gamma_uncertainty": uncertainty,
+                "frequency_hz": self._profile.forcing.frequency_hz * (1.0 + rate),
+                "ratio": self._profile.forcing.ratio,
+                "cycles": float(step.hold_cycles),
+                "settle_cycles": float(step.settle_cycles),
+                "direction": step.direction,
+            }
+        )
+
+    def _status(self) -> Status:
+        return Status(
+            state=self._sequencer.state,
+            step=self._sequencer.step,
+            n_steps=len(self._programme.steps),
+            sample=self._sequencer.position,
+            n_samples=self._programme.n_samples,
+            plate_mps2=self._motion.acceleration_mps2,
+            limits_in_use=self._interlock.limits_in_use,
+            contact_age_cycles=self._interlock.contact_age_cycles,
+            achieved_gamma=self._last_achieved[0],
+            achieved_gamma_uncertainty=self._last_achieved[1],
+            lost_samples=self.account.lost_samples,
+        )

@@ -1,0 +1,1 @@
+"""TODO what fakes is for."""

@@ -1,0 +1,1 @@
+"""TODO what programme is for."""

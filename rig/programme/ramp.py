@@ -1,0 +1,196 @@
+"""The amplitude programme as a value: every step, printable and storable before anything moves.
+
+The rule kept here: seconds are derived from whole samples. A step begins at the first sample of a cycle of the first
+tone; it fades from the step before within the slew limit, settles, and holds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from rig.programme.forcing import Complexes, PhaseClock, drive_amplitudes
+from rig.profile import Limits, Profile, RampTable
+
+Integers = NDArray[np.int64]
+
+_STEEPEST = 1.5  # slope of a fade's middle, over that of a straight line
+_MIN_FADE_CYCLES = 2
+_MOST_FADE_CYCLES = 10**15  # more than any run has
+LONGEST_RUN_DAYS = 30.0
+"""Longer ramps are refused: a slip in the profile rather than a plan."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One amplitude: ``fade_samples + settling + holding = n_samples``, from ``first_sample``."""
+
+    index: int
+    gamma: float
+    direction: int
+    first_sample: int
+    fade_samples: int
+    settle_samples: int
+    n_samples: int
+    fade_cycles: int
+    settle_cycles: int
+    hold_cycles: int
+
+    def placed(self, clock: PhaseClock, first_cycle: int, settle_cycles: int) -> Step:
+        """This step begun at ``first_cycle`` and settled for ``settle_cycles``, in samples."""
+        cycle, bounds = first_cycle, [clock.cycle_start(first_cycle)]
+        for length in (self.fade_cycles, settle_cycles, self.hold_cycles):
+            cycle += length
+            bounds.append(clock.cycle_start(cycle))
+        fade, settle, n = (bound - bounds[0] for bound in bounds[1:])
+        return replace(
+            self,
+            first_sample=bounds[0],
+            fade_samples=fade,
+            settle_samples=settle,
+            n_samples=n,
+            settle_cycles=settle_cycles,
+        )
+
+    @property
+    def end_sample(self) -> int:
+        """The first sample after the step."""
+        return self.first_sample + self.n_samples
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """What a step asks of drive and plate, as peaks from rest."""
+
+    gamma_peak: float
+    drive_v: float
+    acceleration_mps2: float
+    velocity_mps: float
+    displacement_m: float
+
+
+@dataclass(frozen=True)
+class Programme:
+    """All steps of a run, in order."""
+
+    clock: PhaseClock
+    rate_hz: float
+    steps: tuple[Step, ...]
+
+    @property
+    def n_samples(self) -> int:
+        """Samples of all steps (the fade to zero after the last is not counted)."""
+        return self.steps[-1].end_sample
+
+
+def plan(profile: Profile) -> Programme:
+    """The programme of ``profile``'s ramp.
+
+    Raises
+    ------
+    daq.setup.errors.InputError
+        When it would last longer than `LONGEST_RUN_DAYS`, or the forcing is too slow for its clock.
+    """
+    ramp, rate_hz = profile.ramp, profile.sampling.rate_hz
+    try:
+        clock = PhaseClock.of(profile.forcing.frequency_hz, rate_hz)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name!r}: {error}; change forcing.frequency_hz") from error
+    steps: list[Step] = []
+    cycle, previous = 0, 0.0
+    for index, gamma in enumerate(ramp.gammas()):
+        step = Step(
+            index=index,
+            gamma=gamma,
+            direction=-1 if gamma < previous else 1,
+            first_sample=0,
+            fade_samples=0,
+            settle_samples=0,
+            n_samples=0,
+            fade_cycles=fade_cycles(ramp, gamma - previous),
+            settle_cycles=ramp.settle_cycles,
+            hold_cycles=ramp.hold_cycles,
+        )
+        steps.append(step.placed(clock, cycle, ramp.settle_cycles))
+        days = steps[-1].end_sample / rate_hz / 86400.0
+        if days > LONGEST_RUN_DAYS:
+            raise InputError(
+                f"profile {profile.name!r}: step {index} of the ramp would end after {_long(days)}; a run lasts at "
+                f"most {LONGEST_RUN_DAYS:g} days: give fewer steps, fewer cycles to settle and hold, or a faster slew"
+            )
+        cycle += step.fade_cycles + step.settle_cycles + step.hold_cycles
+        previous = gamma
+    return Programme(clock, rate_hz, tuple(steps))
+
+
+def fade_cycles(ramp: RampTable, change: float) -> int:
+    """Whole cycles in which gamma can change by ``change`` within the slew limit."""
+    cycles = _STEEPEST * abs(change) / ramp.slew_per_cycle - 1e-9
+    return max(_MIN_FADE_CYCLES, math.ceil(min(cycles, _MOST_FADE_CYCLES)))
+
+
+def _long(days: float) -> str:
+    """A long time in words."""
+    return f"{days / 365.25:.3g} years" if days > 1000.0 else f"{days:.0f} days"
+
+
+def peaks(setup: Setup, gamma: float) -> Peaks:
+    """What ``gamma`` asks of drive and plate; exact to 1e-8 for any pair of tones."""
+    tones = setup.forcing.displacement_tones()
+    at_one = _peaks_at_one(tones, drive_amplitudes(setup, 1.0), setup.forcing.frequency_hz, setup.g_mps2.value)
+    return Peaks(*(gamma * value for value in astuple(at_one)))
+
+
+@lru_cache(maxsize=16)
+def _peaks_at_one(
+    tones: tuple[tuple[int, complex], ...], drive_v: tuple[complex, ...], frequency_hz: float, g: float
+) -> Peaks:
+    """What gamma = 1 asks: all of it grows with gamma."""
+    w = 2.0 * math.pi * frequency_hz
+    multiples = np.array([m for m, _ in tones])
+    x: Complexes = np.array([d for _, d in tones], dtype=np.complex128) * g / w**2
+    a = -x * (multiples * w) ** 2
+    return Peaks(
+        gamma_peak=_highest(multiples, -a) / g,
+        drive_v=_largest(multiples, np.array(drive_v)),
+        acceleration_mps2=_largest(multiples, a),
+        velocity_mps=_largest(multiples, 1j * multiples * w * x),
+        displacement_m=_largest(multiples, x),
+    )
+
+
+def forbidden(limits: Limits, step: Step, asked: Peaks) -> list[str]:
+    """One line for each limit that ``step`` would exceed, naming both."""
+    pairs = [
+        ("drive_v", asked.drive_v, limits.drive_v, "V of drive"),
+        ("plate_mps2", asked.acceleration_mps2, limits.plate_mps2, "m/s^2 of plate acceleration"),
+        ("displacement_m", asked.displacement_m, limits.displacement_m, "m of plate displacement"),
+        ("velocity_mps", asked.velocity_mps, limits.velocity_mps, "m/s of plate velocity"),
+    ]
+    return [
+        f"step {step.index} (gamma {step.gamma:g}) asks for {value:.4g} {what}; limits.{name} allows {limit:g}"
+        for name, value, limit, what in pairs
+        if limit is not None and value > limit * (1.0 + 1e-9)
+    ]
+
+
+def _largest(multiples: Integers, amplitudes: Complexes) -> float:
+    """Peak size of ``sum Re[z exp(i m phi)]`` over a turn."""
+    return max(_highest(multiples, amplitudes), _highest(multiples, -amplitudes))
+
+
+def _highest(multiples: Integers, amplitudes: Complexes) -> float:
+    """Highest value of ``sum Re[z exp(i m phi)]``: a grid fine for the fastest tone, then a parabola at its top."""
+    n = 512 * int(multiples.max())
+    phi = 2.0 * np.pi * np.arange(n) / n
+    y = np.real(np.exp(1j * np.outer(phi, multiples)) @ amplitudes)
+    top = int(np.argmax(y))
+    before, here, after = y[top - 1], y[top], y[(top + 1) % n]
+    curve = before - 2.0 * here + after
+    return float(here - (after - before) ** 2 / (8.0 * curve) if curve < 0.0 else here)

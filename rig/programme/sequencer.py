@@ -1,0 +1,329 @@
+"""From a programme to blocks of drive samples and step marks: a state machine without I/O.
+
+The rule kept here: which state follows which is data (`TRANSITIONS`), and a sample depends on the programme, the stops
+asked for and its index, never on how the run was cut into blocks. `commanded` says the same samples again from a
+recording's tables alone.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.tables import DRIVE_DTYPE
+from daq.setup.setup import Setup
+from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
+from rig.programme.ramp import Programme, Step
+
+# A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.
+STOP_FADE_CYCLES = Fraction(3, 2)
+BLOCKS_PER_CYCLE = 4
+
+_OPEN_END = 2**62
+
+
+class State(enum.Enum):
+    """Where a run is."""
+
+    FADING = "fading"
+    SETTLING = "settling"
+    HOLDING = "holding"
+    STOPPING = "stopping"
+    RESTING = "resting"
+    DONE = "done"
+
+
+class Event(enum.Enum):
+    """What takes a run from one state to the next."""
+
+    FADED = "faded"
+    SETTLED = "settled"
+    NEXT = "held, another step follows"
+    LAST = "held, no step follows"
+    STOP = "asked to ramp down"
+    CUT = "asked to be at zero now"
+    ZERO = "drive at zero"
+    RESTED = "rested"
+
+
+class Stop(enum.IntEnum):
+    """How to stop; the higher wins."""
+
+    FINISH_STEP = 1
+    RAMP_DOWN = 2
+    NOW = 3
+
+
+_MOVING = (State.FADING, State.SETTLING, State.HOLDING)
+_STILL = (State.RESTING, State.DONE)
+
+TRANSITIONS: dict[tuple[State, Event], State] = {
+    (State.FADING, Event.FADED): State.SETTLING,
+    (State.SETTLING, Event.SETTLED): State.HOLDING,
+    (State.HOLDING, Event.NEXT): State.FADING,
+    (State.HOLDING, Event.LAST): State.STOPPING,
+    **{(state, Event.STOP): State.STOPPING for state in (*_MOVING, State.STOPPING)},
+    **{(state, Event.CUT): State.RESTING for state in (*_MOVING, State.STOPPING)},
+    **{(state, event): state for state in _STILL for event in (Event.STOP, Event.CUT)},
+    (State.STOPPING, Event.ZERO): State.RESTING,
+    (State.RESTING, Event.RESTED): State.DONE,
+}
+"""The whole machine. A pair that is not here cannot happen."""
+
+
+class Sequencer:
+    """Drive samples of a programme, a block at a time.
+
+    Parameters
+    ----------
+    programme
+        The steps.
+    setup
+        Forcing and drive scale.
+    amplitudes
+        Complex drive volts of each tone for a gamma; `rig.programme.forcing.drive_amplitudes` where nothing better is known.
+    controlled
+        Whether a step settles until `settled` is called, instead of for its planned cycles.
+
+    Attributes
+    ----------
+    state : State
+    position : int
+        Index of the next sample to be made.
+    step : Step
+        The step under way (the last one when stopping).
+    marks : list of Step
+        Steps begun (as planned) and ended (with the samples they really had) since the caller last emptied the list.
+    fades : list of Fade
+        Changes of the drive's amplitudes since the caller last emptied the list; together they are the drive.
+    """
+
+    def __init__(
+        self,
+        programme: Programme,
+        setup: Setup,
+        *,
+        amplitudes: Callable[[float], tuple[complex, ...]] | None = None,
+        controlled: bool = False,
+    ) -> None:
+        self.programme = programme
+        self.state = State.FADING
+        self.position = 0
+        self.step = programme.steps[0]
+        self.marks: list[Step] = []
+        self._amplitudes = amplitudes or partial(drive_amplitudes, setup)
+        self._controlled = controlled
+        self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
+        self._zero = tuple(0j for _ in self._multiples)
+        self._finish_step = False
+        self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
+        self.fades = [self._fade]
+        self._until = self.step.fade_samples
+
+    @property
+    def done(self) -> bool:
+        """Whether the drive is at zero and has rested there."""
+        return self.state is State.DONE
+
+    def take(self, n_samples: int) -> Floats:
+        """The next drive volts, shape ``(n_samples,)``; zeros once the run is done."""
+        out = np.zeros(n_samples)
+        filled = 0
+        while filled < n_samples and not self.done:
+            if self.state is State.FADING and self.position == self.step.first_sample:
+                self.marks.append(self.step)
+            piece = min(n_samples - filled, self._until - self.position)
+            out[filled : filled + piece] = self._piece(piece)
+            filled += piece
+            self.position += piece
+            while self.position == self._until and not self.done:
+                self._handle(self._ended())
+        self.position += n_samples - filled
+        return out
+
+    def stop(self, how: Stop) -> None:
+        """Stop as asked, from the next sample on; a stop already under way is never made slower."""
+        if how is Stop.FINISH_STEP:
+            self._finish_step = True
+        else:
+            self._handle(Event.STOP if how is Stop.RAMP_DOWN else Event.CUT)
+
+    @property
+    def amplitudes(self) -> tuple[complex, ...]:
+        """Complex volts of each tone that the present fade leads to."""
+        return self._fade.end
+
+    def retarget(self, amplitudes: tuple[complex, ...], n_cycles: int) -> int:
+        """While settling: fade to ``amplitudes`` over ``n_cycles`` from the next cycle on; returns where that ends.
+
+        Raises
+        ------
+        ValueError
+            In any other state.
+        """
+        if self.state is not State.SETTLING:
+            raise ValueError(f"cannot change amplitudes while {self.state.value}")
+        clock = self.programme.clock
+        cycle = clock.cycle_after(self.position)
+        first = clock.cycle_start(cycle)
+        self._set_fade(Fade(first, clock.cycle_start(cycle + n_cycles) - first, self._fade.end, amplitudes))
+        return first + self._fade.n_samples
+
+    def settled(self) -> None:
+        """While settling under control: hold from the next cycle on."""
+        if self.state is State.SETTLING and self._until == _OPEN_END:
+            clock = self.programme.clock
+            first_cycle = clock.cycle_after(self.step.first_sample)
+            settle_cycles = clock.cycle_after(self.position) - first_cycle - self.step.fade_cycles
+            self.step = self.step.placed(clock, first_cycle, settle_cycles)
+            self._until = self.step.first_sample + self.step.settle_samples
+
+    def _set_fade(self, fade: Fade) -> None:
+        self._fade = fade
+        self.fades.append(fade)
+
+    def _piece(self, n_samples: int) -> Floats:
+        if self.state in _STILL:
+            return np.zeros(n_samples)
+        return synthesise(self.programme.clock, self._multiples, self._fade, self.position, n_samples)
+
+    def _ended(self) -> Event:
+        """The event that the end of the present state is."""
+        if self.state is State.HOLDING:
+            last = self._finish_step or self.step.index + 1 == len(self.programme.steps)
+            return Event.LAST if last else Event.NEXT
+        return {
+            State.FADING: Event.FADED,
+            State.SETTLING: Event.SETTLED,
+            State.STOPPING: Event.ZERO,
+            State.RESTING: Event.RESTED,
+        }[self.state]
+
+    def _handle(self, event: Event) -> None:
+        """Go where the table says and set up what that state needs."""
+        before, self.state = self.state, TRANSITIONS[self.state, event]
+        if before is self.state and event in (Event.STOP, Event.CUT):
+            return
+        if before in _MOVING and (before is State.HOLDING or self.state not in _MOVING):
+            self._mark_end(held=before is State.HOLDING)
+        clock = self.programme.clock
+        if self.state is State.FADING:
+            planned = self.programme.steps[self.step.index + 1]
+            self.step = planned.placed(clock, clock.cycle_after(self.position), planned.settle_cycles)
+            target = self._amplitudes(self.step.gamma)
+            self._set_fade(Fade(self.position, self.step.fade_samples, self._fade.end, target))
+            self._until = self.position + self.step.fade_samples
+        elif self.state is State.SETTLING:
+            self._until = _OPEN_END if self._controlled else self.step.first_sample + self.step.settle_samples
+        elif self.state is State.HOLDING:
+            self._until = self.step.end_sample
+        elif self.state is State.STOPPING:
+            self._set_fade(Fade(self.position, stop_fade_samples(clock), self._fade.at(self.position), self._zero))
+            self._until = self.position + self._fade.n_samples
+        elif self.state is State.RESTING:
+            if event is Event.CUT:
+                self._set_fade(Fade(self.position, 0, self._zero, self._zero))
+            self._until = self.position + clock.cycle_start(1)
+
+    def _mark_end(self, *, held: bool) -> None:
+        n = self.position - self.step.first_sample
+        if n > 0:
+            settle = self.step.settle_samples if held else n
+            self.marks.append(replace(self.step, n_samples=n, settle_samples=settle))
+
+
+def stop_fade_samples(clock: PhaseClock) -> int:
+    """Samples of the fade to zero."""
+    return int(STOP_FADE_CYCLES * clock.den / clock.num)
+
+
+def largest_block(clock: PhaseClock, wanted: int) -> int:
+    """Samples a block may have so that a stop is seen within a quarter of a cycle; at most ``wanted``."""
+    return max(1, min(wanted, clock.den // (BLOCKS_PER_CYCLE * clock.num)))
+
+
+def change_rows(setup: Setup, fades: Sequence[Fade]) -> NDArray[np.void]:
+    """`DRIVE_DTYPE` rows of ``fades``: one a tone."""
+    multiples = [m for m, _ in setup.forcing.displacement_tones()]
+    rows = [
+        (fade.first_sample, fade.n_samples, multiple, start.real, start.imag, end.real, end.imag)
+        for fade in fades
+        for multiple, start, end in zip(multiples, fade.start, fade.end, strict=True)
+    ]
+    return np.array(rows, DRIVE_DTYPE)
+
+
+def fades_of_changes(setup: Setup, rows: NDArray[np.void]) -> list[Fade]:
+    """The fades of a recording's table of drive changes (`DRIVE_DTYPE`)."""
+    n_tones = len(setup.forcing.displacement_tones())
+    return [
+        Fade(
+            int(group["first_sample"][0]),
+            int(group["n_samples"][0]),
+            tuple((group["start_re_v"] + 1j * group["start_im_v"]).tolist()),
+            tuple((group["end_re_v"] + 1j * group["end_im_v"]).tolist()),
+        )
+        for group in (rows[i : i + n_tones] for i in range(0, len(rows), n_tones))
+    ]
+
+
+def fades_of_steps(setup: Setup, steps: NDArray[np.void], *, zero_from: int | None = None) -> list[Fade]:
+    """The fades of an open-loop run, from its step table alone.
+
+    Parameters
+    ----------
+    setup
+        The recording's measuring part.
+    steps
+        Its step table (`daq.recording.tables.STEP_DTYPE`): of each row the first sample, length, fade and gamma are used.
+    zero_from
+        First sample of a hard zero, where the run was stopped *now* (the recording's ``why`` names it).
+    """
+    clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
+    zero = before = tuple(0j for _ in setup.forcing.displacement_tones())
+    fades: list[Fade] = []
+    for row in steps:
+        target = drive_amplitudes(setup, float(row["gamma"]))
+        fades.append(Fade(int(row["first_sample"]), int(row["fade_samples"]), before, target))
+        before = target
+    if fades:
+        end = int(steps[-1]["first_sample"] + steps[-1]["n_samples"])
+        fades.append(Fade(end, stop_fade_samples(clock), fades[-1].at(end), zero))
+    if zero_from is not None:
+        fades.append(Fade(zero_from, 0, zero, zero))
+    return fades
+
+
+def commanded(setup: Setup, fades: Sequence[Fade], first_sample: int, n_samples: int) -> Floats:
+    """The drive samples of a run again, bit for bit, from its changes of amplitude.
+
+    Parameters
+    ----------
+    setup
+        The recording's measuring part.
+    fades
+        `fades_of_changes` of the recording, or `fades_of_steps` of an open-loop one; each holds until the next begins.
+    first_sample, n_samples
+        Which samples, by the device's own index (lost samples counted).
+
+    Returns
+    -------
+    array, shape (n_samples,)
+        Commanded volts; zero before the first fade.
+    """
+    clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
+    multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
+    out = np.zeros(n_samples)
+    end = first_sample + n_samples
+    for fade in reversed(fades):
+        start = max(first_sample, fade.first_sample)
+        if start < end:
+            out[start - first_sample : end - first_sample] = synthesise(clock, multiples, fade, start, end - start)
+            end = start
+    return out

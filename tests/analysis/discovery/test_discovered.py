@@ -1,0 +1,129 @@
+"""A missing term on runs whose missing term is known: found by its covariate, its band around the truth, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from analysis.discovery.spline_basis import basis_of, knots_of
+from analysis.discovery.discover import discover
+from analysis.residuals.covariates import covariates
+from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
+from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.fit import Fitter
+from analysis.residuals.forward_model import Key, World
+from analysis.discovery.penalised_fit import Stack, best_start, try_in_flight
+from analysis.discovery.search import FIRST_TAILS, TermSearch
+from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
+from analysis.residuals.whitening import Whitener
+from model.effects.smooth_force import KNOTS
+
+DEEPEST_M = 8e-3
+HEIGHTS = np.linspace(0.0, DEEPEST_M, KNOTS)
+
+
+def pull_mps2(height_m: np.ndarray) -> np.ndarray:
+    """A magnet on the rod that pulls back above 2 mm."""
+    return np.asarray(0.35 * 0.5 * (1.0 + np.tanh((height_m - 2e-3) / 6e-4)))
+
+
+def latch() -> dict[Key, float]:
+    """The magnet, as the effect that carries a smooth force."""
+    out: dict[Key, float] = {
+        ("smooth_force", "of"): 1.0, ("smooth_force", "start"): 0.0, ("smooth_force", "spacing"): HEIGHTS[1],
+    }
+    return out | {("smooth_force", f"c{i}"): -float(x) for i, x in enumerate(pull_mps2(HEIGHTS))}
+
+
+def unexplained(world: World, fitter: Fitter) -> Explanation:
+    """The declared model alone, fitted."""
+    whitener = Whitener.of(world, {})
+    fitted = fitter.fit(whitener, (), {})
+    return Explanation((), fitted, whitener, fitted.held_out(whitener))
+
+
+def search_of(world: World, fitter: Fitter) -> TermSearch:
+    """A search beside nothing."""
+    explanation = unexplained(world, fitter)
+    tables = covariates(world, explanation.fitted.values)
+    return TermSearch(world, fitter, explanation, (), fitter.train, tables)
+
+
+def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """Covariate, direction, size, words; held-out landings at the floor; more than any constant pull."""
+    world = make(latch(), 1)
+    fitter = fitter_of(world)
+    found = discover(world, fitter, unexplained(world, fitter), fitter.train)
+    assert found is not None
+    assert (found.term, found.of) == ("force", "height")
+    assert found.in_words.startswith("a downward pull rises from")
+    assert "height" in found.in_words
+    middle = float(np.interp(4e-3, found.knots, found.values))
+    assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
+    assert found.over_constant.gain > 12.0
+    rows, out = judged_rows(found.world, found.explanation.fitted.values, ~fitter.train)
+    after = errors_on(found.world, found.explanation.fitted.values, rows, out)
+    floor = noise_floor_us(found.world, found.explanation.fitted.values, rows)
+    assert after.landing_rms_us < 1.3 * floor
+    before = errors_on(world, {}, *judged_rows(world, {}, ~fitter.train))
+    assert before.landing_rms_us > 5.0 * floor
+
+
+def test_nothing_is_discovered_in_noise(make: Callable[..., World], fitter_of: Callable[[World], Fitter]) -> None:
+    """A clean run has no missing term, however many covariates are asked."""
+    world = make({}, 2)
+    fitter = fitter_of(world)
+    assert discover(world, fitter, unexplained(world, fitter), fitter.train) is None
+
+
+def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """The take-off threshold at long and at short rests, each within its band or a tenth."""
+    a, tau = 2.0, 4e-3
+    world = make({("adhesion", "a_mps2"): a, ("adhesion", "dwell_s"): tau}, 3)
+    search = search_of(world, fitter_of(world))
+    x = search.tables["dwell_s"]
+    knots = knots_of(x[world.evidence.judged])
+    start = Curve(event_term("threshold", "dwell_s"), knots, np.full(len(knots), 1.5), basis_of(x, knots))
+    found = search.polished(start)
+    at = np.quantile(x[np.isfinite(x) & world.opens], [0.15, 0.5, 0.85])
+    true = a * (1.0 - np.exp(-at / tau))
+    half = np.interp(at, found.curve.points, found.band)
+    assert (np.abs(found.curve.at(at) - true) < np.maximum(2.0 * half, 0.1 * true)).all()
+
+
+def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """e = 0.12 - 0.3 v, found without a formula, to a hundredth where rebounds are long enough to be seen."""
+    world = make({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
+    search = search_of(world, fitter_of(world))
+    term = next(t for t in IN_FLIGHT if t.name == "restitution")
+    span = ranges_of(search.tables, world.evidence.judged)[term.of]
+    stack = Stack.of(world, search.values, search.train)
+    start = best_start(world, search.values, stack, Curve.even(term, span), search.dwell)
+    look = try_in_flight(world, search.values, stack, start, search.dwell, FIRST_TAILS)
+    found = search.polished(look.curve)
+    speeds = np.quantile(search.tables["impact_mps"][world.evidence.judged], [0.3, 0.4, 0.5])
+    assert found.curve.at(speeds) == pytest.approx(0.12 - 0.3 * speeds, abs=0.012)
+
+
+def test_the_band_of_a_smooth_force_holds_the_truth(
+    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+) -> None:
+    """A pull that grows evenly with height: in five runs the truth lies within the band where 95 % says so."""
+    spring, inside = 40.0, []
+    for seed in range(5, 10):
+        world = make({("position_force", "spring_per_s2"): spring}, seed)
+        search = search_of(world, fitter_of(world))
+        term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
+        found = search.polished(Curve.even(term, ranges_of(search.tables, world.evidence.judged)[term.of]))
+        x, half = found.curve.points, found.band
+        inside.append(np.abs(found.curve.at(x) + spring * x) <= half)
+        assert np.median(half) < 0.1 * spring * x[-1]  # and it says something
+    assert np.mean(inside) > 0.85

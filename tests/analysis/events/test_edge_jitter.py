@@ -1,0 +1,71 @@
+"""How well edges repeat, found from the edges alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.events.edge_jitter import with_jitter
+
+PERIOD_S = 1.0 / 22.31
+RATE_HZ = 20000.0
+
+
+def edges(rng: np.random.Generator, jitter_s: float, cycle: int = 1, swell_s: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Twelve steps of three edges a cycle, jittered, sampled, and swelling slowly: times and steps."""
+    times, steps = [], []
+    for step in range(12):
+        cycles = cycle * np.arange(14 // cycle)[:, None]
+        exact = 10.0 * step + (cycles + np.array([0.1, 0.4, 0.7]) + rng.random()) * PERIOD_S
+        exact = exact + swell_s * np.sin(2 * np.pi * 0.7 * exact)
+        seen = np.ceil((exact + jitter_s * rng.standard_normal(exact.shape)) * RATE_HZ) / RATE_HZ - 0.5 / RATE_HZ
+        times.append(seen.ravel())
+        steps.append(np.full(seen.size, step))
+    return np.concatenate(times), np.concatenate(steps)
+
+
+@pytest.mark.parametrize(
+    ("jitter_s", "cycle", "swell_s"), [(2e-5, 1, 0.0), (2e-5, 2, 0.0), (2e-5, 1, 1e-4), (0.0, 1, 0.0)]
+)
+def test_jitter_is_found_to_a_sixth(jitter_s: float, cycle: int, swell_s: float) -> None:
+    """Whatever the cycle and a slow swell, and where sampling errors alternate from cycle to cycle."""
+    sampled = 1.0 / RATE_HZ / np.sqrt(12.0)
+    found = []
+    for seed in range(8):
+        time_s, step = edges(np.random.default_rng(seed), jitter_s, cycle, swell_s)
+        own = np.full(time_s.size, sampled)
+        found.append(with_jitter(time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S))[0])
+    assert np.mean(found) == pytest.approx(np.hypot(sampled, jitter_s), rel=1 / 6)
+
+
+def test_what_never_repeats_says_nothing() -> None:
+    """Irregular edges leave the uncertainty as it was."""
+    rng = np.random.default_rng(0)
+    time_s, step = np.sort(rng.random(300)) * 10.0, np.arange(300) // 30
+    own = np.full(300, 1e-5)
+    assert with_jitter(time_s, own, step, np.ones(300, bool), np.full(10, PERIOD_S)) is own
+
+
+def test_hum_is_no_jitter() -> None:
+    """A line that is no multiple of the forcing moves edges from cycle to cycle: told of it, the jitter stays."""
+    line, found = 2 * np.pi * 50.0, []
+    for seed in range(8):
+        time_s, step = edges(np.random.default_rng(seed), 2e-5)
+        time_s = time_s + 1e-4 * np.sin(line * time_s)
+        own = np.full(time_s.size, 1.0 / RATE_HZ / np.sqrt(12.0))
+        rest = time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S)
+        found.append((with_jitter(*rest)[0], with_jitter(*rest, [np.array([line])] * 12)[0]))
+    blind, told = np.mean(found, axis=0)
+    assert blind > 5e-5
+    assert told == pytest.approx(np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5), rel=1 / 6)
+
+
+def test_a_line_beside_a_harmonic_does_not_explain_the_jitter_away() -> None:
+    """Half a turn of beat in a step is almost a parabola: taken at jittered times it would fit the jitter itself."""
+    found = []
+    for seed in range(8):
+        time_s, step = edges(np.random.default_rng(seed), 2e-5)
+        line = 2 * np.pi * (2 / PERIOD_S - 0.7)
+        own, lines = np.full(time_s.size, 1e-6), [np.array([line])] * 12
+        found.append(with_jitter(time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S), lines)[0])
+    assert np.mean(found) == pytest.approx(np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5), rel=0.2)

@@ -1,0 +1,99 @@
+"""Contact edges: sub-sample where the voltage shows it, honest where it does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.events.edges import CLOSES, DIP, OPENS, CrossingScan, Levels, measure_levels, time_edges
+
+RATE = 20000.0
+
+
+def circuit(
+    edges_s: np.ndarray, n: int, tau_open_s: float, tau_close_s: float, noise_v: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Volts of a 5 V circuit that starts closed and toggles at the given times, by its RC, exactly."""
+    t = np.arange(n) / RATE
+    volts = np.zeros(n)
+    level, target, since, tau = 0.0, 0.0, 0.0, tau_close_s
+    ends = np.append(edges_s, np.inf)
+    for k, end in enumerate(ends):
+        inside = (t >= since) & (t < end)
+        volts[inside] = target + (level - target) * np.exp(-(t[inside] - since) / tau)
+        level = target + (level - target) * np.exp(-(end - since) / tau) if np.isfinite(end) else level
+        since, target, tau = end, (5.0 if k % 2 == 0 else 0.0), (tau_open_s if k % 2 == 0 else tau_close_s)
+    return volts + noise_v * rng.standard_normal(n)
+
+
+def timed(volts: np.ndarray, levels: Levels):
+    """Edges of a signal handed over in two pieces."""
+    scan = CrossingScan(levels)
+    fraction = ((volts - levels.closed_v) / levels.swing_v).astype(np.float32)
+    half = volts.size // 2
+    padded = np.pad(fraction, 16, mode="edge")
+    scan.add(padded[: half + 32], 0, 16, half)
+    scan.add(padded[half:], half, 16, volts.size - half)
+    return time_edges(scan.crossings(), levels, RATE)
+
+
+@pytest.mark.parametrize(("tau_open_s", "tau_close_s"), [(2e-5, 2e-5), (1e-4, 2e-5)])
+def test_rc_edges_are_found_between_samples_with_the_stated_uncertainty(tau_open_s: float, tau_close_s: float) -> None:
+    """With a visible RC shape the time constants come back and errors scatter as stated, well under a microsecond."""
+    rng = np.random.default_rng(3)
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 400))
+    volts = circuit(true, int((true[-1] + 0.01) * RATE), tau_open_s, tau_close_s, 0.003, rng)
+    levels = measure_levels(volts, 0.0, 5.0)
+    assert levels.noise_v == pytest.approx(0.003, rel=0.1)
+    edges, opening, closing = timed(volts, levels)
+    assert opening.tau_s == pytest.approx(tau_open_s, rel=0.01)
+    assert closing.tau_s == pytest.approx(tau_close_s, rel=0.02)
+    error = edges.time_s - true
+    assert np.sqrt(np.mean(error**2)) < 1e-6
+    assert np.std(error / edges.uncertainty_s) == pytest.approx(1.0, abs=0.15)
+    np.testing.assert_array_equal(edges.kind, np.tile([OPENS, CLOSES], 200))
+
+
+def test_sharp_edges_have_no_bias_and_a_uniform_uncertainty() -> None:
+    """Where nothing shows between two samples, the middle is taken: no bias, sigma of a sample over root twelve."""
+    rng = np.random.default_rng(4)
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 2000))
+    volts = circuit(true, int((true[-1] + 0.01) * RATE), 1e-9, 1e-9, 0.003, rng)
+    edges, opening, _ = timed(volts, measure_levels(volts, 0.0, 5.0))
+    assert opening.tau_s == 0.0
+    error = edges.time_s - true
+    sigma = 1.0 / RATE / np.sqrt(12.0)
+    assert abs(error.mean()) < 4.0 * sigma / np.sqrt(true.size)
+    assert np.std(error) == pytest.approx(sigma, rel=0.06)
+    np.testing.assert_allclose(edges.uncertainty_s, sigma)
+
+
+def test_a_brief_contact_between_edges_does_not_spoil_its_neighbours() -> None:
+    """A contact of three samples is still found at both ends, though the voltage never settles."""
+    rng = np.random.default_rng(5)
+    starts = np.cumsum(rng.uniform(8e-3, 12e-3, 150))
+    true = np.sort(np.concatenate([[1e-3], starts, starts + 1.6e-4]))
+    volts = circuit(true, int((true[-1] + 0.01) * RATE), 2e-5, 2e-5, 0.002, rng)
+    edges, _, _ = timed(volts, measure_levels(volts, 0.0, 5.0))
+    np.testing.assert_allclose(edges.time_s, true, atol=2e-6)
+
+
+def test_a_dent_is_no_edge_but_is_reported() -> None:
+    """A contact too short to reach the threshold leaves a dip and no closing."""
+    levels = Levels(0.0, 5.0, 0.002)
+    volts = np.full(400, 5.0)
+    volts[200] = 4.2
+    edges, _, _ = timed(volts, levels)
+    np.testing.assert_array_equal(edges.kind, [DIP])
+    assert abs(edges.time_s[0] - 200 / RATE) < 1.0 / RATE
+
+
+def test_levels_are_those_measured_not_those_declared() -> None:
+    """A circuit that closes at 0.4 V and opens at 4.7 V is measured so; a level never seen stays as declared."""
+    rng = np.random.default_rng(6)
+    volts = np.where((np.arange(20000) // 500) % 2 == 0, 0.4, 4.7) + 0.01 * rng.standard_normal(20000)
+    levels = measure_levels(volts, 0.0, 5.0)
+    assert levels.closed_v == pytest.approx(0.4, abs=1e-3)
+    assert levels.open_v == pytest.approx(4.7, abs=1e-3)
+    always_open = measure_levels(np.full(5000, 5.0), 0.0, 5.0)
+    assert always_open.closed_v == 0.0

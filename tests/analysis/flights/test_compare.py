@@ -1,0 +1,67 @@
+"""Declared effects of plate and instruments, in a comparison and in a profile given to it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.flights.compare import compare
+from analysis.flights.assemble import flights_of
+from daq.setup.errors import InputError
+from daq.recording import open_recording
+from model.effects.routing import of_the_ball, plate_gain, reading, shapes_the_plate
+
+
+def test_each_effect_acts_in_one_place() -> None:
+    """Ball, drive and accelerometer are told apart by what the effects' own files define."""
+    effects = {
+        "coulomb_friction": {"mu_up": 0.1}, "drive_gain": {"relative": 0.1}, "gain_compression": {"per_g2": 0.05},
+        "accelerometer_gain": {"relative": 0.2}, "mains_hum": {"amplitude_mps2": 0.1}, "contact_latency": {},
+    }
+    assert list(of_the_ball(effects)) == ["coulomb_friction"]
+    assert plate_gain(effects, 2.0) == pytest.approx(1.1 / 1.2)
+    assert reading(effects) == pytest.approx(1.2)
+    assert shapes_the_plate(effects) == ["mains_hum"]
+
+
+def test_a_declared_accelerometer_gain_corrects_the_comparison(make: Callable[..., Any]) -> None:
+    """An accelerometer 6 % too sensitive: flights look short, and as long as they should once that is declared."""
+    rig = {"accelerometer_gain": {"relative": 0.06}, "drive_gain": {"relative": 0.05}}
+    made = make(np.array([0.7, 0.9, 1.1, 1.3]), hold=16, effects=rig)
+    with open_recording(made.path) as recording:
+        flights = flights_of(recording)
+        bare = compare(flights, recording.setup, steps_table=recording.steps)
+        told = compare(flights, recording.setup, effects=rig, steps_table=recording.steps)
+    assert bare.short_by > 0.015
+    assert abs(told.short_by) < 0.001
+    assert told.within_sample == 1.0
+    assert told.effects == ("accelerometer_gain", "drive_gain")
+
+
+def test_another_profile_reads_the_same_volts(make: Callable[..., Any]) -> None:
+    """Given a profile with twice the sensitivity the plate has half the motion; one with another c is refused."""
+    made = make(np.array([0.6, 0.8]))
+    with open_recording(made.path) as recording:
+        before = [s.gamma for s in flights_of(recording).plate.steps if s is not None]
+        sensor = recording.setup.channels.accelerometer
+        twice = sensor.model_copy(update={"sensitivity": sensor.sensitivity.model_copy(update={"value": 0.2})})
+        channels = recording.setup.channels.model_copy(update={"accelerometer": twice})
+        recording.measure_with(recording.setup.model_copy(update={"channels": channels}))
+        after = [s.gamma for s in flights_of(recording).plate.steps if s is not None]
+        assert after == pytest.approx([g / 2 for g in before])
+        other = recording.setup.model_copy(update={"forcing": recording.setup.forcing.model_copy(update={"ratio": 2})})
+        with pytest.raises(InputError, match=r"c = 1"):
+            recording.measure_with(other)
+
+
+def test_an_integrated_ball_has_the_bifurcation_of_the_exact_one(make: Callable[..., Any]) -> None:
+    """With a trace of viscous damping the model is integrated; its first change is the lock, at the same gamma."""
+    made = make(np.array([0.55, 0.9, 1.3, 1.7]), hold=12)
+    with open_recording(made.path) as recording:
+        flights = flights_of(recording)
+        exact = compare(flights, recording.setup, steps_table=recording.steps)
+        trace = {"viscous_damping": {"rate_per_s": 1e-4}}
+        integrated = compare(flights, recording.setup, effects=trace, steps_table=recording.steps)
+    assert exact.first.predicted_type == integrated.first.predicted_type == "lock"
+    assert integrated.first.predicted_gamma == pytest.approx(exact.first.predicted_gamma, abs=2e-4)

@@ -1,0 +1,124 @@
+"""Recordings from elsewhere, however they were written down: the same flights and the same plate come out."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from analysis.flights.table import Flights
+from analysis.flights.assemble import flights_of
+from daq.importers.columns import open_source, parse_map
+from daq.importers.import_recording import import_recording
+from daq.recording import open_recording
+from daq.setup.setup import Setup
+
+RATE_HZ = 20000.0
+GAMMAS = (0.4, 0.8, 1.1, 0.6, 1.4, 0.95)
+Columns = dict[str, NDArray[np.float64]]
+Seen = tuple[Flights, NDArray[np.float64]]
+
+
+def _plant() -> ModuleType:
+    path = Path(__file__).parents[2] / "blind" / "other_plant.py"
+    spec = importlib.util.spec_from_file_location("other_plant", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["other_plant"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def setup(**changes: object) -> Setup:
+    """What its owner would write of the rig, with changes to channels and drive."""
+    accelerometer = {"sensitivity": 0.1, "unit": "V/g", "reads_gravity": True, "offset_v": 0.0}
+    parts: dict[str, dict[str, object]] = {
+        "accelerometer": accelerometer, "continuity": {}, "drive": {"g_per_volt": 1.6},
+    }  # fmt: skip
+    for key, value in changes.items():
+        part, _, name = key.partition("__")
+        parts[part][name] = value
+    return Setup.model_validate(
+        {
+            "name": "theirs", "forcing": {"frequency_hz": 25.37}, "ball": {"mass_kg": 0.25}, "drive": parts["drive"],
+            "channels": {"accelerometer": parts["accelerometer"], "continuity": parts["continuity"]},
+        }
+    )
+
+
+def seen(raw: Path, out: Path, own: Setup, maps: tuple[str, ...] = (), rate_hz: float | None = None) -> Seen:
+    """Flights of a file brought in, and gamma of its steps."""
+    import_recording(open_source(raw), out, own, "", mapping=parse_map(maps), rate_hz=rate_hz)
+    with open_recording(out) as recording:
+        flights = flights_of(recording)
+    return flights, np.array([s.gamma for s in flights.plate.steps if s is not None])
+
+
+@pytest.fixture(scope="module")
+def columns() -> Columns:
+    """A ramp of the other plant, in volts."""
+    plant = _plant()
+    data = plant.simulate(plant.Run(gammas=GAMMAS, cycles=16, seed=3, jitter_s=5e-6))
+    return {k: data[k] for k in ("time_s", "continuity_v", "accelerometer_v", "drive_v")}
+
+
+@pytest.fixture(scope="module")
+def native(columns: Columns, tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    """The recording with every column under its usual name."""
+    folder = tmp_path_factory.mktemp("native")
+    np.savez(folder / "a.npz", **columns)
+    return seen(folder / "a.npz", folder / "a.h5", setup())
+
+
+def same(one: Seen, other: Seen, within_s: float) -> None:
+    """The flights that count in both are the same ones, and the steps move alike."""
+    first, second = (f.landing_s[f.good()] for f, _ in (one, other))
+    apart = np.abs(first[:, None] - second[None, :]).min(axis=1)
+    shared = apart < 1e-3
+    assert shared.mean() > 0.9 and len(second) > 40
+    assert apart[shared].max() < within_s
+    np.testing.assert_allclose(other[1], one[1], rtol=2e-3)
+
+
+def test_other_polarity_sign_unit_and_offset(columns: Columns, native: Seen, tmp_path: Path) -> None:
+    """Contact closed when high, accelerometer upside down in mV, both in folders of an HDF5 file without times."""
+    with h5py.File(tmp_path / "scope.hdf5", "w") as file:
+        file["run/CH1"] = (3.1 - 0.58 * columns["continuity_v"]).astype(np.float32)
+        file["run/CH2"] = -1e3 * columns["accelerometer_v"]
+        file["run/CH3"] = 1e3 * columns["drive_v"]
+    own = setup(
+        continuity__open_v=0.2, continuity__closed_v=3.1, accelerometer__sign=-1, accelerometer__sensitivity=100.0,
+        accelerometer__unit="mV/g",
+    )  # fmt: skip
+    maps = ("continuity=CH1", "accelerometer=CH2:mV", "drive=CH3:mV")
+    same(native, seen(tmp_path / "scope.hdf5", tmp_path / "r.h5", own, maps, RATE_HZ), 1e-6)
+
+
+def test_levels_that_nobody_declared_and_an_unknown_zero(columns: Columns, native: Seen, tmp_path: Path) -> None:
+    """A contact between 1.2 and 3.9 V under a profile that says 0 and 5, and an accelerometer on a bias."""
+    path = tmp_path / "a.csv"
+    table = np.column_stack(
+        [1e3 * columns["time_s"], 1.2 + 0.54 * columns["continuity_v"], columns["accelerometer_v"] + 1.65,
+         columns["drive_v"]]
+    )  # fmt: skip
+    np.savetxt(path, table, "%.5f", delimiter=";", header="Zeit (ms);contact;acc;drive", comments="")
+    same(native, seen(path, tmp_path / "r.h5", setup(accelerometer__offset_v=None)), 1e-6)
+
+
+def test_without_a_drive_the_steps_are_the_plates(columns: Columns, native: Seen, tmp_path: Path) -> None:
+    """No drive column and no scale of it: as many steps, the same gamma, the same flights in them."""
+    np.savez(tmp_path / "a.npz", contact=columns["continuity_v"], accel=columns["accelerometer_v"])
+    same(native, seen(tmp_path / "a.npz", tmp_path / "r.h5", setup(drive__g_per_volt=None), (), RATE_HZ), 1e-6)
+
+
+def test_acceleration_in_its_own_unit(columns: Columns, native: Seen, tmp_path: Path) -> None:
+    """A column in m/s^2 needs no sensitivity; its stated one only lends the relative uncertainty."""
+    np.savez(
+        tmp_path / "a.npz", time_s=columns["time_s"], continuity_v=columns["continuity_v"],
+        acceleration_mps2=98.0665 * columns["accelerometer_v"], drive_v=columns["drive_v"],
+    )  # fmt: skip
+    same(native, seen(tmp_path / "a.npz", tmp_path / "r.h5", setup(accelerometer__sensitivity=0.05)), 1e-6)

@@ -1,0 +1,77 @@
+"""Which run would separate what ties: the rehearsal behind the ranking."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from analysis.residuals.observations import Evidence, Steps
+from analysis.attribution.fit import Fitter, priors_of
+from analysis.residuals.forward_model import World
+from analysis.loop.design import Design, designs_for, rehearse
+from analysis.residuals.plate_observables import PlateData
+from analysis.residuals.whitening import Whitener
+from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
+from model.integrator.one_step import Measured, PlateSteps
+
+FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"): 0.2}
+
+
+def seen_evidence() -> Evidence:
+    """As little evidence as a rehearsal needs of the run that was made: one step, its uncertainties, no plate data."""
+    setup = Setup(
+        name="t", forcing=Forcing(frequency_hz=25.37), ball=Ball(mass_kg=0.25),
+        channels=Channels(accelerometer=AccelerometerChannel(sensitivity=0.1, unit="V/g")),  # type: ignore[arg-type]
+    )
+    nothing = np.zeros(0)
+    none = np.zeros(0, dtype=np.int64)
+    steps = Steps(
+        np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([1.0]), np.ones(1, np.int64), np.zeros(1),
+        PlateSteps(np.full((1, 8), 159.4), np.zeros((1, 8), complex), np.array([1 / 25.37])),
+        np.full((1, 16, 8), 0.001 + 0j),
+        np.array([[True] + 7 * [False]]),
+    )
+    one = np.full(3, 1e-5)
+    yes: NDArray[np.bool_] = np.ones(3, dtype=bool)
+    return Evidence(
+        Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes), one, one, yes, np.ones(3),
+        np.full(3, np.inf), steps, PlateData(none, none, *(nothing,) * 5, none, none, nothing), setup, 2e-4,
+    )
+
+
+@pytest.fixture(scope="module")
+def rehearsed() -> World:
+    """A rehearsal of a c = 2 ramp under friction 0.2."""
+    world = World(seen_evidence(), {})
+    truth = SimpleNamespace(fitted=SimpleNamespace(values=FRICTION))
+    return World(rehearse(Design("c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, truth), {})  # type: ignore[arg-type]
+
+
+def test_the_rehearsal_holds_what_it_was_made_of(rehearsed: World) -> None:
+    """Under the effects of which it was made, a rehearsed run leaves nothing; without them, milliseconds."""
+    true, ideal = rehearsed.residuals(FRICTION), rehearsed.residuals({})
+    rows = rehearsed.evidence.judged
+    assert rows.sum() > 40
+    assert np.nanmax(np.abs(true.landing_s[rows])) < 1e-7
+    assert np.nanmedian(np.abs(ideal.landing_s[rows])) > 1e-4
+
+
+def test_a_rival_loses_on_the_rehearsal(rehearsed: World) -> None:
+    """Viscous damping, fitted to a run rehearsed under friction, keeps a loss that friction does not have."""
+    fitter = Fitter(rehearsed, priors_of(rehearsed.evidence.setup), np.ones(4, dtype=bool))
+    whitener = Whitener.of(rehearsed, FRICTION)
+    right = fitter.fit(whitener, tuple(FRICTION), FRICTION).loss
+    wrong = fitter.fit(whitener, (("viscous_damping", "rate_per_s"),), {("viscous_damping", "rate_per_s"): 1.0}).loss
+    assert wrong > right + 100.0
+
+
+def test_designs_go_beyond_the_run_that_was_made() -> None:
+    """The candidate runs offer another ratio, a farther range, another order and a calibration."""
+    evidence = seen_evidence()
+    designs = designs_for(replace(evidence, steps=replace(evidence.steps, gamma=np.array([1.0]))))
+    assert {d.ratio for d in designs} == {1, 2, 3}
+    assert any(max(d.gammas) > 1.5 and d.ratio == 1 for d in designs)
+    assert any(d.order == "shuffled" for d in designs)
+    assert any(d.priors for d in designs)

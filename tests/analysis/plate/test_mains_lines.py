@@ -1,0 +1,80 @@
+"""Mains lines beside the forcing: followed to their own frequency, and taken for nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.plate.mains_lines import WANDER_HZ, heard_hz, line_of, moved
+from analysis.plate.measure import plate_of
+from daq.recording import open_recording
+from daq.lock_in import ToneFit, fit_tones
+
+G = 9.80665
+RATE_HZ = 1000.0
+
+
+def test_a_hum_off_its_nominal_frequency_spoils_no_tone(make) -> None:
+    """At 49.95 Hz, three quarters of a hertz from the second tone, the hum has its size and the tones their own."""
+    gammas = np.linspace(0.3, 1.3, 6)
+    hum = {"amplitude_g": 0.09, "frequency_hz": 49.95, "phase_rad": 4.0}
+    with open_recording(make(gammas, ratio=2, hold=20, effects={"mains_hum": hum}).path) as recording:
+        plate = plate_of(recording)
+    pulls = []
+    for gamma, step in zip(gammas, plate.steps, strict=True):
+        assert step is not None
+        line = len(step.multiples)
+        assert step.acceleration.frequencies_hz[line] == pytest.approx(49.95, abs=0.02)
+        assert abs(step.acceleration.amplitudes[line]) == pytest.approx(0.09 * G, rel=0.03)
+        for m in step.forcing_multiples:
+            z, covariance = step.tone(m)
+            truth = 1j * gamma * G * m * m
+            pulls += [(z - truth).real / np.sqrt(covariance[0, 0]), (z - truth).imag / np.sqrt(covariance[1, 1])]
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.5
+
+
+def _long(hz: float, size: float) -> tuple[np.ndarray, np.ndarray]:
+    time_s = np.arange(40000) / RATE_HZ
+    noise = np.random.default_rng(5).standard_normal(time_s.size)
+    return time_s, size * np.cos(2 * np.pi * hz * time_s + 1.0) + np.cos(2 * np.pi * 25.37 * time_s) + noise
+
+
+def _fit_at(x: np.ndarray):
+    def at(hz: float) -> ToneFit:
+        return fit_tones(x, 0, RATE_HZ, [25.37, hz])
+
+    return at
+
+
+@pytest.mark.parametrize("hz", [49.8, 49.93, 50.0, 50.21])
+def test_a_long_step_finds_a_line_many_turns_off(hz: float) -> None:
+    """Over 40 s a line 0.2 Hz off is eight turns away; it is found to a few millihertz, and known to as much."""
+    time_s, x = _long(hz, 0.5)
+    begin_hz = heard_hz(x - np.cos(2 * np.pi * 25.37 * time_s), time_s, line_of(50.0), 40.0)
+    line = moved(line_of(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
+    assert line.slopes is not None
+    assert abs(line.hz - hz) < 4.0 * line.sigma_hz < 2e-3
+
+
+def test_noise_moves_no_line() -> None:
+    """Where nothing stands out, a line stays where it was and nothing is known of it."""
+    time_s, x = _long(50.0, 0.0)
+    begin_hz = heard_hz(x - np.cos(2 * np.pi * 25.37 * time_s), time_s, line_of(50.0), 40.0)
+    line = moved(line_of(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
+    assert line == line_of(50.0)
+
+
+def test_a_line_keeps_away_from_the_forcing() -> None:
+    """What stands at a harmonic of the forcing is no mains line, however near 50 Hz it is."""
+    x = np.cos(2 * np.pi * 50.1 * np.arange(2000) / RATE_HZ)
+    x += 0.01 * np.random.default_rng(1).standard_normal(x.size)
+    line = moved(line_of(50.0), 1, _fit_at(x), 50.0, np.array([25.05, 50.1]), 2.0)
+    assert line == line_of(50.0)
+
+
+def test_what_is_known_of_a_line_fades() -> None:
+    """A second later a line is nearly where it was; an hour later it may be anywhere again."""
+    line = line_of(50.0)
+    near = type(line)(50.0, 49.96, 0.003, 10.0)
+    assert near.later(11.0).sigma_hz < 0.004
+    assert near.later(3610.0).sigma_hz == WANDER_HZ

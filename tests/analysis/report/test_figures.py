@@ -1,0 +1,48 @@
+"""What the pictures promise: one measure of gamma, clipped points marked, harmonics told apart without colour."""
+
+import itertools
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from analysis.report.gamma import gamma_scale
+from analysis.report.style import clipped_dots
+from analysis.report.figures_plate import TONES
+from daq.setup.setup import Forcing
+
+
+@pytest.mark.parametrize(
+    ("ratios", "name", "factor"),
+    [([1, 1], "gamma_peak", 2.0), ([2, 2], "gamma", 1.0), ([1, 2], "gamma", 1.0)],
+)
+def test_gamma_peak_is_shown_at_c_1_alone(ratios: list[int], name: str, factor: float) -> None:
+    """At c = 1 the peak of the one sine, twice gamma for two equal tones; gamma wherever another ratio occurs."""
+    scale = gamma_scale(Forcing(frequency_hz=25.0, ratio=1), ratios)
+    assert (scale.name, scale.factor) == (name, pytest.approx(factor))
+    assert scale.definition.startswith(f"{name} = ")
+
+
+def test_gamma_peak_follows_the_forcing() -> None:
+    """Two tones of c = 1 that differ in phase make a smaller sine."""
+    forcing = Forcing(frequency_hz=25.0, ratio=1, phase_deg=(0.0, 120.0))
+    assert gamma_scale(forcing, 1).factor == pytest.approx(1.0)
+
+
+def test_what_lies_beyond_the_axis_is_marked() -> None:
+    """Points beyond stand at the edge as triangles that point outwards; the others are dots where they belong."""
+    ax = Figure().subplots()
+    y = np.array([0.5, 30.0, -0.2, -11.0, 40.0])
+    assert clipped_dots(ax, np.arange(5.0), y, 10.0, color="k") == 3
+    drawn = {line.get_marker(): line for line in ax.lines}
+    np.testing.assert_array_equal(drawn["."].get_ydata(), [0.5, -0.2])
+    np.testing.assert_array_equal(drawn["^"].get_xdata(), [1.0, 4.0])
+    np.testing.assert_array_equal(drawn["v"].get_xdata(), [3.0])
+    assert np.all(np.abs(np.concatenate([drawn["^"].get_ydata(), drawn["v"].get_ydata()])) <= 10.0)
+
+
+def test_harmonics_differ_in_more_than_colour() -> None:
+    """No two harmonics share a mark, and neighbours differ in their line as well."""
+    marks, lines = [mark for _, mark, _ in TONES], [line for *_, line in TONES]
+    assert len(set(marks)) == len(TONES)
+    assert all(a != b for a, b in itertools.pairwise(lines))

@@ -1,0 +1,96 @@
+"""Whitened residuals on data drawn from the model: independent, of unit size, whatever errs together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from analysis.residuals.forward_model import World
+from analysis.residuals.noise_model import SHARED_S
+from analysis.residuals.whitening import Whitener, step_losses
+
+FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
+SEEDS = range(4)
+
+
+def test_residuals_at_the_truth_are_unit_normal_once_whitened(make: Callable[..., World]) -> None:
+    """Edges, carried errors and tones together: Kolmogorov-Smirnov on four runs, and the plate data likewise."""
+    events, plate = [], []
+    for seed in SEEDS:
+        world = make(FRICTION, seed)
+        whitener = Whitener.of(world, FRICTION)
+        z, p = whitener.white(world.residuals(FRICTION))
+        events.append(z)
+        plate.append(p)
+        assert max(whitener.excess_s) < 2e-6
+    z = np.concatenate(events)
+    assert np.std(z) == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * len(z)) + 0.02)
+    assert stats.kstest(z, "norm").pvalue > 1e-3
+    assert stats.kstest(np.concatenate(plate), "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("times", [3.0, 8.0])
+def test_what_a_step_shares_is_taken_out(make: Callable[..., World], times: float) -> None:
+    """Tones err for a whole step, some by far more than edges: bare residuals of steps differ, whitened ones do not."""
+    world = make(FRICTION, 3)
+    sigma = times * world.evidence.steps.sigma_mps2
+    rng = np.random.default_rng(0)
+    steps = world.evidence.steps
+    noise = (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) * sigma * steps.forcing
+    shaken = replace(steps.plate, acceleration_mps2=steps.plate.acceleration_mps2 + noise)
+    steps = replace(steps, plate=shaken, spread_mps2=times * steps.spread_mps2)
+    world = World(replace(world.evidence, steps=steps), {})
+    whitener = Whitener.of(world, FRICTION)
+    r = world.residuals(FRICTION)
+    z, _ = whitener.white(r)
+    bare = whitener.stacked(r)[: len(z)] / whitener.sd
+
+    def between(x: np.ndarray) -> float:
+        return float(stats.f_oneway(*(x[whitener.step == s] for s in np.unique(whitener.step))).pvalue)
+
+    assert between(bare) < 1e-12
+    assert between(z) > 1e-3
+
+
+def test_weights_are_near_only_with_those_of_the_plate(make: Callable[..., World]) -> None:
+    """A fit is settled when edges and plate data both keep their weights."""
+    whitener = Whitener.of(make(FRICTION, 1), FRICTION)
+    assert whitener.near(whitener)
+    assert not replace(whitener, plate_sigma=2.0 * whitener.plate_sigma).near(whitener)
+
+
+def test_a_microsecond_that_a_step_shares_is_no_evidence(make: Callable[..., World]) -> None:
+    """However sharp the edges: all landings of a step off by what the circuit may do count as one unit, not as many."""
+    made = make(FRICTION, 1).evidence
+    sharp = np.full(len(made), 5e-8)
+    world = World(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
+    whitener, r = Whitener.of(world, FRICTION, lean=True), world.residuals(FRICTION)
+    off = replace(r, opening_s=np.zeros(len(made)), landing_s=np.full(len(made), SHARED_S), plate=0.0 * r.plate)
+    z, _ = whitener.white(off)
+    assert np.all(np.bincount(whitener.step, z**2) < 2.5)
+
+
+def test_the_truth_loses_least(make: Callable[..., World]) -> None:
+    """By step and in sum, friction's own size beats a tenth less and a tenth more on the same weights."""
+    world = make(FRICTION, 1)
+    whitener = Whitener.of(world, FRICTION)
+
+    def loss(part: float) -> float:
+        values = {k: part * v for k, v in FRICTION.items()}
+        return float(sum(x.sum() for x in step_losses(world, whitener, world.residuals(values)).values()))
+
+    assert loss(1.0) < min(loss(0.9), loss(1.1)) - 20.0
+
+
+def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(make: Callable[..., World]) -> None:
+    """A trend moves rows in proportion to the place in the run, and never beyond the parameter's bounds."""
+    world = make({}, 0)
+    mu = ("coulomb_friction", "mu_up")
+    plain, trend = world.rows({mu: 0.1}), world.rows({mu: 0.1, ("coulomb_friction", "mu_up@drift"): 0.6})
+    change = (trend - plain).sum(axis=1)
+    part = world.evidence.steps.run_part[world.evidence.measured.step]
+    assert change == pytest.approx(np.maximum(0.6 * part, -0.1))

@@ -1,0 +1,69 @@
+"""What effects say of the plate data, against a period of the bent wave and its Fourier series."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.residuals.plate_observables import GAIN, PHASE, SECOND, THIRD, PlateData, expected
+from model.effects import effect
+
+QUADRATIC, CUBIC = 0.004, -0.0015  # per g and per g^2
+POINTS = 256
+
+
+def _bent(first_g: float, share: complex, ratio: int) -> np.ndarray:
+    """Complex amplitudes (of sines) of the bent plate's multiples, in g: index is the multiple."""
+    x = 2 * np.pi * np.arange(POINTS) / POINTS
+    a = first_g * (np.sin(x) + (np.imag(share * np.exp(1j * ratio * x)) if ratio > 1 else 0.0))
+    return 2j * np.fft.fft(a + QUADRATIC * a**2 + CUBIC * a**3)[: POINTS // 2] / POINTS
+
+
+def _data(kinds: list[int], multiples: list[int], ratio: int, share: complex, first_g: float) -> PlateData:
+    one = np.ones(len(kinds))
+    whole = np.ones(len(kinds), dtype=np.int64)
+    m = np.array(multiples, dtype=np.int64)
+    return PlateData(
+        np.array(kinds, dtype=np.int64), 0 * whole, 0 * one, one, 159.4 * m, first_g * one, 9.8 * first_g * one, m,
+        ratio * whole, share * one,
+    )
+
+
+BEND = {"harmonic_distortion": {
+    "second": np.zeros(1), "third": np.zeros(1), "phase_rad": np.zeros(1),
+    "quadratic_per_g": np.array([QUADRATIC]), "cubic_per_g2": np.array([CUBIC]),
+}}  # fmt: skip
+
+
+def test_a_harmonic_is_a_part_of_the_first_tone_as_it_is() -> None:
+    """Where a bend makes the first tone smaller, too, the harmonics are a larger part of it."""
+    said = expected(_data([GAIN, SECOND, THIRD], [1, 2, 3], 1, 1.0, 5.0), BEND)
+    true = _bent(5.0, 1.0, 1)
+    assert said[0] == pytest.approx(np.log(abs(true[1]) / 5.0), rel=1e-9)
+    assert said[1:] == pytest.approx(np.abs(true[2:4] / true[1]) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [4.0 + 0j, -4.0 + 0j, 2.0 - 3.0j])
+def test_two_tones_bend_with_the_phase_between_them(share: complex) -> None:
+    """Gain and phase of both tones and the third harmonic, whatever the phase of the second tone."""
+    said = expected(_data([GAIN, PHASE, GAIN, PHASE, THIRD], [1, 1, 2, 2, 3], 2, share, 1.2), BEND)
+    true = _bent(1.2, share, 2)
+    one, two = np.log(true[1] / 1.2), np.log(true[2] / 1.2 / share)
+    assert said[:4] == pytest.approx([one.real, one.imag, two.real, two.imag], rel=1e-9, abs=1e-12)
+    assert said[4] == pytest.approx(abs(true[3] / true[1]) ** 2, rel=1e-9)
+
+
+def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
+    """A first-order roll-off, a shaker above its resonance, and nothing where nothing is set."""
+    transfer = effect("phase_lag").hooks["transfer"]
+    absent = effect("phase_lag").effect.absent
+    omega, accel_g = np.array([0.0, 159.4, 318.8]), np.ones(3)
+    assert transfer(absent, omega, accel_g) == pytest.approx(np.ones(3))
+    low = transfer({**absent, "low_pass_s": 1e-3, "sharpness": 0.0}, omega, accel_g)
+    assert low == pytest.approx(1.0 / (1.0 + 1e-3j * omega))
+    damping, own_hz = 0.4, 3.0
+    high = transfer(
+        {**absent, "high_pass_hz": 2.0 * damping * own_hz, "sharpness": 0.25 / damping**2}, omega, accel_g
+    )
+    s, own = 1j * omega[1:], 2.0 * np.pi * own_hz
+    assert high[1:] == pytest.approx(s**2 / (s**2 + 2.0 * damping * own * s + own**2))

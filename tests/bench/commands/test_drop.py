@@ -1,0 +1,134 @@
+"""The command `bench drop`: its JSON, its pictures, its errors, and the profile it writes into."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+from typer.testing import CliRunner
+
+from bench.cli import app
+from rig.profile import load_profile
+
+RUNNER = CliRunner()
+ROOT = Path(__file__).parents[3]
+
+
+def _events(folder: Path, name: str = "times.csv", ratio: float = 0.9, seed: int = 0) -> Path:
+    rng = np.random.default_rng(seed)
+    times = 1.0 + np.concatenate(([0.0], np.cumsum(0.4 * ratio ** np.arange(12)))) + 1e-4 * rng.standard_normal(13)
+    rows = [f"{t:.6f},{d:.6f}" for t, d in zip(times, np.append(np.diff(times), 0.0), strict=True)]
+    (folder / name).write_text("Event time (s),Interval (s)\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return folder / name
+
+
+def _path(folder: Path) -> Path:
+    """Two parabolas: a fall of 0.1 m and a bounce with restitution 0.6, at 500 frames a second, in millimetres."""
+    g, e = 9.80665, 0.6
+    hit = np.sqrt(0.2 / g)
+    out = e * np.sqrt(0.2 * g)
+    t = np.arange(0, int(500 * (hit + 2 * out / g + 2 * e * out / g))) / 500.0
+    first, second = t - hit, t - hit - 2 * out / g
+    y = np.where(first < 0, 0.1 - 0.5 * g * t**2, out * first - 0.5 * g * first**2)
+    y = np.where(second < 0, y, e * out * second - 0.5 * g * second**2)
+    y = np.maximum(y, 0.0) * 1e3 + np.random.default_rng(1).normal(0.0, 0.02, len(t))
+    target = folder / "path.csv"
+    lines = "".join(f"{a:.5f};{b:.4f}\n" for a, b in zip(t, y, strict=True))
+    target.write_text("t (s);y (mm)\n" + lines, encoding="utf-8")
+    return target
+
+
+def test_json_of_impact_times(tmp_path: Path) -> None:
+    """The JSON has the agreed keys, alone on standard output, and the numbers that were put in."""
+    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), "--json", "-", "--no-pictures"])
+    assert run.exit_code == 0, run.output
+    result = json.loads(run.stdout)
+    assert {"impacts_s", "models", "chosen", "tie_set", "drop_height_m"} <= set(result)
+    assert len(result["impacts_s"]) == 13
+    model = result["models"][0]
+    assert model["name"] == result["chosen"] == result["tie_set"][0] == "constant_restitution"
+    assert model["parameters"]["e0"]["low"] < 0.9 < model["parameters"]["e0"]["high"]
+    assert 0.0 < model["rms_ms"] <= 2.0 * model["held_out_rms_ms"]
+    height = result["drop_height_m"]
+    assert height["low"] < 9.80665 * 0.4**2 / 8 / 0.81 < height["high"]
+
+
+def test_json_of_a_path_and_its_picture(tmp_path: Path) -> None:
+    """A table of positions gives the same keys, gravity from its unit, and a picture in the folder asked for."""
+    where = ["--json", str(tmp_path / "o.json"), "--out", str(tmp_path / "out")]
+    run = RUNNER.invoke(app, ["drop", str(_path(tmp_path)), *where])
+    assert run.exit_code == 0, run.output
+    result = json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))
+    assert result["restitution"][0]["restitution"]["value"] == pytest.approx(0.6, abs=0.005)
+    assert result["g_mps2"]["value"] == pytest.approx(9.80665, rel=0.01)
+    assert result["impacts_s"][0] == pytest.approx(np.sqrt(0.2 / 9.80665), abs=2e-4)
+    assert result["drop_height_m"]["value"] == pytest.approx(0.1, abs=0.001)
+    assert (tmp_path / "out" / "path-residuals.png").stat().st_size > 10_000
+
+
+def test_several_drops_are_fitted_together(tmp_path: Path) -> None:
+    """Files given in one call are one fit, each with its own impacts and height check."""
+    files = [str(_events(tmp_path, f"{k}.csv", seed=k)) for k in range(4)]
+    run = RUNNER.invoke(app, ["drop", *files, "--drop-height", "0.242", "--json", "-", "--no-pictures"])
+    result = json.loads(run.stdout)
+    assert len(result["drops"]) == 4
+    assert all(abs(drop["stated_height_m"]["sigmas_off"]) < 3.0 for drop in result["drops"])
+
+
+def test_the_result_goes_into_a_profile(tmp_path: Path) -> None:
+    """--into declares value, uncertainty, date and source, and the profile still loads with its comments."""
+    profile = tmp_path / "mine.toml"
+    text = (ROOT / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
+    profile.write_text(text, encoding="utf-8")
+    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), "--into", str(profile), "--no-pictures"])
+    assert run.exit_code == 0, run.output
+    loaded, _ = load_profile(profile)
+    e0 = loaded.declared["restitution"]["e0"]
+    assert e0.value == pytest.approx(0.9, abs=0.01) and e0.uncertainty > 0.0 and e0.date is not None
+    assert "times.csv" in e0.source
+    assert profile.read_text(encoding="utf-8").startswith(text.rstrip())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.csv"], "no such file"),
+        (["{events}", "--fps", "-3"], "--fps"),
+        (["{events}", "--use-height", "maybe"], "expected check or data"),
+        (["{events}", "--drop-height", "0.2", "--drop-height", "0.3"], "2 heights for 1 files"),
+        (["{events}", "{path}"], "one kind at a time"),
+        (["{path}", "--scale", "0.1"], "times gravity"),
+        (["{song}"], "only WAV is read"),
+        (["{empty}"], "empty"),
+        (["{renamed}"], "starts with RIFF"),
+        (["{phone}"], "only WAV is read"),
+        (["{prose}"], "no table with numbers"),
+        (["{masses}"], "no columns but the impacts'"),
+        (["{still}"], "no motion"),
+        (["{quiet}"], "stands out"),
+    ],
+)
+def test_wrong_calls_are_refused(tmp_path: Path, arguments: list[str], words: str) -> None:
+    """A wrong call ends with status 2 and a line that says what is wrong."""
+    (tmp_path / "song.mp3").write_bytes(b"ID3" + bytes(100))
+    (tmp_path / "empty.csv").write_bytes(b"")
+    (tmp_path / "renamed.wav").write_text("only words\n", encoding="utf-8")
+    (tmp_path / "phone.wav").write_bytes(b"\0\0\0\x20ftypM4A \0\0\0\0" + bytes(100))
+    (tmp_path / "prose.xlsx").write_text("hello;world\n", encoding="utf-8")
+    (tmp_path / "masses.csv").write_text("name,mass\na,1\nb,5\nc,2\nd,4\n", encoding="utf-8")
+    (tmp_path / "still.csv").write_text(
+        "t (s),y (m)\n" + "".join(f"{k / 100},0.5\n" for k in range(50)), encoding="utf-8"
+    )
+    noise = np.random.default_rng(1).normal(0.0, 300.0, 88200).astype(np.int16)
+    wavfile.write(tmp_path / "quiet.wav", 44100, noise)
+    names = {
+        **{file.stem: file for file in tmp_path.iterdir()},
+        "events": _events(tmp_path),
+        "path": _path(tmp_path),
+        "song": tmp_path / "song.mp3",
+        "empty": tmp_path / "empty.csv",
+    }
+    run = RUNNER.invoke(app, ["drop", *(a.format(**names) for a in arguments), "--no-pictures"])
+    assert run.exit_code == 2
+    assert words in run.stderr

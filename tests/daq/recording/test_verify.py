@@ -1,0 +1,143 @@
+"""Verify: every damage is found and placed; nothing whole is called damaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from daq.setup.errors import InputError
+from daq.recording import CHANNELS, Block, RecordingWriter, verify
+from daq.setup.setup import Setup
+
+
+def record(path: Path, setup: Setup, n_blocks: int = 4) -> RecordingWriter:
+    """An open writer with some blocks of 50000 frames in it."""
+    rng = np.random.default_rng(2)
+    writer = RecordingWriter(
+        path, setup, profile_text="", channels=CHANNELS, backend="simulated", simulated=True
+    )
+    for i in range(n_blocks):
+        writer.append(Block(50_000 * i, rng.integers(-999, 999, (50_000, 3), np.int16)))
+    writer.mark_step({"first_sample": 0, "n_samples": 100_000})
+    return writer
+
+
+def overwrite(path: Path, name: str, chunk: int, rows: int | None = None) -> None:
+    """Change one byte in the middle of a stored chunk of a dataset."""
+    with h5py.File(path, "r") as file:
+        dataset = file[name]
+        where = (chunk * dataset.chunks[0],) + (0,) * (dataset.ndim - 1)
+        info = dataset.id.get_chunk_info_by_coord(where)
+    with path.open("r+b") as raw:
+        raw.seek(info.byte_offset + info.size // 2)
+        byte = raw.read(1)[0]
+        raw.seek(-1, 1)
+        raw.write(bytes([byte ^ 0x10]))
+
+
+def test_states_of_sound_files(tmp_path: Path, setup: Setup) -> None:
+    """A finished run is complete, a failed or interrupted one stopped with its reason, a running one incomplete."""
+    path = tmp_path / "a.h5"
+    writer = record(path, setup)
+    assert verify(path).state == "incomplete"
+    writer.close()
+    assert verify(path).state == "complete"
+    record(tmp_path / "b.h5", setup).close("failed", "amplifier tripped")
+    report = verify(tmp_path / "b.h5")
+    assert report.state == "stopped"
+    assert "amplifier tripped" in report.where[0]
+    assert report.n_samples == 200_000
+
+
+@pytest.mark.parametrize("name", [*CHANNELS, "timestamp"])
+def test_a_changed_byte_is_placed(tmp_path: Path, setup: Setup, name: str) -> None:
+    """One bit flipped in one chunk of one channel: damaged, with the channel and the range of samples."""
+    path = tmp_path / "a.h5"
+    record(path, setup).close()
+    overwrite(path, name, 1)
+    report = verify(path)
+    assert report.state == "damaged"
+    assert report.where == [f"{name}: samples 65536 to 131071 do not read back"]
+
+
+def test_a_changed_byte_in_the_frames_is_placed(tmp_path: Path, setup: Setup) -> None:
+    """A run that was cut off and whose frames were changed names the block; so does the file made of it."""
+    path = tmp_path / "a.h5"
+    writer = record(path, setup)
+    writer._frames.close()
+    rows_per_chunk = 65536 // 6
+    overwrite(path, "frames", 60_000 // rows_per_chunk)
+    report = verify(path)
+    assert report.state == "damaged"
+    assert "block 1: samples 50000 to 99999" in report.where[0]
+
+
+def test_a_missing_chunk_is_damage(tmp_path: Path, setup: Setup) -> None:
+    """HDF5 reads a chunk that was never written as zeros without a word; the sum over the channel does not."""
+    path = tmp_path / "a.h5"
+    record(path, setup).close()
+    with h5py.File(path, "r+") as file:
+        data, attributes, scale = file["drive"][:65536], dict(file["drive"].attrs), file["timestamp"]
+        del file["drive"]
+        again = file.create_dataset("drive", (200_000,), "<i2", chunks=(65536,), fletcher32=True)
+        again[:65536] = data
+        again.dims[0].attach_scale(scale)
+        for key in ("scale_factor", "add_offset", "crc32"):
+            again.attrs[key] = attributes[key]
+    assert verify(path).where == ["drive: the checksum over all its samples does not fit"]
+
+
+def test_changed_metadata_is_damage(tmp_path: Path, setup: Setup) -> None:
+    """A note altered after the run is found."""
+    path = tmp_path / "a.h5"
+    record(path, setup).close()
+    with h5py.File(path, "r+") as file:
+        file.attrs["note"] = "better than it was"
+    assert verify(path).where == ["the root attributes differ from what was written"]
+
+
+def test_a_shortened_file_is_damage(tmp_path: Path, setup: Setup) -> None:
+    """A copy that broke off does not pass, wherever it broke off."""
+    path = tmp_path / "a.h5"
+    record(path, setup).close()
+    whole = path.read_bytes()
+    for share in (0.3, 0.7, 0.99):
+        cut = tmp_path / "cut.h5"
+        cut.write_bytes(whole[: int(len(whole) * share)])
+        assert verify(cut).state == "damaged"
+
+
+def test_every_byte_of_a_small_file_counts_or_is_idle(tmp_path: Path, setup: Setup) -> None:
+    """Flip bytes all over the file: each flip is found, or changes nothing that a reader gets."""
+    path = tmp_path / "a.h5"
+    writer = RecordingWriter(path, setup, profile_text="", channels=CHANNELS, backend="s", simulated=True)
+    codes = np.random.default_rng(1).integers(-9, 9, (500, 3), np.int16)
+    writer.append(Block(0, codes))
+    writer.close()
+    whole = path.read_bytes()
+    other = tmp_path / "b.h5"
+    for place in np.random.default_rng(3).integers(0, len(whole), 60):
+        changed = bytearray(whole)
+        changed[place] ^= 0xFF
+        other.write_bytes(changed)
+        try:
+            state = verify(other).state
+        except InputError:
+            continue  # it no longer is a recording at all
+        if state == "complete":
+            with h5py.File(other) as file:
+                for i, name in enumerate(CHANNELS):
+                    np.testing.assert_array_equal(file[name][:], codes[:, i])
+
+
+def test_only_recordings_are_judged(tmp_path: Path) -> None:
+    """A file that never was a recording is refused, not called damaged."""
+    with pytest.raises(InputError, match="no such file"):
+        verify(tmp_path / "none.h5")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = [1]
+    with pytest.raises(InputError, match="not a recording"):
+        verify(tmp_path / "other.h5")

@@ -1,0 +1,86 @@
+"""The one tone estimator: exact on clean tones, honest about noise, the same whatever piece is handed in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.lock_in import LockIn, fit_tones
+
+RATE = 20000.0
+FREQUENCIES = np.array([25.37, 76.11, 50.0])
+AMPLITUDES = np.array([3.0 * np.exp(0.4j), 0.7 * np.exp(-2.0j), 0.02j])
+
+
+def tones(n: np.ndarray) -> np.ndarray:
+    """The known signal at samples ``n``."""
+    phase = np.exp(2j * np.pi * ((FREQUENCIES[:, None] * n / RATE) % 1.0))
+    return 1.5 + (AMPLITUDES[:, None] * phase).real.sum(axis=0)
+
+
+def test_clean_tones_come_back_exactly_far_into_a_recording():
+    """Phases refer to sample 0 even after a thousand million samples."""
+    first = 10**9
+    fit = fit_tones(tones(first + np.arange(20000)), first, RATE, FREQUENCIES)
+    np.testing.assert_allclose(fit.amplitudes, AMPLITUDES, atol=1e-7)
+    assert fit.offset == pytest.approx(1.5, abs=1e-6)
+
+
+def test_masked_samples_do_not_count():
+    """Whatever stands in a masked sample leaves no trace."""
+    n = np.arange(777, 20777)
+    x = tones(n)
+    mask = (n // 500) % 4 != 1
+    x[~mask] = 1e3
+    fit = fit_tones(x, 777, RATE, FREQUENCIES, mask)
+    np.testing.assert_allclose(fit.amplitudes, AMPLITUDES, atol=1e-9)
+    assert fit.n == mask.sum()
+    assert fit.rms < 1e-6
+
+
+def test_covariance_is_the_scatter_over_repetitions():
+    """Whitened errors over many noisy repetitions have unit variance, in every quadrature, masked or not."""
+    rng = np.random.default_rng(1)
+    n = np.arange(4000)
+    mask = (n % 788) > 200
+    whitened = []
+    for _ in range(300):
+        fit = fit_tones(tones(n) + 0.3 * rng.standard_normal(n.size), 0, RATE, FREQUENCIES, mask)
+        error = fit.amplitudes - AMPLITUDES
+        stacked = np.column_stack([error.real, error.imag]).ravel()
+        whitened.append(np.linalg.solve(np.linalg.cholesky(fit.covariance), stacked))
+    variance = np.var(whitened, axis=0)
+    assert np.all(np.abs(variance - 1.0) < 4 * np.sqrt(2 / 300))
+
+
+def test_pieces_add_up_to_the_whole():
+    """Two pieces accumulated one after the other, or added, give the fit of the whole, for every channel."""
+    n = np.arange(9000)
+    x = np.column_stack([tones(n), 2.0 * tones(n)])
+    whole, left, right = (LockIn(RATE, FREQUENCIES, channels=2) for _ in range(3))
+    whole.add(x, 0)
+    left.add(x[:4321], 0)
+    right.add(x[4321:], 4321)
+    both = left + right
+    np.testing.assert_allclose(both.solve(1).amplitudes, whole.solve(1).amplitudes, rtol=1e-9)
+    np.testing.assert_allclose(both.solve(1).amplitudes, 2 * AMPLITUDES, rtol=1e-8)
+
+
+def test_means_of_samples_give_the_amplitudes_of_the_samples():
+    """The boxcar's gain and delay are taken out, even for a tone near the rate of the means."""
+    boxcar = 16
+    n = np.arange(boxcar * 2000)
+    lock_in = LockIn(RATE / boxcar, FREQUENCIES, boxcar=boxcar)
+    lock_in.add(tones(n).reshape(-1, boxcar).mean(axis=1), 0)
+    np.testing.assert_allclose(lock_in.solve().amplitudes, AMPLITUDES, atol=1e-9)
+
+
+def test_tones_that_cannot_be_told_apart_are_refused():
+    """Twice the same frequency, or too few samples, is an error and not a number."""
+    x = np.zeros(1000)
+    with pytest.raises(ValueError, match="told apart"):
+        fit_tones(x, 0, RATE, [25.0, 25.0])
+    with pytest.raises(ValueError, match="cannot fix"):
+        fit_tones(x[:3], 0, RATE, [25.0, 50.0])
+    with pytest.raises(ValueError, match="positive"):
+        fit_tones(x, 0, RATE, [0.0])

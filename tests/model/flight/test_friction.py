@@ -1,0 +1,217 @@
+"""The rough, bouncing ball: published bifurcations, 60 digits, brute force at 50 ns."""
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from benchmarks.model.friction_reference import ExactRough, march
+
+from model.flight import chatter, friction
+from model.flight.first_landing import run_diagram, take_off_phases, turning_points
+from model.series.friction_orbit import Rough, RoughFlag, run_rough_diagram, run_rough_orbit
+from model.tones import Forcing
+
+ONE = Forcing.superposition(1)
+G_MPS2 = 9.81
+
+
+def lasting(gamma_peak, rough, n=4, v0=0.0):
+    """The settled orbit at one sine."""
+    return run_rough_orbit(ONE, gamma_peak / 2, rough, 4000, n, 1.5, v0)
+
+
+def test_friction_alone_locks_and_doubles_where_published():
+    """At mu = 0.3 without restitution the 1-cycle locks at 4.0564 and doubles at 4.507."""
+    rough = Rough(0.3, 0.3)
+    assert lasting(4.0563, rough).tau[0] < 2 * np.pi - 1e-6
+    assert lasting(4.0565, rough).tau == pytest.approx(2 * np.pi, abs=1e-6)
+    assert np.ptp(lasting(4.5065, rough).tau) < 1e-3 < np.ptp(lasting(4.5075, rough).tau)
+
+
+@pytest.mark.parametrize(("e", "k"), [(0.1, 1), (0.3, 1), (0.514, 1), (0.514, 2), (0.8, 3)])
+def test_restitution_alone_locks_and_doubles_by_formula(e, k):
+    """The locked bouncing cycle exists from k pi (1-e)/(1+e) and doubles where the formula says."""
+    lock = k * math.pi * (1 - e) / (1 + e)
+    double = math.hypot(lock, 2 * (1 + e * e) / (1 + e) ** 2)
+    v0 = e * 2 * math.pi * k / (1 + e)  # the cycle's own rebound: tau = 2 pi k between equal heights
+    for gamma_peak, stable in ((0.5 * (lock + double), True), (0.99 * double, True), (1.01 * double, False)):
+        phase = math.acos(lock / gamma_peak) + 1e-6  # the plate's speed at impact is the lock's amplitude
+        tau = run_rough_orbit(ONE, gamma_peak / 2, Rough(e0=e), 0, 3000, phase, v0).tau
+        assert tau[0] == pytest.approx(2 * math.pi * k, abs=1e-4)
+        departed = np.max(np.abs(tau[1000:] - 2 * math.pi * k))
+        assert (departed < 1e-8) if stable else (departed > 1e-2)
+
+
+def test_smooth_and_dead_is_the_ideal_ball():
+    """Without friction and restitution the rough kernel flies the ideal ball's flights."""
+    for ratio in (1, 2, 3):
+        forcing = Forcing.superposition(ratio)
+        gammas = np.linspace(0.6, 6, 200)
+        ideal = run_diagram(forcing, gammas, 0, 2)
+        rough = run_rough_diagram(forcing, gammas, Rough(), 0, 2)
+        assert rough.tau == pytest.approx(ideal.tau, abs=1e-10)
+        assert np.array_equal(rough.flag, ideal.flag)
+
+
+def test_lockstep_flies_the_orbits_of_the_lone_kernel():
+    """Lane by lane the lockstep repeats the orbit flown flight by flight, until rounding is blown up."""
+    for ratio in (1, 2, 3):
+        forcing, gammas = Forcing.superposition(ratio), np.linspace(0.2, 6, 150)
+        for rough in (Rough(0.3, 0.2), Rough(0.0, 0.3, 0.6), Rough(0.2, 0.2, 0.514, 0.02)):
+            batch = run_rough_diagram(forcing, gammas, rough, 2, 6, 0.4, 0.7)
+            up, down = np.zeros(20), np.zeros(20)
+            for row, gamma in enumerate(gammas):
+                n_up, n_down = friction.fill_rough_edges(
+                    forcing.tones, turning_points(forcing), gamma, rough.packed, up, down
+                )
+                one, flag = np.empty((4, 6)), np.empty(6, dtype=np.int8)
+                friction.rough_orbit(
+                    forcing.tones, gamma, up, n_up, down, n_down, rough.packed, 0.4, 0.7, 2, *one, flag
+                )
+                assert batch.tau[row, :2] == pytest.approx(one[0, :2], abs=1e-7)
+                assert np.array_equal(batch.flag[row, :2], flag[:2])
+
+
+def cases(n, seed, hanging):
+    """Random rough balls on random plates, with their take-offs; those that hang in mid-air or those that do not."""
+    rng = np.random.default_rng(seed)
+    while n > 0:
+        forcing = Forcing.superposition(int(rng.integers(1, 5)), (1.0, 1.0), (0.0, rng.uniform(0, 6)))
+        gamma, phi0, v0 = rng.uniform(0.6, 5), rng.uniform(0, 2 * np.pi), float(10 ** rng.uniform(-3, 0.7))
+        rough = Rough(*rng.uniform(0, 0.6, 2) * rng.integers(0, 2, 2))
+        orbit = run_rough_orbit(forcing, gamma, rough, 0, 1, phi0, v0)
+        if bool(orbit.flag[0] & RoughFlag.HUNG) == hanging:
+            n -= 1
+            yield forcing, gamma, rough, phi0, v0, orbit
+
+
+@pytest.mark.parametrize("hanging", [False, True])
+def test_one_flight_to_60_digits(hanging):
+    """Flight time, impact speed and hanging agree with the event-by-event 60-digit solver."""
+    for forcing, gamma, rough, phi0, v0, orbit in cases(6, 1, hanging):
+        assert not orbit.flag[0] & RoughFlag.UNDECIDED
+        landing, speed, waited = ExactRough(forcing, gamma, rough.mu_up, rough.mu_down).flight(mp.mpf(phi0), v0)
+        assert orbit.tau[0] == pytest.approx(float(landing - phi0), abs=1e-10)
+        assert orbit.impact_speed[0] == pytest.approx(float(speed), abs=1e-9)
+        assert (waited > 0) == hanging
+
+
+def test_tail_of_chatter_keeps_its_bound():
+    """The summed tail ends within 1e-9 of the end that the bounces, flown one by one to nothing, lead to."""
+    rng = np.random.default_rng(4)
+    tried = 0
+    while tried < 200:
+        forcing = Forcing.superposition(int(rng.integers(1, 4)))
+        gamma, mu, e0 = rng.uniform(0.05, 4), rng.uniform(0, 0.4), rng.uniform(0.05, 0.9)
+        rough = Rough(mu, mu * rng.uniform(0, 1), e0, rng.uniform(-0.05, 0.05))
+        phi0, v0 = rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-5, -2)
+        tail = chatter.tail_of_chatter(forcing.tones, gamma, rough.packed, phi0, v0)
+        if tail < 0:
+            continue
+        tried += 1
+        up, down = np.zeros(20), np.zeros(20)
+        turning = turning_points(forcing)
+        n_up, n_down = friction.fill_rough_edges(forcing.tones, turning, gamma, rough.packed, up, down)
+        total, phi, v = 0.0, phi0, v0
+        while v > 1e-12:
+            tau, phi, speed, _ = friction.rough_land(
+                forcing.tones, gamma, up, n_up, down, n_down, rough.packed, phi, v, False
+            )
+            total += tau
+            v = friction.rebound(rough.packed, speed)
+        assert tail == pytest.approx(total, abs=chatter.PHASE_BOUND)
+
+
+STEP_S = 50e-9
+
+
+def marched(forcing, gamma, rough, e1_s_per_m, phase, v0_mps, omega, step_s=STEP_S):
+    """Impact times and speeds, hanging time and time of rest by brute force, and the error of its speeds.
+
+    At a switch of the friction's sign or at an impact the march is wrong by part of a step: at most the step times the
+    largest acceleration, for each of the few switches of a flight.
+    """
+    times, speeds = np.empty(400), np.empty(400)
+    n, hung, rest, _ = march(
+        forcing.tones, gamma, omega, G_MPS2, rough.mu_up, rough.mu_down, rough.e0, e1_s_per_m, phase, v0_mps, step_s,
+        0.4, times, speeds,
+    )  # fmt: skip
+    n_, b, _ = forcing.tones.T
+    largest = G_MPS2 * (1 + max(rough.mu_up, rough.mu_down) + gamma * float(np.sum(b * n_**2)))
+    return times[:n], speeds[:n], hung, rest, 6 * step_s * largest
+
+
+@pytest.mark.parametrize(
+    ("ratio", "gamma", "mu_up", "mu_down", "e0", "e1_s_per_m", "phase"),
+    [(1, 0.45, 0.3, 0.2, 0.514, 0.0, 1.0), (1, 0.9, 0.5, 0.5, 0.3, 0.05, 0.8), (2, 0.8, 0.4, 0.4, 0.5, 0.1, 0.7),
+     (3, 0.2, 0.3, 0.3, 0.6, 0.0, 2.9)],
+)  # fmt: skip
+def test_chatter_against_50_nanosecond_steps(ratio, gamma, mu_up, mu_down, e0, e1_s_per_m, phase):
+    """From the first bounce to rest, impact times and energies agree with a brute force to its own error."""
+    forcing, omega, v0_mps = Forcing.superposition(ratio), 2 * np.pi * 25.0, 0.12
+    rough = Rough.from_si(mu_up=mu_up, mu_down=mu_down, e0=e0, e1_s_per_m=e1_s_per_m, omega_radps=omega, g_mps2=G_MPS2)
+    orbit = run_rough_orbit(forcing, gamma, rough, 0, 40, phase, v0_mps * omega / G_MPS2)
+    chain = 1 + int(np.argmax(orbit.flag & RoughFlag.CHATTERED > 0))
+    assert orbit.flag[chain - 1] & RoughFlag.CHATTERED
+    times, speeds, _, rest, own = marched(forcing, gamma, rough, e1_s_per_m, phase, v0_mps, omega)
+    fine = marched(forcing, gamma, rough, e1_s_per_m, phase, v0_mps, omega, STEP_S / 4)
+    own_s = 1e-6 + 2 * np.maximum.accumulate(np.abs(times[:chain] - fine[0][:chain]))  # the chain amplifies it
+    own_mps = own + 2 * np.maximum.accumulate(np.abs(speeds[:chain] - fine[1][:chain]))
+    landing_s = np.cumsum(orbit.tau[:chain]) / omega
+    assert np.all(np.abs(landing_s - times[:chain]) <= own_s)
+    speed_mps = orbit.impact_speed[:chain] * G_MPS2 / omega
+    assert np.all(np.abs(speed_mps**2 - speeds[:chain] ** 2) / 2 <= (speed_mps + own_mps) * own_mps)
+    assert landing_s[-1] + orbit.rest_tau[chain - 1] / omega == pytest.approx(rest, abs=own_s[-1])
+    assert own_s[-1] < 1e-3 * rest
+
+
+def test_hanging_against_50_nanosecond_steps():
+    """Flights that hang on the rod land when, and as hard as, a brute force says, to its own error."""
+    omega = 2 * np.pi * 25.0
+    for forcing, gamma, rough, phi0, v0, orbit in cases(4, 5, True):
+        times, speeds, hung, _, own = marched(forcing, gamma, rough, 0.0, phi0, v0 * G_MPS2 / omega, omega)
+        assert hung > 0.0
+        assert orbit.tau[0] / omega == pytest.approx(times[0], abs=4e-6)
+        speed_mps = orbit.impact_speed[0] * G_MPS2 / omega
+        assert abs(speed_mps**2 - speeds[0] ** 2) / 2 <= (speed_mps + own) * own
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    ratio=st.integers(1, 5), gamma=st.floats(0, 50), mu_up=st.floats(0, 2), mu_down=st.floats(0, 0.9),
+    e0=st.floats(0, 1), e1=st.floats(-0.05, 0.5), v0=st.one_of(st.just(0.0), st.floats(1e-6, 5)),
+)  # fmt: skip
+def test_orbits_never_gain_what_the_plate_cannot_give(ratio, gamma, mu_up, mu_down, e0, e1, v0):
+    """Whatever the parameters, flights are finite or flagged, and impacts no faster than plate and fall allow."""
+    forcing = Forcing.superposition(ratio)
+    orbit = run_rough_orbit(forcing, gamma, Rough(mu_up, mu_down, e0, e1), 0, 30, 0.0, v0)
+    flew = orbit.flag & RoughFlag.RESTS == 0
+    assert np.all(np.isfinite(orbit.tau[flew]))
+    assert np.all(orbit.tau >= 0.0)
+    assert np.all(orbit.impact_speed >= 0.0)
+    chattered = orbit.flag & RoughFlag.CHATTERED > 0
+    assert np.array_equal(chattered, np.isfinite(orbit.rest_tau))
+    follows = np.flatnonzero(chattered[:-1])
+    assert np.all(orbit.flag[follows + 1] & (RoughFlag.RESET | RoughFlag.RESTS))
+
+
+def test_take_off_waits_for_friction():
+    """From rest the ball leaves where -a_p exceeds g (1 + mu_up)."""
+    orbit = run_rough_orbit(ONE, 1.0, Rough(mu_up=0.3), 0, 1)
+    assert orbit.takeoff_phase[0] == pytest.approx(math.asin(1.3 / 2), abs=1e-14)
+    assert orbit.takeoff_phase[0] > take_off_phases(ONE, 1.0).start[0]
+    assert run_rough_orbit(ONE, 0.6, Rough(mu_up=0.3), 0, 1).flag[0] == RoughFlag.RESTS
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: Rough(mu_down=1.0), lambda: Rough(mu_up=-0.1), lambda: Rough(e0=1.1), lambda: Rough(e1=float("nan")),
+     lambda: run_rough_orbit(ONE, -1.0, Rough(), 0, 1), lambda: run_rough_orbit(ONE, 1.0, Rough(), 0, 1, v0=-1.0)],
+)  # fmt: skip
+def test_nonsense_is_refused(make):
+    """Friction that holds the ball up for ever, restitution above 1 and negative speeds are errors."""
+    with pytest.raises(ValueError, match="must"):
+        make()

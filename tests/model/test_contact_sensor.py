@@ -1,0 +1,98 @@
+"""What the contact circuit shows of exact flights."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model.flight.first_landing import first_landing, relative_height, run_orbit
+from model.contact_sensor import Instrument, observe, opening_delay
+from model.tones import Forcing
+
+EVENTS = st.lists(st.floats(1e-6, 5e-3), min_size=2, max_size=40).filter(lambda gaps: len(gaps) % 2 == 0)
+
+
+def scan(takeoff, landing, instrument):
+    """Brute force: the level of every sample, then its edges."""
+    n = np.arange(int(np.ceil(landing[-1] * instrument.rate_hz)) + 2) / instrument.rate_hz
+    opened = takeoff.copy()
+    opened[1:] = np.maximum(opened[1:], landing[:-1] + instrument.closure_s)
+    level = ((n[:, None] >= opened) & (n[:, None] < landing)).any(axis=1)
+    step = np.flatnonzero(np.diff(level.astype(int)))
+    return n[step[::2] + 1], n[step[1::2] + 1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(EVENTS, st.sampled_from([0.0, 2e-4, 1e-3]))
+def test_every_sample_agrees_with_a_scan(gaps, closure_s):
+    """Visible flights are those of a sample-by-sample scan, whatever the events and the closure after an impact."""
+    times = np.cumsum(gaps)
+    instrument = Instrument(closure_s=closure_s)
+    seen = observe(times[::2], times[1::2], instrument)
+    takeoff_s, landing_s = scan(times[::2], times[1::2], instrument)
+    assert seen.takeoff_s == pytest.approx(takeoff_s, abs=1e-12)
+    assert seen.landing_s == pytest.approx(landing_s, abs=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(EVENTS, st.sampled_from([0.0, 5e-4, 2e-3]), st.sampled_from([0.0, 8e-4]), st.integers(0, 99))
+def test_no_flight_is_dropped_silently(gaps, dead_time_s, bounce_s, seed):
+    """Every exact flight is either alone in a visible one or listed as hidden, and reports keep the dead time."""
+    times = np.cumsum(gaps)
+    instrument = Instrument(dead_time_s=dead_time_s, bounce_s=bounce_s)
+    seen = observe(times[::2], times[1::2], instrument, rng=np.random.default_rng(seed))
+    alone = seen.first[(seen.first == seen.last) & (seen.first >= 0)]
+    assert sorted([*alone, *seen.hidden]) == list(range(times.size // 2))
+    edges = np.column_stack([seen.takeoff_s, seen.landing_s]).ravel()
+    assert np.all(np.diff(edges) >= max(dead_time_s, 1 / 20000) - 1e-9)
+    assert np.all(seen.last >= seen.first)
+
+
+def test_relaunch_hides_the_contact():
+    """At one sine where flights relaunch where they land, no contact is seen and all flights merge into one."""
+    orbit = run_orbit(Forcing.superposition(1), 1.75, 20, 50)
+    end = np.cumsum(orbit.tau) / (2 * np.pi * 25)
+    seen = observe(np.concatenate([[0.0], end[:-1]]), end, Instrument())
+    assert list(seen.first) == [0]
+    assert list(seen.last) == [49]
+    assert seen.merged.all()
+    assert seen.hidden.size == 50
+
+
+def test_a_closure_shows_the_relaunch():
+    """The same flights are told apart when the impact closes the circuit for half a millisecond."""
+    orbit = run_orbit(Forcing.superposition(1), 1.75, 20, 50)
+    end = np.cumsum(orbit.tau) / (2 * np.pi * 25)
+    seen = observe(np.concatenate([[0.0], end[:-1]]), end, Instrument(closure_s=5e-4))
+    assert list(seen.first) == list(range(50))
+    assert seen.hidden.size == 0
+
+
+def test_dead_time_swallows_a_short_contact():
+    """A contact of 1 ms survives sampling but not a dead time of 2 ms."""
+    takeoff, landing = np.array([0.0, 0.031]), np.array([0.03, 0.06])
+    assert observe(takeoff, landing, Instrument()).first.size == 2
+    seen = observe(takeoff, landing, Instrument(dead_time_s=2e-3))
+    assert (list(seen.first), list(seen.last)) == ([0], [1])
+
+
+def test_a_gap_of_a_third_of_a_micrometre_opens_late():
+    """At a threshold the circuit opens late by the cube root of 6 gap / jerk: 0.7 ms for 0.3 um at 25 Hz."""
+    omega, gamma, forcing = 2 * np.pi * 25, 0.75, Forcing.superposition(1)
+    phi0 = np.arcsin(1 / (2 * gamma))
+    gap = 0.3e-6 * omega**2 / 9.81
+    delay = opening_delay(forcing, gamma, [phi0], [first_landing(forcing, gamma, phi0).tau], gap)
+    assert relative_height(forcing, gamma, phi0, delay) == pytest.approx(gap, rel=1e-9)
+    assert delay[0] == pytest.approx((6 * gap / np.sqrt((2 * gamma) ** 2 - 1)) ** (1 / 3), rel=0.05)
+    assert delay[0] / omega == pytest.approx(1.1e-3, rel=0.3)
+    assert np.isinf(opening_delay(forcing, gamma, [phi0], [3.566217], 10.0))[0]
+
+
+def test_misuse_is_refused():
+    """Events out of order, a bouncing contact without randomness and a negative time are errors."""
+    with pytest.raises(ValueError, match="in order"):
+        observe([0.0, 0.01], [0.02, 0.03], Instrument())
+    with pytest.raises(ValueError, match="rng"):
+        observe([0.0], [0.02], Instrument(bounce_s=1e-3))
+    with pytest.raises(ValueError, match="dead_time_s"):
+        Instrument(dead_time_s=-1.0)
