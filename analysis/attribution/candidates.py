@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from analysis.attribution.fit import parameter_of
 from analysis.residuals.forward_model import DRIFT, Key, World
-from model.effects import registry
+from model.effects.registry import registry
 
 UNLIKE = 0.3  # relative: a shape farther off begins a fit of its own
 

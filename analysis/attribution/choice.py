@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.hypothesis import Explanation, Rejected
 from analysis.attribution.comparison import Compared, thriftiest
+from analysis.attribution.hypothesis import Explanation, Rejected
 from analysis.residuals.lack_of_fit import plate_ratio_of
 from analysis.thresholds import FROZEN, Thresholds
 

@@ -18,7 +18,7 @@ from analysis.residuals.forward_model import DRIFT, Key, World
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.whitening import Whitener, step_losses
 from daq.setup.setup import Setup
-from model.effects import Parameter, effect, registry
+from model.effects.registry import Parameter, effect, registry
 
 Array = NDArray[np.float64]
 

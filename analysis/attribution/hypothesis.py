@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.fit import Fitted
 from analysis.attribution.comparison import Compared
+from analysis.attribution.fit import Fitted
 from analysis.residuals.forward_model import Key
 from analysis.residuals.whitening import Whitener
 

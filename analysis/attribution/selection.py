@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of, unlike
 from analysis.attribution.choice import Judge
-from analysis.attribution.hypothesis import Attribution, Explanation, Rejected
-from analysis.attribution.fit import Fitted, Fitter, parameter_of
+from analysis.attribution.coarse_search import Landscape, Point, joint_points, thinned
 from analysis.attribution.comparison import Compared
+from analysis.attribution.fit import Fitted, Fitter, parameter_of
+from analysis.attribution.hypothesis import Attribution, Explanation, Rejected
 from analysis.residuals.forward_model import Key, World, plate_effects
 from analysis.residuals.lack_of_fit import plate_ratio_of, ratio_of
-from analysis.attribution.coarse_search import Landscape, Point, joint_points, thinned
-from analysis.thresholds import FROZEN, Thresholds
 from analysis.residuals.whitening import Whitener
+from analysis.thresholds import FROZEN, Thresholds
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

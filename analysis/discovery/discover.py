@@ -13,18 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.attribution.candidates import Candidate
+from analysis.attribution.comparison import Compared
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Explanation
 from analysis.attribution.selection import THREADS
 from analysis.discovery.describe import in_words
-from analysis.attribution.candidates import Candidate
-from analysis.residuals.covariates import covariates
-from analysis.attribution.hypothesis import Explanation
-from analysis.attribution.fit import Fitter
-from analysis.attribution.comparison import Compared
-from analysis.residuals.forward_model import World, plate_effects
 from analysis.discovery.search import Polished, TermSearch, known_loss
 from analysis.discovery.terms import Spliced, spoken
+from analysis.residuals.covariates import covariates
+from analysis.residuals.forward_model import World, plate_effects
 from analysis.thresholds import FROZEN
-from model.effects import registry
+from model.effects.registry import registry
 from model.integrator.one_step import Predicted
 
 Array = NDArray[np.float64]

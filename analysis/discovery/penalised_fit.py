@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from analysis.discovery.spline_basis import basis_of, hats_of
+from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, Curve, Spliced, Term, event_term
 from analysis.residuals.forward_model import FARTHEST_PERIODS, Values, World
 from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_of, log_odds, robust_loss, robust_weight
-from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, Curve, Spliced, Term, event_term
 
 Array = NDArray[np.float64]
 

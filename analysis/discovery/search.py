@@ -12,14 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.selection import THREADS
-from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.hypothesis import Explanation
-from analysis.attribution.fit import Fitter
-from analysis.residuals.forward_model import Key, Values, World
-from analysis.residuals.noise_model import robust_loss
 from analysis.attribution.coarse_search import thinned
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.selection import THREADS
 from analysis.discovery.penalised_fit import (
     SHARP,
     TAILS,
@@ -34,9 +31,12 @@ from analysis.discovery.penalised_fit import (
     try_covariate,
     try_in_flight,
 )
+from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, Curve, Spliced, Term, event_terms, ranges_of
+from analysis.residuals.forward_model import Key, Values, World
+from analysis.residuals.noise_model import robust_loss
 from analysis.residuals.whitening import Whitener
-from model.effects import effect
+from model.effects.registry import effect
 
 Array = NDArray[np.float64]
 

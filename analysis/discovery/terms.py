@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.discovery.spline_basis import basis_of, penalty_of
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import Key, Values, World
-from model.effects import offsets
+from model.effects.registry import offsets
 from model.effects.smooth_force import KNOTS
 
 Array = NDArray[np.float64]

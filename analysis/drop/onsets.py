@@ -17,8 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from daq.setup.errors import InputError
 from daq.recording import open_recording
+from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 

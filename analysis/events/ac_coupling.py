@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.edges import Levels
-from analysis.signals.stream import PAD, Piece
 from analysis.events.impact_template import white_noise
+from analysis.signals.stream import PAD, Piece
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate.accumulator import multiples_of
 from analysis.events.impact_detection import ImpactScan
+from analysis.events.impact_template import LEAD, Waveform, echo_samples, learn_waveform
+from analysis.plate.accumulator import multiples_of
 from analysis.plate.mains_lines import MAINS_HZ, STANDS_OUT, lines_apart
 from analysis.signals.stream import PAD, Piece
-from analysis.events.impact_template import LEAD, Waveform, echo_samples, learn_waveform
 from daq.lock_in import ToneFit, fit_tones
 from kernels import njit
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.short_contacts import refine_brief
 from analysis.events.edges import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
-from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, calibrate, sharpen
-from analysis.plate.motion import PlateMotion
+from analysis.events.short_contacts import refine_brief
 from analysis.flights.scan import Progress, Scan, scan
+from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
+from analysis.plate.motion import PlateMotion
 from daq.recording import Recording
 from daq.setup.setup import Setup
 

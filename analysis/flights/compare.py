@@ -15,14 +15,14 @@ from analysis.flights.classify import BandTest, Change, StepClass, band_test, ch
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
-from model.orbits.make_ball import ball_of
-from model.effects.routing import Effects, of_the_ball, reading
-from model.effects import resolve
-from model.contact_sensor import Instrument, observe
-from model.bifurcations.sweep import observed
-from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
-from model.tones import Forcing
 from model.bifurcations.forbidden_zones import forbidden_zones
+from model.bifurcations.sweep import observed
+from model.contact_sensor import Instrument, observe
+from model.effects.registry import resolve
+from model.effects.routing import Effects, of_the_ball, reading
+from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
+from model.orbits.make_ball import ball_of
+from model.tones import Forcing
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
 from analysis.events.edges import OPENS, Crossings, CrossingScan, Levels, measure_levels
-from analysis.plate.accumulator import Folder
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
+from analysis.events.impact_template import Waveform, white_noise
 from analysis.events.template_estimate import learn
+from analysis.plate.accumulator import Folder
 from analysis.plate.motion import PlateMotion
 from analysis.signals.stream import PAD, Piece, pieces, survey_pieces
-from analysis.events.impact_template import Waveform, white_noise
+from daq.recording import Recording
 from daq.recording.tables import STEP_DTYPE, BlockFlag
 from daq.setup.errors import InputError
-from daq.recording import Recording
 from daq.setup.setup import FAR_OUTSIDE
 
 Ints = npt.NDArray[np.int64]

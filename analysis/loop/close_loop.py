@@ -16,22 +16,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.attribution.comparison import Compared
+from analysis.attribution.fit import Fitter, priors_of
+from analysis.attribution.hypothesis import Attribution, Explanation, Rejected
 from analysis.attribution.selection import Attributor
 from analysis.discovery.discover import Discovery, discover
 from analysis.loop.calibrations import fitted_calibrations
-from analysis.residuals.prediction_errors import Errors, errors_on, judged_rows, noise_floors_us, noise_quantiles_us
-from analysis.residuals.observations import Evidence, evidence_of
-from analysis.attribution.hypothesis import Attribution, Explanation, Rejected
-from analysis.attribution.fit import Fitter, priors_of
-from analysis.attribution.comparison import Compared
+from analysis.loop.verdict import Failed, Verdict, failed_tests, verdict_of
 from analysis.residuals.forward_model import DRIFT, World
 from analysis.residuals.lack_of_fit import Remainder, remainder
-from analysis.thresholds import FROZEN, Thresholds
-from analysis.loop.verdict import Failed, Verdict, failed_tests, verdict_of
+from analysis.residuals.observations import Evidence, evidence_of
+from analysis.residuals.prediction_errors import Errors, errors_on, judged_rows, noise_floors_us, noise_quantiles_us
 from analysis.residuals.whitening import step_losses
+from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from model.effects import effect, registry, resolve
+from model.effects.registry import effect, registry, resolve
 
 Progress = Callable[[str, float], None]
 

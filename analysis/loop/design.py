@@ -13,16 +13,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.loop.close_loop import Loop
-from analysis.residuals.observations import Evidence, Steps
-from analysis.attribution.hypothesis import Explanation
 from analysis.attribution.fit import Fitter, Prior, priors_of
+from analysis.attribution.hypothesis import Explanation
+from analysis.loop.close_loop import Loop
 from analysis.residuals.forward_model import DRIFT, Key, World
+from analysis.residuals.observations import Evidence, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
-from model.effects import effect
 from model.effects.base import COMPILED_HOOKS
+from model.effects.registry import effect
 from model.integrator.one_step import Measured, PlateSteps, march
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from analysis.residuals.prediction_errors import Errors
 from analysis.residuals.lack_of_fit import Remainder
 from analysis.residuals.noise_model import SHARED_S
+from analysis.residuals.prediction_errors import Errors
 from analysis.thresholds import Thresholds
 
 Verdict = Literal["explained", "unexplained", "nothing_missing"]
@@ -56,7 +56,8 @@ def failed_tests(
         Errors on the held-out steps, and the noise floors of landings and take-offs there.
     limits
     chance_us
-        Root mean squares that noise alone hardly exceeds there, see `analysis.residuals.prediction_errors.noise_quantiles_us`.
+        Root mean squares that noise alone hardly exceeds there, see
+        `analysis.residuals.prediction_errors.noise_quantiles_us`.
 
     Notes
     -----

@@ -16,8 +16,8 @@ from analysis.plate import step_fit
 from analysis.plate.mains_lines import LOBE, MAINS_HZ, MainsLine, heard_hz, line_of, lines_apart, moved
 from analysis.plate.motion import StepPlate
 from analysis.signals.stream import Piece, block_means
-from daq.recording import Recording
 from daq.lock_in import LockIn, ToneFit
+from daq.recording import Recording
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

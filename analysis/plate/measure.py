@@ -5,8 +5,8 @@ The rule kept here: one pass over the recording serves plate and flights alike (
 
 from __future__ import annotations
 
-from analysis.plate.motion import Line, PlateMotion, SlowMotion, StepPlate, Windows
 from analysis.flights.scan import Progress, scan
+from analysis.plate.motion import Line, PlateMotion, SlowMotion, StepPlate, Windows
 from daq.recording import Recording
 
 __all__ = ["Line", "PlateMotion", "SlowMotion", "StepPlate", "Windows", "plate_of"]

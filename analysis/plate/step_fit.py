@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate import windows
 from analysis.plate.contact_flight_fit import Sides, scaled
 from analysis.plate.fit_mask import Kept
 from analysis.plate.mains_lines import doubted
 from analysis.plate.motion import SlowMotion, StepPlate, Windows
+from analysis.plate.windows import second_look as fit_windows
+from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording
 from daq.setup.setup import Setup
-from daq.lock_in import LockIn, ToneFit
 from model.tones import Plate
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
         windows = n // length
         gram, side, power = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros((windows, 2))
         used = np.zeros(windows, dtype=np.int64)
-        windows.second_look(
+        fit_windows(
             span.values, keep, span.first,
             folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
             gram, side, power, used,

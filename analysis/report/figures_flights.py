@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.report import style
 from analysis.flights.compare import Comparison, ball_on
 from analysis.flights.table import FlightFlag, Flights
-from analysis.report.gamma import gamma_scale
 from analysis.plate.motion import StepPlate
+from analysis.report import style
+from analysis.report.gamma import gamma_scale
 from daq.recording import Recording
 from daq.setup.setup import Setup
+from model.bifurcations.forbidden_zones import forbidden_zones
+from model.orbits.attractor import attractor
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import diagram
-from model.orbits.attractor import attractor
-from model.bifurcations.forbidden_zones import forbidden_zones
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from analysis.loop.close_loop import Loop
 from analysis.report.gamma import gamma_scale
-from analysis.report.style import AFTER, BEFORE, FLOOR, figure
 from analysis.report.narrative import gains
+from analysis.report.style import AFTER, BEFORE, FLOOR, figure
 from analysis.report.wording import plain
 
 Array = NDArray[np.float64]

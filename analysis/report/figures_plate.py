@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.report import style
 from analysis.flights.table import Flights
-from analysis.report.gamma import gamma_scale
 from analysis.plate.motion import StepPlate
+from analysis.report import style
+from analysis.report.gamma import gamma_scale
 from daq.recording import Recording
 
 Floats = npt.NDArray[np.float64]

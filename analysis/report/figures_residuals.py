@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.loop.close_loop import Loop
-from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.report.gamma import gamma_scale
-from analysis.residuals.forward_model import Values
 from analysis.report.style import AFTER, BEFORE, FLOOR, clipped_dots, figure
+from analysis.residuals.covariates import COVARIATES, covariates
+from analysis.residuals.forward_model import Values
 from analysis.residuals.plate_observables import GAIN, KINDS, PHASE
 
 Array = NDArray[np.float64]

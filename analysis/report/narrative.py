@@ -10,12 +10,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from analysis.loop.close_loop import Loop
+from analysis.loop.verdict import Failed
+from analysis.report.wording import microseconds, plain, probability, rejected_in_words
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import KINDS
 from analysis.thresholds import FROZEN, Thresholds
-from analysis.loop.verdict import Failed
-from analysis.report.wording import microseconds, plain, probability, rejected_in_words
-from model.effects import effect
+from model.effects.registry import effect
 
 LISTED = 3
 

@@ -17,18 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.flights.classify import Change
-from analysis.loop.close_loop import Loop, as_json, declared_after
-from analysis.flights.compare import FirstBifurcation, compare
-from analysis.residuals.covariates import COVARIATES
 from analysis.flights.assemble import flights_of
-from analysis.report.gamma import GammaScale, gamma_scale
-from analysis.report.style import badge_of
-from analysis.report.figures_terms import draw_discovery
+from analysis.flights.classify import Change
+from analysis.flights.compare import FirstBifurcation, compare
+from analysis.loop.close_loop import Loop, as_json, declared_after
 from analysis.report.figures_loop import draw_candidates, draw_errors
 from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
+from analysis.report.figures_terms import draw_discovery
+from analysis.report.gamma import GammaScale, gamma_scale
 from analysis.report.narrative import reasoning
-from analysis.thresholds import FROZEN
+from analysis.report.style import badge_of
 from analysis.report.wording import (
     interval,
     microseconds,
@@ -40,10 +38,12 @@ from analysis.report.wording import (
     unit_of,
     verdict_line,
 )
-from daq.setup.errors import InputError
-from daq.recording.provenance import software_commit, software_version
+from analysis.residuals.covariates import COVARIATES
+from analysis.thresholds import FROZEN
 from daq.recording import Recording, open_recording
-from model.effects import effect, resolve
+from daq.recording.provenance import software_commit, software_version
+from daq.setup.errors import InputError
+from model.effects.registry import effect, resolve
 
 STYLE = """
 body{font:16px/1.5 Georgia,serif;max-width:52rem;margin:2rem auto;padding:0 1rem;color:#1d2630}

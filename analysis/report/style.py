@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daq.setup.errors import InputError
 from daq.recording import Recording
+from daq.setup.errors import InputError
 
 Floats = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 from analysis.loop.calibrations import fitted_calibrations
 from analysis.loop.close_loop import Found, Loop
 from analysis.residuals.forward_model import DRIFT
-from model.effects import effect
+from model.effects.registry import effect
 
 VERDICTS = {
     "explained": "Explained",

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.residuals.observations import Evidence
 from analysis.residuals.modulation import Swells
-from analysis.residuals.plate_observables import doubt_of_squares, expected
+from analysis.residuals.observations import Evidence
 from analysis.residuals.plate_mode import INEXACT, Ringing
-from model.effects import effect, offsets, registry, row
+from analysis.residuals.plate_observables import doubt_of_squares, expected
+from model.effects.registry import effect, offsets, registry, row
 from model.integrator.one_step import Predicted, one_ahead
 
 Array = NDArray[np.float64]

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from analysis.residuals.covariates import covariates
-from analysis.residuals.prediction_errors import fragile
 from analysis.attribution.hypothesis import Explanation
+from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import EDGE_STEP_S, Uncertainty, Values, World
 from analysis.residuals.noise_model import LEAST_EXCESS_S, SHARED_S
+from analysis.residuals.prediction_errors import fragile
 from analysis.thresholds import FROZEN
 
 Array = NDArray[np.float64]
@@ -47,7 +47,8 @@ class Remainder:
     plate_ratio
         The same of the plate data, of the worst kind.
     covariate
-        Name of the covariate (see `analysis.residuals.covariates.COVARIATES`) that carries the remainder; None for noise.
+        Name of the covariate (see `analysis.residuals.covariates.COVARIATES`) that carries the remainder; None for
+        noise.
     p_covariates
         By covariate, before the correction for their number.
     p_between, p_scatter, p_serial

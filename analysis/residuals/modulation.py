@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import Kept
-from analysis.plate.phasors import both_senses, mean_turn, swollen, turns
 from analysis.plate.motion import StepPlate
+from analysis.plate.phasors import both_senses, mean_turn, swollen, turns
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from model.integrator.one_step import PlateSteps
 

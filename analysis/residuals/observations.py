@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
-from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.events.edge_jitter import with_jitter
-from analysis.residuals.modulation import Swells
+from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
+from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.measure import StepPlate
+from analysis.residuals.modulation import Swells
 from analysis.residuals.plate_observables import PlateData, plate_data
-from daq.setup.errors import InputError
-from daq.recording.identity import refuse_repeated
 from daq.recording import Recording, open_recording
+from daq.recording.identity import refuse_repeated
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.integrator.one_step import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.plate.measure import StepPlate
 from daq.setup.setup import Setup
-from model.effects import registry
+from model.effects.registry import registry
 from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]

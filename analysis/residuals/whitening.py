@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from analysis.residuals.forward_model import FARTHEST_PERIODS, Residuals, Values, World
-from analysis.residuals.plate_observables import PlateData
 from analysis.residuals.noise_model import (
     LEAST_EXCESS_S,
     NEVER,
@@ -26,6 +25,7 @@ from analysis.residuals.noise_model import (
     plate_scale,
     robust_loss,
 )
+from analysis.residuals.plate_observables import PlateData
 from kernels import njit
 
 Array = NDArray[np.float64]

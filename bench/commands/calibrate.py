@@ -39,10 +39,10 @@ def command(
     from dataclasses import asdict
 
     from bench.commands.ramp import make_backend
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, Edited, File, check_outputs
     from bench.profiles.edit import write_into
     from bench.profiles.find import load
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.setup.errors import InputError
     from rig.backends.base import BackendError
 

@@ -28,9 +28,9 @@ def command(
     Exits 0 when everything passed, 1 when something did not, 2 when the call was wrong.
     """
     from bench.commands.ramp import make_backend, warm_up
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
     from bench.profiles.find import load
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.setup.errors import InputError
     from rig.backends.base import BackendError
     from rig.checks.check import Check

@@ -37,12 +37,12 @@ def command(
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
     from analysis.loop.close_loop import close_loop
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
-    from bench.terminal.loop_display import keep, show
+    from bench.jobs.adaptive_runs import until_clear as repeat
     from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
+    from bench.terminal.loop_display import keep, show
     from bench.terminal.progress import progress_bar
-    from bench.jobs.adaptive_runs import until_clear as repeat
     from daq.setup.errors import InputError
 
     quiet = json == "-"
@@ -142,8 +142,8 @@ def _outputs(
 def _warn_of_calibrations(recordings: list[Path]) -> None:
     """Say which scales nobody had measured lately when the recordings were made."""
     from bench.terminal.console import warn
-    from daq.setup.calibration_age import recorded_doubts
     from daq.recording import open_recording
+    from daq.setup.calibration_age import recorded_doubts
 
     for path in recordings:
         with open_recording(path) as recording:

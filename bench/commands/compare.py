@@ -30,11 +30,11 @@ def command(
     from analysis.flights.plausibility import doubts
     from analysis.report.gamma import gamma_scale
     from bench.commands.reprocess import draw, with_progress
-    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
-    from daq.setup.errors import InputError
+    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from daq.recording import open_recording
+    from daq.setup.errors import InputError
 
     try:
         check_outputs(

@@ -36,9 +36,9 @@ def command(
     import datetime
     import time
 
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
     from bench.outputs import Folder, check_outputs
     from bench.profiles.find import find_scenario
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
     from daq.setup.errors import InputError
     from rig.sim.scenario import load_scenario
 
@@ -155,9 +155,9 @@ def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -
 
 def _reprocess(recording: Path, folder: Path) -> None:
     """Flights, pictures, and what the declared model makes of them."""
+    from analysis.flights.assemble import flights_of
     from analysis.flights.compare import compare
     from analysis.flights.table import write_csv
-    from analysis.flights.assemble import flights_of
     from analysis.report.gamma import gamma_scale
     from bench.commands.compare import lines
     from bench.commands.reprocess import draw
@@ -183,8 +183,8 @@ def _close(recording: Path, folder: Path) -> tuple[Loop, bool]:
     """Close the loop, show the verdict, then write it; whether everything could be written."""
     from analysis.loop.close_loop import as_json, close_loop
     from analysis.report.page import write_report
-    from bench.terminal.console import write_json
     from bench.profiles.improved import write_improved
+    from bench.terminal.console import write_json
     from bench.terminal.loop_display import keep, show
     from bench.terminal.progress import progress_bar
 

@@ -27,9 +27,9 @@ def command(
     """
     from serial.tools.list_ports import comports
 
-    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
     from bench.profiles.find import load, shipped_names
+    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from daq.setup.errors import InputError
     from rig.backends.base import BackendError
     from rig.backends.portaudio import cards

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.terminal.console import EXIT_USAGE, fail, write_json
 from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_or_leave
+from bench.terminal.console import EXIT_USAGE, fail, write_json
 
 if TYPE_CHECKING:
     from analysis.drop.outcome import Outcome

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import typer
 
-from bench.terminal.console import EXIT_USAGE, fail, write_json
 from bench.outputs import HDF5, JSON, NPZ, PACKED_CSV, File, Overwrite, check_outputs
+from bench.terminal.console import EXIT_USAGE, fail, write_json
 
 
 class Kind(enum.StrEnum):
@@ -37,10 +37,10 @@ def command(
 
     Example: bench export run.h5 --to csv --out run.csv
     """
-    from daq.setup.errors import InputError
     from daq.export.export import export
-    from daq.recording.reader import open_recording
     from daq.export.resample import Resampled
+    from daq.recording.reader import open_recording
+    from daq.setup.errors import InputError
 
     kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()
     kind = "h5" if kind == "hdf5" else kind

@@ -7,8 +7,8 @@ from typing import Any
 
 import typer
 
-from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, write_json
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
+from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, write_json
 
 
 def command(
@@ -40,9 +40,9 @@ def command(
 
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
-    from daq.setup.errors import InputError
     from daq.importers.columns import open_source, parse_map
     from daq.importers.import_recording import import_recording
+    from daq.setup.errors import InputError
     from rig.profile import load_setup
 
     try:
@@ -70,8 +70,8 @@ def command(
 
 def _selection(channel: list[str]) -> dict[str, str]:
     """``--channel`` as ``{"": value}`` or ``{role: value}``."""
-    from daq.setup.errors import InputError
     from daq.importers.columns import CHANNEL_ROLES
+    from daq.setup.errors import InputError
 
     if len(channel) == 1 and channel[0].partition("=")[0] not in CHANNEL_ROLES:
         return {"": channel[0]}

@@ -29,11 +29,11 @@ def command(
 
     Example: bench info run.h5
     """
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
-    from daq.setup.errors import InputError
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.recording import open_recording
     from daq.recording.verify import verify
+    from daq.setup.errors import InputError
 
     try:
         check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)

@@ -23,9 +23,9 @@ def command(
 
     Example: bench plan simulated
     """
-    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from bench.outputs import JSON, File, check_outputs
     from bench.profiles.find import load
+    from bench.terminal.console import EXIT_USAGE, fail, write_json
     from daq.setup.errors import InputError
 
     try:

@@ -23,9 +23,9 @@ def list_profiles(
     """
     from rich.table import Table
 
-    from bench.terminal.console import print_lines, print_table, write_json
     from bench.outputs import JSON, File, check_or_leave
     from bench.profiles.find import load, scenario_names, shipped_folder, shipped_names
+    from bench.terminal.console import print_lines, print_table, write_json
 
     check_or_leave(File("--json", json, JSON), overwrite=overwrite)
     rows: list[dict[str, Any]] = []
@@ -76,8 +76,8 @@ def new(
 
     Example: bench profile new my_rig.toml --like soundcard
     """
-    from bench.terminal.console import EXIT_USAGE, fail, print_lines
     from bench.outputs import PROFILE, File, check_outputs
+    from bench.terminal.console import EXIT_USAGE, fail, print_lines
     from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
@@ -95,8 +95,8 @@ def new(
 
 def _text_of(name: str) -> str:
     """The text of a profile, by shipped name, path, or recording (raises `InputError`)."""
-    from bench.profiles.next_run import profile_text
     from bench.profiles.find import find_profile
+    from bench.profiles.next_run import profile_text
     from daq.setup.errors import InputError
 
     path = Path(name)

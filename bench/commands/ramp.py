@@ -12,8 +12,8 @@ from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
     from rig.backends.base import Backend
-    from rig.profile import Profile
     from rig.execution.run import RunSummary
+    from rig.profile import Profile
 
 
 def command(
@@ -41,10 +41,10 @@ def command(
     from contextlib import suppress
 
     from bench.commands.plan import planned, refusal
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
+    from bench.jobs.resume import continued
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
-    from bench.jobs.resume import continued
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
     from daq.setup.calibration_age import doubts
     from daq.setup.errors import InputError
 
@@ -180,11 +180,11 @@ def record(
 
     from bench.terminal.run_display import run_display
     from bench.terminal.signals import stop_on_signals
-    from daq.recording.recorder_process import RecorderProcess
     from daq.recording import RecordingWriter
+    from daq.recording.recorder_process import RecorderProcess
     from rig.execution.priority import before_other_work
-    from rig.programme.ramp import plan
     from rig.execution.run import run_ramp
+    from rig.programme.ramp import plan
     from rig.programme.sequencer import largest_block
 
     options: dict[str, Any] = {

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import typer
 
-from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
+from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
 
 
 def command(
@@ -23,8 +23,8 @@ def command(
 
     Example: bench recover run.h5 --out run.recovered.h5
     """
-    from daq.setup.errors import InputError
     from daq.recording.recover import default_out, recover
+    from daq.setup.errors import InputError
 
     out = out or default_out(recording)
     try:

@@ -10,8 +10,8 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from analysis.flights.classify import StepClass
     from analysis.flights.assemble import Flights
+    from analysis.flights.classify import StepClass
     from daq.recording import Recording
 
 
@@ -29,10 +29,10 @@ def command(
     from analysis.flights.classify import classify
     from analysis.flights.plausibility import doubts
     from analysis.flights.table import write_csv
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
-    from daq.setup.errors import InputError
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.recording import open_recording
+    from daq.setup.errors import InputError
 
     try:
         check_outputs(

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import typer
 
-from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
 from bench.outputs import JSON, File, Overwrite, check_outputs
+from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
 
 
 def command(
@@ -22,8 +22,8 @@ def command(
 
     Example: bench verify run.h5
     """
-    from daq.setup.errors import InputError
     from daq.recording.verify import verify
+    from daq.setup.errors import InputError
 
     try:
         check_outputs(File("--json", json_out, JSON), inputs=[recording], overwrite=overwrite)

@@ -39,9 +39,9 @@ def command(
     """
     import time
 
-    from bench.terminal.console import EXIT_USAGE, fail
     from bench.outputs import NPZ, File, check_outputs
     from bench.profiles.find import find_scenario, load
+    from bench.terminal.console import EXIT_USAGE, fail
     from bench.terminal.signals import stop_on_signals
     from daq.setup.errors import InputError
     from rig.sim.scenario import Scenario, load_scenario

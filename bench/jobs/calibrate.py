@@ -15,13 +15,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from analysis.flights.assemble import Flights, flights_of
 from analysis.events.impact_detection import ONSET_S
+from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.measure import StepPlate
 from bench.commands.plan import planned, refusal
 from bench.commands.ramp import record
-from daq.setup.errors import InputError
 from daq.recording import open_recording
+from daq.setup.errors import InputError
 from rig.backends.base import Backend
 from rig.checks.flip_test import flip_test
 from rig.profile import Profile, RampTable

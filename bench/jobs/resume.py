@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from daq.setup.errors import InputError
 from daq.recording import Recording, open_recording
+from daq.setup.errors import InputError
 from rig.profile import Profile, parse_profile
 
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from bench.terminal.console import write_json
 from daq.setup.errors import InputError
+from model.orbits.attractor import Ball
 from model.surveys import ensemble
 from model.surveys.diagram import KINDS, Rows, adaptive, empty_rows
 from model.surveys.diagram import diagram as rows_at
-from model.orbits.attractor import Ball
 from model.tones import Forcing
 
 if TYPE_CHECKING:

@@ -19,11 +19,11 @@ from analysis.report import style
 from analysis.report.gamma import GAMMA_TEX, PEAK_TEX
 from bench.predict.diagram import check_adaptive
 from daq.setup.errors import InputError
-from model.orbits.ideal_ball import IdealBall
 from model.bifurcations.events import bifurcations
+from model.bifurcations.forbidden_zones import forbidden_zones
+from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import Rows, adaptive, diagram
 from model.tones import Forcing
-from model.bifurcations.forbidden_zones import forbidden_zones
 
 if TYPE_CHECKING:
     from bench.predict.orbit import Request

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.terminal.console import EXIT_USAGE, fail, write_json
 from bench.outputs import HDF5, JSON, PICTURE, File, check_outputs
+from bench.terminal.console import EXIT_USAGE, fail, write_json
 from daq.setup.errors import InputError
 from model.bifurcations.events import Bifurcation
-from model.orbits.make_ball import ball_of
 from model.orbits.attractor import Attractor, Ball, attractor, sweep
+from model.orbits.make_ball import ball_of
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 SWEEP_STEPS = 400  # gammas of the sweep that leads to a single gamma
@@ -214,9 +214,9 @@ def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float |
 
 
 def _bifurcations(ball: Ball, request: Request) -> None:
+    from model.bifurcations.find import sequence
     from model.flight.branches import q_and_slope
     from model.flight.first_landing import turning_points
-    from model.bifurcations.find import sequence
 
     forcing = forcing_of(request)
     peak = max(q_and_slope(forcing.tones, float(p))[0] for p in turning_points(forcing))

@@ -12,13 +12,13 @@ from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.profile import Profile, load_profile, load_setup
 
-_HERE = Path(__file__).resolve().parent
+_BENCH = Path(__file__).resolve().parents[1]
 
 
 def shipped_folder(kind: str = "rig_profiles") -> Path:
     """Where the shipped profiles (or ``scenarios``) lie: inside an installed `bench`, beside it in a checkout."""
-    installed = _HERE / kind
-    return installed if installed.is_dir() else _HERE.parent / kind
+    installed = _BENCH / kind
+    return installed if installed.is_dir() else _BENCH.parent / kind
 
 
 def shipped_names() -> list[str]:
@@ -85,7 +85,7 @@ def _check_declared(setup: Setup, path: Path) -> None:
     """Refuse declared effects that the model does not know; only this room knows both profile and model."""
     if not setup.declared:
         return
-    from model.effects import resolve
+    from model.effects.registry import resolve
 
     faults = []
     for name, values in setup.declared_values().items():

@@ -9,11 +9,11 @@ from __future__ import annotations
 import datetime
 from pathlib import Path
 
-from analysis.loop.close_loop import Loop
 from analysis.drop.declare import Measured, declare
+from analysis.loop.close_loop import Loop
 from analysis.residuals.forward_model import DRIFT
-from daq.setup.errors import InputError
 from daq.recording import open_recording
+from daq.setup.errors import InputError
 
 
 def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = None) -> list[str]:

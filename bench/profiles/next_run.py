@@ -13,8 +13,8 @@ from pathlib import Path
 
 from analysis.loop.close_loop import Loop
 from analysis.loop.design import Design, Ranked, designs_for, rank
-from daq.setup.errors import InputError
 from daq.recording import open_recording
+from daq.setup.errors import InputError
 from rig.profile import parse_profile
 
 

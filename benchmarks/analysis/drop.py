@@ -1,9 +1,9 @@
 """Drop tests, measured: synthetic films of known truth, and the recordings made by others.
 
-Run ``python -m benchmarks.analysis.drop films`` (fifty films through a codec: bias, coverage, accuracy), ``sounds`` or ``times``
-(single drops as microphone recordings or tables of events: impacts found, confusion matrix, coverage) or
-``real FOLDER`` (the table of docs/results/drop.md).
-The rule kept here: truths and seeds are drawn before anything is analysed, and every film counts.
+Run ``python -m benchmarks.analysis.drop films`` (fifty films through a codec: bias, coverage, accuracy), ``sounds`` or
+``times`` (single drops as microphone recordings or tables of events: impacts found, confusion matrix, coverage) or
+``real FOLDER`` (the table of docs/results/drop.md). The rule kept here: truths and seeds are drawn before anything is
+analysed, and every film counts.
 """
 
 from __future__ import annotations

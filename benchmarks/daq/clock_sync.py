@@ -3,8 +3,8 @@
     python -m benchmarks.daq.clock_sync map        # offset and rate at 40 dB, beside what the fit says of itself
     python -m benchmarks.daq.clock_sync events     # a whole run: audio out, serial in, clocks 80 ppm apart and drifting
 
-The run is `rig.execution.run` with the real back end, frames and decoder; card and port are in this process, at full speed. What
-really happened is what the simulated plant says of its take-offs and landings, in the time of the drive.
+The run is `rig.execution.run` with the real back end, frames and decoder; card and port are in this process, at full
+speed. What really happened is what the simulated plant says of its take-offs and landings, in the time of the drive.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import numpy as np
 
 from analysis.flights.assemble import FlightFlag, flights_of
 from bench.profiles.find import load
-from daq.recording import RecordingWriter, open_recording
 from daq.clocks.clock_sync import ClockTracker, fit_clock, played_s
+from daq.recording import RecordingWriter, open_recording
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
-from rig.profile import parse_profile
 from rig.execution.run import run_ramp
-from rig.sim.scenario import Scenario
 from rig.fakes.serial_device import SerialDevice
 from rig.fakes.serial_loopback import WiredCard, WiredPort
+from rig.profile import parse_profile
+from rig.sim.scenario import Scenario
 
 RATE_HZ = 20000.0
 NEAR_S = 2e-4

@@ -12,8 +12,8 @@ import argparse
 
 import numpy as np
 
-from daq.recording.tables import Block
 from daq.clocks.sample_loss import LossFinder
+from daq.recording.tables import Block
 
 RATE_HZ = 20_000.0
 BLOCK = 1024

@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-import daq.clock
-import daq.slip
-from daq.recording.tables import Block, BlockFlag
-from daq.clocks.sample_loss import LossFinder
+import daq.clocks.sample_loss
+import daq.clocks.slip
 from daq.clocks.loss_search import Beside
+from daq.clocks.sample_loss import LossFinder
 from daq.clocks.slip import Played, SlipFit
+from daq.recording.tables import Block, BlockFlag
 
 RATE_HZ, FREQUENCY_HZ, BLOCK = 48_000.0, 25.37, 1024
 CHUNK = round(1.3 * RATE_HZ / FREQUENCY_HZ)  # as `rig.execution.loss_account.LossAccount` has it

@@ -1,5 +1,6 @@
 """Flights chosen to break a landing solver: tiny, at a threshold, just inside a window, grazing, bounced, long."""
 
+
 import numpy as np
 
 from model.flight.first_landing import first_landing, take_off_phases
@@ -82,3 +83,12 @@ def grazing_gamma(forcing, gamma):
 
 def _first_tau(forcing, gamma):
     return first_landing(forcing, gamma, take_off_phases(forcing, gamma).start[0]).tau
+
+
+HEIGHT_ROUNDING = 1e-15  # relative to gamma (1 + slope tau) + tau^2: what a double's height can be wrong by
+
+
+def allowed(gamma, forcing, tau, speed):
+    """How far a right landing in double precision may be off: the height's rounding over the impact speed."""
+    size = gamma * float(np.sum(forcing.tones[:, 1] * (1 + forcing.tones[:, 0] * tau))) + tau**2
+    return 1e-11 * max(tau, 1e-3) + 4 * HEIGHT_ROUNDING * size / max(speed, 1e-300)

@@ -1,6 +1,7 @@
 """Cost of a parameter point at 1e3, 1e4 and 1e5 points, and what a second worker brings.
 
-Run: ``python -m benchmarks.model.ensemble [--points 100000] [--dask]``. Prints one table; wall times of whole runs into HDF5.
+Run: ``python -m benchmarks.model.ensemble [--points 100000] [--dask]``. Prints one table; wall times of whole runs into
+HDF5.
 """
 
 from __future__ import annotations

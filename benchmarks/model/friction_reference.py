@@ -3,8 +3,8 @@
 import math
 
 import mpmath as mp
-from benchmarks.model.reference import Exact, bisect_newton
 
+from benchmarks.model.reference import Exact, bisect_newton
 from kernels import njit
 
 

@@ -11,21 +11,15 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-ROOT = Path(__file__).resolve().parents[2]
-
-from benchmarks.model.adversarial import flights_of
-
 from benchmarks.model import peers
+from benchmarks.model.adversarial import flights_of
 from model.flight import friction
-from model.series import batched_ideal
 from model.flight.first_landing import (
     first_landing,
     run_diagram,
@@ -33,6 +27,7 @@ from model.flight.first_landing import (
     take_off_phases,
     turning_points,
 )
+from model.series import batched_ideal
 from model.series.friction_orbit import Rough, run_rough_diagram
 from model.tones import Forcing
 

@@ -1,25 +1,19 @@
 """Wrong landings among adversarial flights: ``python -m benchmarks.model.landings [--flights 100000] [--digits 200]``.
 
-Every flight long enough is proven free until its landing by interval bisection (``benchmarks/model/reference.py``); tiny and
-threshold flights, and a sample of the others, are held against 60 digits.
+Every flight long enough is proven free until its landing by interval bisection (``benchmarks/model/reference.py``);
+tiny and threshold flights, and a sample of the others, are held against 60 digits.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import sys
-from pathlib import Path
 
 import mpmath as mp
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[2]
-
-from benchmarks.model.adversarial import KINDS, flights_of
+from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flights_of
 from benchmarks.model.reference import Exact, lifted_until, stays_above
-from test_landings import HEIGHT_ROUNDING, allowed
-
 from model.flight.first_landing import FlightFlag, first_landing, relative_height
 
 

@@ -1,7 +1,8 @@
 """The seed paper's own puzzle: which effect moves which published number, and under which reading they agree.
 
-Run: ``python -m benchmarks.model.paper_puzzle docs/pictures``. Prints the tables of docs/explanation/paper-puzzle.md and draws its
-picture. Everything is exact but for the instrument: 20 Hz, 20 kHz, a contact that stays closed for 0.2 ms.
+Run: ``python -m benchmarks.model.paper_puzzle docs/pictures``. Prints the tables of docs/explanation/paper-puzzle.md
+and draws its picture. Everything is exact but for the instrument: 20 Hz, 20 kHz, a contact that stays closed for 0.2
+ms.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.bifurcations.events import Bifurcation
-from model.series.friction_orbit import Rough, RoughFlag, RoughOrbit, run_rough_diagram
-from model.contact_sensor import Instrument, observe
+from model.bifurcations.find import sequence
 from model.bifurcations.sweep import key, observed
+from model.contact_sensor import Instrument, observe
 from model.orbits.attractor import AT_REST, attractor
 from model.orbits.friction_ball import RoughBall
-from model.bifurcations.find import sequence
+from model.series.friction_orbit import Rough, RoughFlag, RoughOrbit, run_rough_diagram
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]

@@ -3,8 +3,8 @@
     python -m benchmarks.rig.amplitude_loop [--quick]
 
 Worst relative error of a tone's amplitude and worst error of its phase over the holds of all steps of a ramp, the ball
-bouncing. Two judges that are not the loop: the analysis (`analysis.plate.measure`), and a twin: the same plant, given the same
-drive bit for bit, whose sensor has neither noise nor ringing, fitted with nothing masked.
+bouncing. Two judges that are not the loop: the analysis (`analysis.plate.measure`), and a twin: the same plant, given
+the same drive bit for bit, whose sensor has neither noise nor ringing, fitted with nothing masked.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-
 from analysis.plate.measure import plate_of
 from bench.profiles.find import load
-from daq.recording import Recording, RecordingWriter, open_recording
 from daq.lock_in import fit_tones
-from rig.execution.amplitude_loop import target_acceleration
+from daq.recording import Recording, RecordingWriter, open_recording
 from rig.backends.simulated import SimulatedBackend
-from rig.profile import ControlTable, Profile
+from rig.execution.amplitude_loop import target_acceleration
 from rig.execution.run import RunSummary, run_ramp
+from rig.profile import ControlTable, Profile
 from rig.programme.sequencer import commanded, fades_of_changes
 from rig.sim.scenario import Scenario
 

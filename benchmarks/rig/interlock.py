@@ -1,6 +1,6 @@
 """Every cause for which a run is stopped, tried on the simulated rig: how soon the drive is zero, and what is kept.
 
-    python -m benchmarks.rig.interlock
+    python -m benchmarks.rig.execution.interlock
 
 A fault begins at sample 60,000 (3 s into the ramp). "noticed" counts cycles of the forcing from the fault to the
 first sample of the fade (or cut) to zero, "zero" from there to the first sample at 0 V.
@@ -16,16 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-
-import rig.interlock
+import rig.execution.interlock
 from bench.profiles.find import load
-from daq.recording.tables import Block
 from daq.recording import RecordingWriter, open_recording
+from daq.recording.tables import Block
 from rig.backends.base import Backend
 from rig.backends.simulated import SimulatedBackend
-from rig.profile import Profile
 from rig.execution.run import Status, StopRequest, run_ramp
-from rig.programme.sequencer import Stop
 from rig.fakes.faults import (
     AmplifierTrip,
     Clipping,
@@ -35,6 +32,8 @@ from rig.fakes.faults import (
     LooseCable,
     Unplugged,
 )
+from rig.profile import Profile
+from rig.programme.sequencer import Stop
 from rig.sim.scenario import Scenario
 
 AT = 60_000

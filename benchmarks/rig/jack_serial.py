@@ -1,8 +1,8 @@
 """Audio out through JACK and PortAudio, frames in through a pseudo-terminal and pyserial: two clocks, in real time.
 
 A process of its own holds the plant: it hears the drive as a JACK client and sends frames on a clock that is 80 ppm
-slow and drifts. The run is `rig.execution.run` with the real back ends; what really happened is what the plant says of its
-take-offs and landings, in the time of the drive.
+slow and drifts. The run is `rig.execution.run` with the real back ends; what really happened is what the plant says of
+its take-offs and landings, in the time of the drive.
 
     python -m benchmarks.rig.jack_serial            # some 40 s; needs jackd and libportaudio2
     python -m benchmarks.rig.jack_serial --kill 5   # the device's process is killed after 5 s of the run
@@ -23,8 +23,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-from benchmarks.rig import jack_server
 
 RATE_HZ, SERVER = 20000.0, f"benchmark-{os.getpid()}"
 NEAR_S = 3e-4
@@ -121,8 +119,8 @@ def run(options: argparse.Namespace) -> int:
 def compare(path: Path, events: Path) -> None:
     """Event times by the map against what really happened; the plant's own start is one unknown number of samples."""
     from analysis.flights.assemble import FlightFlag, flights_of
-    from daq.recording import open_recording
     from daq.clocks.clock_sync import played_s
+    from daq.recording import open_recording
 
     with open_recording(path) as recording:
         flights, rows, gaps = flights_of(recording), recording.clock_map, recording.gaps

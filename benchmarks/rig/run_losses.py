@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from bench.profiles.find import load
-from daq.recording.tables import Block
 from daq.recording import RecordingWriter, open_recording, verify
+from daq.recording.tables import Block
 from rig.backends.simulated import SimulatedBackend
-from rig.profile import Profile
-from rig.programme.ramp import plan
 from rig.execution.run import run_ramp
 from rig.fakes.faults import Device, Fault, FaultyBackend, LostFrames
+from rig.profile import Profile
+from rig.programme.ramp import plan
 from rig.sim.scenario import Scenario
 
 BUFFER = 600  # samples; less than a cycle, or the interlock takes the silence for a dead accelerometer

@@ -9,24 +9,16 @@ the repeats in process time: the machine may be shared.
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import math
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-# A script's own folder comes first on the path, where this file hides the package `rig`: the folder steps back, and
-# where this file was imported in the package's place (by another script beside it) the package takes its place.
-if __name__ == "rig":
-    del sys.modules["rig"]
-    importlib.import_module("rig")
-else:
-    from rig.sim.catalogue import EFFECTS
-    from rig.sim.plant import Plant
-    from rig.sim.scenario import Scenario
+from rig.sim.catalogue import EFFECTS
+from rig.sim.plant import Plant
+from rig.sim.scenario import Scenario
 
 RATE_HZ = 20000.0
 BLOCK = 1024

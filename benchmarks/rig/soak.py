@@ -11,14 +11,12 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import sys
 import tempfile
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
-
 
 from bench.commands.ramp import record
 from bench.profiles.find import load

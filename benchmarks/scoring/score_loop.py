@@ -1,7 +1,7 @@
 """Score the closed loop on hidden effects: sealed recordings of another plant and of the own rig, on fresh seeds.
 
-    python -m benchmarks.scoring.score_loop RESULTS.jsonl --seed-base 70000 --minutes 60 [--part 0 --parts 2] [--kind strong]
-    python -m benchmarks.scoring.score_loop RESULTS.jsonl --show
+    python -m benchmarks.scoring.score_loop RESULTS.jsonl --seed-base 70000 --minutes 60 [--part 0 --parts 2] [--kind
+    strong] python -m benchmarks.scoring.score_loop RESULTS.jsonl --show
 
 Every result is appended at once; a run that is started again goes on where it stopped. Sizes are drawn from the seed;
 how strong an effect is, is measured: see `benchmarks.scoring.tables`.
@@ -16,7 +16,6 @@ import time
 import traceback
 from pathlib import Path
 from typing import Any
-
 
 from benchmarks.scoring.design import jobs
 from benchmarks.scoring.tables import show

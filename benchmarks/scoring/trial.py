@@ -5,20 +5,18 @@ The rule kept here: everything of a trial is drawn from its seed; the verdict is
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.plants import other_plant as plant
+
 STRONG_BELOW, WEAK_ABOVE = 0.35, 1.6  # sizes are drawn from the medium to the strong one, and about the weak one
 DECLARED = ("coulomb_friction", "restitution", "viscous_damping")
 
@@ -43,7 +41,7 @@ def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
     from analysis.loop.close_loop import as_json, close_loop
     from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
-    from model.effects import effect
+    from model.effects.registry import effect
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -114,7 +112,6 @@ def _other(job: Job, folder: Path) -> Path:
     from daq.importers.import_recording import import_recording
     from rig.profile import load_setup
 
-    plant = _load(ROOT / "tests" / "blind" / "other_plant.py")
     rng = np.random.default_rng(job.seed)
     usual = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}[job.c]
     gammas = rng.permutation(np.round(np.linspace(*usual, 22), 4))
@@ -166,19 +163,6 @@ def _declare(profile: Path, hidden: dict[str, float]) -> None:
         tables["restitution"].append(f"e1_s_per_m = {hidden['restitution.slope_s_per_m']!r}")
     text = "".join(f"\n[declared.{effect}]\n" + "\n".join(rows) + "\n" for effect, rows in tables.items())
     profile.write_text(profile.read_text(encoding="utf-8") + text, encoding="utf-8")
-
-
-def _load(path: Path) -> ModuleType:
-    known = sys.modules.get(path.stem)
-    if known is not None:
-        return known
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise FileNotFoundError(path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 # -- the own rig --------------------------------------------------------------------------------------------------

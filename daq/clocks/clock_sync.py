@@ -2,8 +2,8 @@
 
 The rule kept here: nothing is resampled. The drive is looped back into the device; a start marker says once, without
 ambiguity, which played sample is heard in which frame, and from there the looped-back drive is compared with what was
-played, window by window (`daq.clocks.slip.slip_at`). Raw readings are kept; the map that is fitted to them says how well it
-is known.
+played, window by window (`daq.clocks.slip.slip_at`). Raw readings are kept; the map that is fitted to them says how
+well it is known.
 
 The place of frame ``m`` among the played samples is ``m + s(m)``. Its slip ``s`` is an integrated random walk: the rate
 of a quartz wanders with its temperature. Kalman filter forwards, Rauch-Tung-Striebel smoother backwards (AIAA J. 3,
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from daq.recording.tables import CLOCK_DTYPE, MAP_DTYPE
 from daq.clocks.sample_loss import SMALLEST_MISFIT
 from daq.clocks.slip import LATENCY, Played, slip_at
+from daq.recording.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
 
 Floats = NDArray[np.float64]

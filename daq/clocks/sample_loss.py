@@ -15,7 +15,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.recording.tables import Block, BlockFlag
 from daq.clocks.loss_search import (
     CLOCK_SLACK,
     LIKE_NOISE,
@@ -30,6 +29,7 @@ from daq.clocks.loss_search import (
     WhichLoss,
 )
 from daq.clocks.slip import LARGEST, LATENCY, Floats, Played, Slip, SlipFit, slip_at
+from daq.recording.tables import Block, BlockFlag
 
 CHUNK = 1024  # frames looked at together, at least
 OPENING = 8  # chunks from which the latency is told, at most

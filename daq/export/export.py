@@ -16,10 +16,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.column_file import CHUNK_SAMPLES, ColumnWriter
-from daq.setup.errors import InputError
-from daq.recording.reader import Recording
 from daq.export.resample import Resampled
+from daq.recording.column_file import CHUNK_SAMPLES, ColumnWriter
+from daq.recording.reader import Recording
+from daq.setup.errors import InputError
 
 Kind = Literal["csv", "npz", "h5"]
 Progress = Callable[[int], None]

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.setup.errors import InputError
 from daq.recording.reader import Recording
+from daq.setup.errors import InputError
 
 LARGEST = 100_000  # of numerator and denominator of the two rates' ratio
 REACH = 4000  # samples of the recording on either side that the filter is shown

@@ -19,8 +19,8 @@ import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.setup.errors import InputError
 from daq.importers.columns import PIECE_ROWS, RATE_NAMES, Piece, listed, split_name
+from daq.setup.errors import InputError
 
 _MOST_COLUMNS = 64
 _MOST_OBJECTS = 10_000  # of one file

@@ -18,9 +18,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.importers.columns import Piece, listed, split_name
 from daq.importers.csv_kernel import parse_rows
 from daq.setup.errors import InputError
-from daq.importers.columns import Piece, listed, split_name
 
 _DELIMITERS = (",", ";", "\t")
 _SNIFFED_LINES = 200

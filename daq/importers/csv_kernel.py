@@ -9,8 +9,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from kernels import njit
 from numpy.typing import NDArray
+
+from kernels import njit
 
 _FIRST_POWER, _LAST_POWER = -64, 64  # of ten, by table; what lies beyond is left to Python
 _EXACT = np.uint64(1 << 53)

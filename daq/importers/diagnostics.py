@@ -10,9 +10,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.steps.forcing_detection import Read
-from daq.setup.setup import Setup
 from daq.importers.timebase import JITTER_SHARE, Timebase
+from daq.setup.setup import Setup
+from daq.steps.forcing_detection import Read
 
 Floats = NDArray[np.float64]
 CONTACT_MOVES = 0.1  # of the declared swing of the contact circuit, below which it does not move at all

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.setup.errors import InputError
 from daq.importers.columns import TIME_UNITS_S, Column
-from daq.setup.setup import Setup
 from daq.importers.timebase import Times
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
 
 OTHER_UNIT = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)  # ratio of two rates whose times are in two units
 SAME_RATE = 0.02

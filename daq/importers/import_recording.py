@@ -18,20 +18,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import BLOCK_DTYPE
-from daq.steps.forcing_detection import Read
-from daq.recording.column_file import ColumnWriter
-from daq.setup.errors import InputError
 from daq.importers.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
 from daq.importers.diagnostics import contact_doubts, plate_doubts, range_doubts, rate_doubts, remarks
-from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
+from daq.importers.intake import Intake, Progress, take_in
+from daq.importers.timebase import Timebase, timebase_of
+from daq.recording.column_file import ColumnWriter
 from daq.recording.reader import timestamps_ns
+from daq.recording.tables import BLOCK_DTYPE
+from daq.recording.writer import now_utc, root_attributes
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
-from daq.importers.timebase import Timebase, timebase_of
+from daq.steps.forcing_detection import Read
 from daq.steps.tone_tracking import fit
-from daq.recording.writer import now_utc, root_attributes
 
 Floats = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.importers.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
+from daq.importers.timebase import quantum_of
 from daq.recording.column_file import ColumnWriter
 from daq.setup.errors import InputError
-from daq.importers.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
 from daq.setup.setup import FAR_OUTSIDE, Setup
-from daq.importers.timebase import quantum_of
 
 Progress = Callable[[str, int], None]
 LONGEST_S = 9e9  # what 64 bits of nanoseconds hold

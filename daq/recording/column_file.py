@@ -18,8 +18,8 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
 from daq.recording.disk import DiskFile
+from daq.recording.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq.recording.tables import crc32
 from daq.recording.column_file import CHUNK_SAMPLES
-from daq.setup.errors import InputError
 from daq.recording.reader import Recording, open_recording
+from daq.recording.tables import crc32
+from daq.setup.errors import InputError
 
 
 def content_id(recording: Recording) -> tuple[tuple[str, int, int], ...]:

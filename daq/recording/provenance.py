@@ -25,7 +25,7 @@ def software_version() -> str:
 @functools.cache
 def software_commit() -> str:
     """Commit of the checkout this code runs from (``+changes`` when it differs), or an empty text."""
-    here = Path(__file__).resolve().parent.parent
+    here = Path(__file__).resolve().parents[2]
     git = shutil.which("git")
     if git is None or not (here / ".git").exists():
         return ""

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE
 from daq.recording.column_file import FORMAT, FORMAT_VERSION, read_table, text_crc
-from daq.setup.errors import InputError
 from daq.recording.frame_file import FRAMES, FrameFile, is_being_written
+from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 

@@ -23,11 +23,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block
-from daq.setup.errors import InputError
 from daq.recording.shared_ring import Ring, renumbered
-from daq.setup.setup import Setup
+from daq.recording.tables import Block
 from daq.recording.writer import Ending, RecordingWriter
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
 
 RING_S = 30.0  # that the recorder may be kept from writing
 LEAST_RING_S = 4.0

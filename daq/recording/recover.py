@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.setup.errors import InputError
 from daq.recording.frame_file import is_being_written, is_whole
 from daq.recording.reader import open_recording
 from daq.recording.writer import columns_from_frames, now_utc
+from daq.setup.errors import InputError
 
 
 @dataclass(frozen=True)

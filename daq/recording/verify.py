@@ -12,11 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from daq.recording.tables import BlockFlag
 from daq.recording.column_file import CHUNK_SAMPLES, check_columns
-from daq.setup.errors import InputError
 from daq.recording.frame_file import is_being_written, is_whole
 from daq.recording.reader import Recording, attributes_intact, open_recording
+from daq.recording.tables import BlockFlag
+from daq.setup.errors import InputError
 
 State = Literal["complete", "stopped", "incomplete", "damaged"]
 

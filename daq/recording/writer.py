@@ -17,12 +17,12 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block, BlockFlag, volts_per_code
 from daq.recording.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
-from daq.setup.errors import InputError
 from daq.recording.frame_file import FrameWriter
 from daq.recording.provenance import software_commit, software_version
 from daq.recording.reader import open_recording, timestamps_ns
+from daq.recording.tables import Block, BlockFlag, volts_per_code
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 RESERVE_BYTES = 8_000_000

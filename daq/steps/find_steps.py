@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import STEP_DTYPE
-from daq.steps.forcing_detection import Read, regions, weights
-from daq.setup.setup import Forcing
 from daq.lock_in import ToneFit
+from daq.recording.tables import STEP_DTYPE
+from daq.setup.setup import Forcing
+from daq.steps.forcing_detection import Read, regions, weights
 from daq.steps.tone_tracking import Still, fit, frequency_correction, same_frequency, split_exactly, still_parts
 
 Floats = NDArray[np.float64]

@@ -12,10 +12,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.lock_in import ToneFit, fit_tones
+from daq.setup.setup import Forcing
 from daq.steps.changepoints import segments
 from daq.steps.forcing_detection import Read, Region, weights
-from daq.setup.setup import Forcing
-from daq.lock_in import ToneFit, fit_tones
 
 Floats = NDArray[np.float64]
 

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from model.bifurcations import itinerary_windows
-from model.orbits.ideal_ball import Itinerary
-from model.flight.branches import TWO_PI
-from model.orbits.ideal_cycles import FLIGHTS, PERIOD
-from model.bifurcations.locked_windows import Map, locked_beside, locked_within
-from model.orbits.attractor import State
 from model.bifurcations.itinerary_windows import Window
+from model.bifurcations.locked_windows import Map, locked_beside, locked_within
+from model.flight.branches import TWO_PI
+from model.orbits.attractor import State
+from model.orbits.ideal_ball import Itinerary
+from model.orbits.ideal_cycles import FLIGHTS, PERIOD
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes

@@ -5,11 +5,11 @@ The rule kept here: one call for every ball, so that the command line need not k
 
 from __future__ import annotations
 
-from model.orbits.ideal_ball import IdealBall
 from model.bifurcations.events import NARROWEST, Bifurcation, bifurcations
 from model.bifurcations.sweep import observed
 from model.orbits.attractor import Ball
 from model.orbits.friction_ball import RoughBall
+from model.orbits.ideal_ball import IdealBall
 
 BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
 

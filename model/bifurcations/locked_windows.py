@@ -1,8 +1,8 @@
 """The windows of gamma of cycles that never stick, and what a ball must know for its bifurcations to be found.
 
 The rule kept here: without restitution every locked cycle begins where a landing meets a threshold, and its family is
-followed from there (`model.bifurcations.locked_family`); with restitution there is no such place, and locked cycles are met by running
-orbits and followed from where they were met (`model.bifurcations.continuation`).
+followed from there (`model.bifurcations.locked_family`); with restitution there is no such place, and locked cycles are
+met by running orbits and followed from where they were met (`model.bifurcations.continuation`).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.bifurcations import locked_family
-from model.orbits.ideal_ball import Itinerary
 from model.bifurcations.continuation import follow_both_ways
-from model.orbits.attractor import Ball, attractor
 from model.bifurcations.itinerary_windows import Window
+from model.orbits.attractor import Ball, attractor
+from model.orbits.ideal_ball import Itinerary
 
 MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 

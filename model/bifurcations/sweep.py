@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from model.bifurcations.events import LONGEST, Bifurcation, Side
 from model.bifurcations.continuation import doubling_near
+from model.bifurcations.events import LONGEST, Bifurcation, Side
 from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
 from model.orbits.integrated_ball import RolledBall
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from model.effects import effect
 from model.effects.base import COMPILED_HOOKS, Registered
+from model.effects.registry import effect
 
 Effects = Mapping[str, Mapping[str, float]]
 

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from model.flight.branches import crossing, q_and_slope, turning_points
-from model.flight.numerics import Flags, Floats, compiled
 from model.flight.ideal import RESET, RESTS
+from model.flight.numerics import Flags, Floats, compiled
 from model.flight.segment import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape
 
 STRETCH = 20.0  # phase searched at a time for the next take-off

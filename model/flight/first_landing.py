@@ -1,7 +1,7 @@
 """The ideal ball on a plate of tones: take-off phases, one flight, many flights; dimensionless (see `model.tones`).
 
-The rule kept here: this is the readable face of the compiled kernels (`model.flight.branches`, `model.flight.ideal`); it
-checks what it is given and does no arithmetic of its own.
+The rule kept here: this is the readable face of the compiled kernels (`model.flight.branches`, `model.flight.ideal`);
+it checks what it is given and does no arithmetic of its own.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.flight import aperiodic, branches, ideal, segment
-from model.series import batched_ideal
 from model.precision import check_gamma, check_harmonics
+from model.series import batched_ideal
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold

@@ -2,8 +2,8 @@
 
 The rule kept here: between events no step is taken, and the events are proven first. Going up only ``h' = 0`` can end
 the stage, because the height grows; falling the height is monotone, so the plate and the standstill are looked for
-branch by branch; a standing ball hangs while it lies inside a window of the falling level and outside one of the
-rising level. ``up`` and ``down`` are the tables of `model.flight.branches` at the levels ``1 + mu_up`` and ``1 - mu_down``.
+branch by branch; a standing ball hangs while it lies inside a window of the falling level and outside one of the rising
+level. ``up`` and ``down`` are the tables of `model.flight.branches` at the levels ``1 + mu_up`` and ``1 - mu_down``.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ import math
 
 import numpy as np
 
-from model.flight.short_bounce import short_bounce
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
 from model.flight.chatter import tail_of_chatter
-from model.flight.numerics import Flags, Floats, compiled
 from model.flight.ideal import RESET, RESTS
+from model.flight.numerics import Flags, Floats, compiled
 from model.flight.segment import (
     UNDECIDED,
     Stage,
@@ -28,6 +27,7 @@ from model.flight.segment import (
     surely_above,
     total_speed,
 )
+from model.flight.short_bounce import short_bounce
 
 HUNG = 8
 CHATTERED = 16

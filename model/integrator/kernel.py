@@ -4,9 +4,9 @@ The rule kept here: what is known in closed form (gravity, the plate's tones, th
 integrated; Runge-Kutta carries only the deviation that forces and friction add, and impacts and standstills are
 found on quintic and cubic Hermite polynomials of the whole motion.
 
-This file is a template: `model.integrator.one_step` compiles its text behind a header that composes the hooks of all effects
-(`force`, `dry`, `hold`, `rebound`, `mode`), so that an effect costs a file and no edit here. The hooks below stand for
-"no effect", which also lets this file be imported and checked by itself.
+This file is a template: `model.integrator.one_step` compiles its text behind a header that composes the hooks of all
+effects (`force`, `dry`, `hold`, `rebound`, `mode`), so that an effect costs a file and no edit here. The hooks below
+stand for "no effect", which also lets this file be imported and checked by itself.
 """
 
 # mypy: ignore-errors

@@ -17,8 +17,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from model.effects import absent_row, registry, row
 from model.effects.base import COMPILED_HOOKS
+from model.effects.registry import absent_row, registry, row
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
@@ -33,7 +33,7 @@ _SIGNATURES = {
 
 def _composed_source() -> str:
     """Header that sums the hooks of all effects, then the kernel's own text."""
-    template = Path(__file__).with_name("roll_kernel.py").read_text(encoding="utf-8")
+    template = Path(__file__).with_name("kernel.py").read_text(encoding="utf-8")
     lines = ["import math", "import numpy as np", "from kernels import njit"]
     entries = registry()
     for entry in entries:

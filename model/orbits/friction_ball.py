@@ -1,7 +1,7 @@
 """The ball with Coulomb friction and restitution as `model.orbits.attractor` wants it, by the exact kernel.
 
-The rule kept here: as in `model.orbits.ideal_ball`. Without restitution its state after a landing is one phase, and its bifurcations
-have equations of their own (`model.bifurcations.events`); with restitution it is a phase and a speed.
+The rule kept here: as in `model.orbits.ideal_ball`. Without restitution its state after a landing is one phase, and its
+bifurcations have equations of their own (`model.bifurcations.events`); with restitution it is a phase and a speed.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.flight import first_landing
-from model.orbits import friction_cycles as kernel
-from model.orbits.ideal_ball import IdealBall, Itinerary, has_shorter, resting
 from model.flight.branches import TWO_PI
-from model.orbits.ideal_cycles import SIGNATURE_SIZE
 from model.flight.friction import fill_rough_edges
+from model.orbits import friction_cycles as kernel
 from model.orbits.attractor import LockedCycle, Path, State
+from model.orbits.ideal_ball import IdealBall, Itinerary, has_shorter, resting
+from model.orbits.ideal_cycles import SIGNATURE_SIZE
 from model.precision import check_gamma, lengthened
 from model.tones import Forcing
 

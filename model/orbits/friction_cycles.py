@@ -1,8 +1,8 @@
 """Orbits of the rough, bouncing ball until they close, and how a flight stretches a small shift; compiled.
 
-The rule kept here: as in `model.orbits.ideal_cycles`, rest forgets everything but the threshold, so an orbit closes exactly
-when a threshold repeats. A completed chatter is an infinity of bounces; the bounces of its run that stay in one branch
-are one symbol of the itinerary, so that it does not depend on where the sum of the tail sets in.
+The rule kept here: as in `model.orbits.ideal_cycles`, rest forgets everything but the threshold, so an orbit closes
+exactly when a threshold repeats. A completed chatter is an infinity of bounces; the bounces of its run that stay in one
+branch are one symbol of the itinerary, so that it does not depend on where the sum of the tail sets in.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from model.flight.branches import TWO_PI, branch_of, fold
 from model.flight.chatter import tail_of_chatter
-from model.flight.numerics import Floats, compiled
-from model.orbits.ideal_cycles import CODE, ENTRY, FLIGHTS, PERIOD, RESETS, lowest_start
 from model.flight.friction import Rough, fall, fill_rough_edges, hang, rebound, rise, rough_land, rough_take_off
 from model.flight.ideal import RESTS
+from model.flight.numerics import Floats, compiled
 from model.flight.segment import motion, stage_from
+from model.orbits.ideal_cycles import CODE, ENTRY, FLIGHTS, PERIOD, RESETS, lowest_start
 
 Integers = NDArray[np.int64]
 Tangent = tuple[float, float, float, float]  # d landing/d phase, d landing/d v, d rebound/d phase, d rebound/d v

@@ -12,9 +12,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from model.orbits import ideal_cycles
 from model.flight import first_landing, ideal
 from model.flight.branches import TWO_PI, fold, q_and_slope
+from model.orbits import ideal_cycles
 from model.orbits.attractor import LockedCycle, Path, State
 from model.precision import check_gamma
 from model.tones import Forcing
@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 class Itinerary:
     """Where an orbit from rest went: landing phases (folded), landing indices, and the first flight of the cycle.
 
-    ``index`` counts branches (`model.orbits.ideal_cycles`); ``rests`` marks landings from which a completed chatter leads to
-    rest (its small bounces are left out); ``first = -1`` when the orbit did not close.
+    ``index`` counts branches (`model.orbits.ideal_cycles`); ``rests`` marks landings from which a completed chatter
+    leads to rest (its small bounces are left out); ``first = -1`` when the orbit did not close.
     """
 
     landing: Floats

@@ -1,8 +1,8 @@
 """Orbits of the ideal ball from rest until they close, compiled.
 
 The rule kept here: sticking forgets everything but the threshold, so an orbit is closed exactly when a threshold
-repeats (the reset shortcut); no tolerance decides it. Where an orbit went is kept as whole numbers: the *landing
-index* of a flight is the number of the branch (see `model.flight.branches`) in which it lands, counted from its take-off's
+repeats (the reset shortcut); no tolerance decides it. Where an orbit went is kept as whole numbers: the *landing index*
+of a flight is the number of the branch (see `model.flight.branches`) in which it lands, counted from its take-off's
 period, ``2 w`` branches a period. Two orbits with equal landing indices differ smoothly; where an index changes
 something happened.
 """
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold, q_and_slope
-from model.flight.numerics import Floats, compiled
 from model.flight.ideal import land, next_take_off
+from model.flight.numerics import Floats, compiled
 
 Integers = NDArray[np.int64]
 

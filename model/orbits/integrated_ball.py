@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model.integrator import one_step
-from model.orbits.ideal_ball import resting
 from model.flight.branches import TWO_PI
-from model.orbits.attractor import LockedCycle, Path, State
+from model.integrator import one_step
 from model.integrator.kernel import LONGEST_PERIODS
+from model.orbits.attractor import LockedCycle, Path, State
+from model.orbits.ideal_ball import resting
 from model.tones import Forcing, Plate
 
 REPEATS = 1e-6  # phase

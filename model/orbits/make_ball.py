@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from model.orbits.ideal_ball import IdealBall
-from model.effects import effect, resolve
 from model.effects.base import COMPILED_HOOKS
+from model.effects.registry import effect, resolve
 from model.orbits.attractor import Ball
+from model.orbits.ideal_ball import IdealBall
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 EXACT = frozenset({"coulomb_friction", "restitution"})

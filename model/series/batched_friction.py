@@ -1,9 +1,10 @@
 """Many orbits of the rough, bouncing ball at once, one gamma a lane and one stage a round.
 
-The rule kept here: as in `model.series.batched_ideal`, of which this is the rough sister. Each round every lane (1) walks the
-branches of its stage, up or falling, by tabulated edges to the first that provably holds the end of the stage, and
-(2) all lanes together take a fixed number of Halley rounds, on h or on h'. Then each lane hangs, turns or lands.
-Short bounces (`model.flight.short_bounce`) are flown at once; a stage that is not plain is flown by `model.flight.friction`.
+The rule kept here: as in `model.series.batched_ideal`, of which this is the rough sister. Each round every lane (1)
+walks the branches of its stage, up or falling, by tabulated edges to the first that provably holds the end of the
+stage, and (2) all lanes together take a fixed number of Halley rounds, on h or on h'. Then each lane hangs, turns or
+lands. Short bounces (`model.flight.short_bounce`) are flown at once; a stage that is not plain is flown by
+`model.flight.friction`.
 """
 
 from __future__ import annotations
@@ -12,10 +13,8 @@ import math
 
 import numpy as np
 
-from model.flight.short_bounce import short_bounce
 from model.flight.branches import fold
 from model.flight.chatter import tail_of_chatter
-from model.flight.numerics import Flags, Floats, Rows, compiled
 from model.flight.friction import (
     CHATTERED,
     HUNG,
@@ -29,6 +28,9 @@ from model.flight.friction import (
     rough_take_off,
 )
 from model.flight.ideal import RESET
+from model.flight.numerics import Flags, Floats, Rows, compiled
+from model.flight.segment import SHORT, UNDECIDED, motion, shape, stage_from
+from model.flight.short_bounce import short_bounce
 from model.series.halley_iterations import (
     AT_EDGE,
     COUNT,
@@ -61,7 +63,6 @@ from model.series.halley_iterations import (
     halley_round,
     shapes,
 )
-from model.flight.segment import SHORT, UNDECIDED, motion, shape, stage_from
 
 LANES = 64
 ROUNDS = 5

@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from model.flight.branches import TWO_PI, fill_edges, fold, q_and_slope
-from model.flight.numerics import Flags, Floats, Rows, compiled, sincos
 from model.flight.ideal import RESET, RESTS, land
+from model.flight.numerics import Flags, Floats, Rows, compiled, sincos
 from model.flight.segment import shape
 
 LANES = 64

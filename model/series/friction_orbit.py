@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.flight import branches, friction, ideal, segment
-from model.series import batched_friction
 from model.flight.first_landing import turning_points
+from model.series import batched_friction
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 Floats = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """Cycles of many parameter points in one compiled call: signatures and flight times.
 
-The rule kept here: the same orbits as `model.orbits.ideal_cycles` and `model.orbits.friction_cycles`; a row that does not close is
-left to `model.orbits.attractor`, which knows locked cycles and chaos.
+The rule kept here: the same orbits as `model.orbits.ideal_cycles` and `model.orbits.friction_cycles`; a row that does
+not close is left to `model.orbits.attractor`, which knows locked cycles and chaos.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from model.flight.branches import fill_edges, fold
-from model.flight.numerics import Floats, compiled
-from model.orbits.ideal_cycles import FLIGHTS, PERIOD, RESETS, Integers, fly_until_closed
 from model.flight.friction import fill_rough_edges
+from model.flight.numerics import Floats, compiled
 from model.orbits.friction_cycles import CHATTERS, fly_rough_until_closed
+from model.orbits.ideal_cycles import FLIGHTS, PERIOD, RESETS, Integers, fly_until_closed
 
 CHATTERING = 3  # column of the outcome: the cycle holds a completed chatter
 OUTCOME_SIZE = 4

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.surveys import cycle_batch
 from model.flight import first_landing
+from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
+from model.orbits.friction_ball import RoughBall
 from model.orbits.ideal_ball import IdealBall
 from model.orbits.ideal_cycles import FLIGHTS, PERIOD, RESETS
-from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
 from model.precision import check_gamma, lengthened
-from model.orbits.friction_ball import RoughBall
+from model.surveys import cycle_batch
 from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row

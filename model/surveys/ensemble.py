@@ -19,11 +19,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from model.orbits.make_ball import EXACT, ball_of, rough_of
-from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
-from model.effects import resolve
+from model.effects.registry import resolve
 from model.orbits.attractor import Ball, attractor
+from model.orbits.make_ball import EXACT, ball_of, rough_of
 from model.precision import MOST_WINDOWS, largest_gamma
+from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 CHUNK = 4000  # points: a fraction of a second of an exact ball

@@ -74,8 +74,8 @@ class Backend(Protocol):
 class TwoClocked(Protocol):
     """A back end whose frames are converted by another clock than the one that plays the drive.
 
-    Its blocks say by `daq.recording.tables.Block.place` where they belong among the played samples, declare their own losses, and
-    hold a frame more or less than were played where the clocks have parted by one.
+    Its blocks say by `daq.recording.tables.Block.place` where they belong among the played samples, declare their own
+    losses, and hold a frame more or less than were played where the clocks have parted by one.
     """
 
     @property

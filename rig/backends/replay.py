@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.recording import Recording, open_recording
 from daq.recording.tables import Block
 from daq.setup.errors import InputError
-from daq.recording import Recording, open_recording
 from rig.backends.base import BackendError, checked_drive
 
 

@@ -17,9 +17,9 @@ import numpy as np
 import serial
 from numpy.typing import NDArray
 
-from daq.recording.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
-from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker
+from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
+from daq.recording.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from rig.backends.base import Backend, BackendError, checked_drive
 
 Floats = NDArray[np.float64]

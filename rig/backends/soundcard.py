@@ -15,8 +15,8 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block, volts_per_code
 from daq.clocks.clock_sync import find_marker, start_marker
+from daq.recording.tables import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
 from rig.backends.portaudio import CardStream, open_stream

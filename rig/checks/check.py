@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.lock_in import fit_tones
 from daq.clocks.clock_sync import find_marker, start_marker
+from daq.lock_in import fit_tones
 from rig.backends.base import Backend, Running
-from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
 from rig.profile import Profile
+from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
 from rig.programme.ramp import forbidden, peaks, plan
 from rig.programme.sequencer import largest_block
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.setup.setup import Setup
 from daq.lock_in import LockIn
-from rig.programme.forcing import Complexes, Floats, PhaseClock, drive_amplitudes
+from daq.setup.setup import Setup
 from rig.execution.plate_monitor import Mask
 from rig.profile import ControlTable, Profile
+from rig.programme.forcing import Complexes, Floats, PhaseClock, drive_amplitudes
 from rig.programme.ramp import fade_cycles
 from rig.programme.sequencer import Sequencer, State
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.recording.tables import Block, BlockFlag
-from rig.programme.forcing import Floats
 from rig.execution.plate_monitor import Motion
 from rig.profile import Profile
+from rig.programme.forcing import Floats
 
 HEARTBEAT_S = 0.5  # a device may be late by
 WINDOW_CYCLES = 4  # over which a dead accelerometer is judged

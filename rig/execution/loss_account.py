@@ -1,8 +1,8 @@
 """Where every frame of a run belongs among the samples that were played, losses counted.
 
 The rule kept here: a count that came short is believed at once, and the looped-back drive is asked about the rest
-(`daq.clocks.sample_loss.LossFinder`). What is recorded and what is declared as lost add up to what the device must have given.
-A device that knows where its blocks belong among the played samples, and says so, is believed.
+(`daq.clocks.sample_loss.LossFinder`). What is recorded and what is declared as lost add up to what the device must have
+given. A device that knows where its blocks belong among the played samples, and says so, is believed.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from operator import itemgetter
 
 import numpy as np
 
-from daq.recording.tables import Block
-from daq.clocks.sample_loss import LossFinder
 from daq.clocks.loss_search import AtOnce, Beside
-from rig.programme.forcing import Floats
+from daq.clocks.sample_loss import LossFinder
+from daq.recording.tables import Block
 from rig.execution.high_pass import HighPass
 from rig.profile import Profile
+from rig.programme.forcing import Floats
 
 CHUNK_CYCLES = 1.3  # of the forcing, looked at together
 LEAST_CHUNK = 64  # samples

@@ -15,11 +15,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block
-from daq.recording.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
-from rig.execution.amplitude_loop import AmplitudeLoop, Heard, ToneMeter, achieved_gamma
+from daq.recording.recorder_process import RecorderProcess
+from daq.recording.tables import Block
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
+from rig.execution.amplitude_loop import AmplitudeLoop, Heard, ToneMeter, achieved_gamma
 from rig.execution.clock_log import ClockLog
 from rig.execution.interlock import Interlock
 from rig.execution.loss_account import LossAccount

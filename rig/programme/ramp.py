@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from rig.programme.forcing import Complexes, PhaseClock, drive_amplitudes
 from rig.profile import Limits, Profile, RampTable
+from rig.programme.forcing import Complexes, PhaseClock, drive_amplitudes
 
 Integers = NDArray[np.int64]
 

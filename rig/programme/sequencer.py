@@ -87,7 +87,8 @@ class Sequencer:
     setup
         Forcing and drive scale.
     amplitudes
-        Complex drive volts of each tone for a gamma; `rig.programme.forcing.drive_amplitudes` where nothing better is known.
+        Complex drive volts of each tone for a gamma; `rig.programme.forcing.drive_amplitudes` where nothing better is
+        known.
     controlled
         Whether a step settles until `settled` is called, instead of for its planned cycles.
 
@@ -281,7 +282,8 @@ def fades_of_steps(setup: Setup, steps: NDArray[np.void], *, zero_from: int | No
     setup
         The recording's measuring part.
     steps
-        Its step table (`daq.recording.tables.STEP_DTYPE`): of each row the first sample, length, fade and gamma are used.
+        Its step table (`daq.recording.tables.STEP_DTYPE`): of each row the first sample, length, fade and gamma are
+        used.
     zero_from
         First sample of a hard zero, where the run was stopped *now* (the recording's ``why`` names it).
     """

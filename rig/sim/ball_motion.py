@@ -11,9 +11,9 @@ import math
 from typing import Any
 
 from kernels import njit
+from rig.sim.forces import gravity, hang_margin, net, plate_acceleration, rebound, release_margin
 from rig.sim.rng import uniform
 from rig.sim.sensors import landing_edges, push_edge, ring_now
-from rig.sim.forces import gravity, hang_margin, net, plate_acceleration, rebound, release_margin
 from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN
 
 ROCKING_MPS = 0.5

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels import njit
-from rig.sim.drive_chain import drive_plate
-from rig.sim.rng import small_noise
-from rig.sim.sensors import run_circuit
-from rig.sim.forces import G_MPS2, gravity, plate_acceleration
 from rig.sim.ball_motion import move_ball
+from rig.sim.drive_chain import drive_plate
+from rig.sim.forces import G_MPS2, gravity, plate_acceleration
+from rig.sim.rng import small_noise
 from rig.sim.scenario import Scenario
+from rig.sim.sensors import run_circuit
 from rig.sim.state import FLIGHT, initial_state
 
 CHANNELS = ("continuity", "accelerometer", "drive")

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
+from rig.fakes.serial_device import SerialDevice
 from rig.profile import Profile
 from rig.sim.scenario import Scenario
-from rig.fakes.serial_device import SerialDevice
 from rig.virtual.jack import jack_client
 
 HELD_PERIODS = 4  # of frames that the device holds for a reader that is late

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from analysis.residuals import observations
 from analysis.flights.compare import compare
+from analysis.residuals import observations
 from daq.setup.errors import InputError
 
 

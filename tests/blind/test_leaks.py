@@ -9,10 +9,10 @@ import numpy as np
 
 from daq.recording import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
-from rig.profile import load_profile, load_setup
 from rig.execution.run import run_ramp
-from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
+from rig.profile import load_profile, load_setup
 from rig.sim.blind_scenarios import pool, sealed_scenario
+from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
 
 PROFILE = Path(__file__).parents[2] / "rig_profiles" / "simulated.toml"
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-PLANT = Path(__file__).with_name("other_plant.py")
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
 
 
 def verdict_on(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
     """The written verdict on a recording of the other plant, and where the sealed truth lies."""
-    subprocess.run([sys.executable, str(PLANT), str(folder), "--shuffle", *options], check=True, capture_output=True)
+    plant = [sys.executable, "-m", "benchmarks.plants.other_plant", str(folder), "--shuffle", *options]
+    subprocess.run(plant, check=True, capture_output=True)
     raw, profile, out = folder / "recording.csv", folder / "profile.toml", folder / "r.h5"
     subprocess.run(
         [*BENCH, "import", str(raw), "--profile", str(profile), "--out", str(out)], check=True, capture_output=True

@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from benchmarks.plants import other_plant as other
 from daq.setup.setup import Setup
-
-
-def _load() -> ModuleType:
-    path = Path(__file__).with_name("other_plant.py")
-    spec = importlib.util.spec_from_file_location("other_plant", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["other_plant"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-other = _load()
 
 
 @pytest.mark.parametrize(("gamma_peak", "taus"), [(1.5, (3.566217,)), (3.0, (5.967608,)), (3.8, (5.823950, 6.742421))])

@@ -14,8 +14,8 @@ import pytest
 
 from bench.commands.ramp import make_backend
 from bench.profiles.find import load
-from daq.recording.tables import Block
 from daq.recording import RecordingWriter
+from daq.recording.tables import Block
 from rig.backends.base import Backend, BackendError, Running
 from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.backends.replay import ReplayBackend
@@ -24,9 +24,9 @@ from rig.backends.simulated import SimulatedBackend
 from rig.backends.soundcard import SoundcardBackend
 from rig.fakes.fake_nidaqmx import Bench
 from rig.fakes.faults import FaultyBackend
-from rig.sim.scenario import Scenario
 from rig.fakes.serial_device import SerialDevice
 from rig.fakes.serial_loopback import WiredCard, WiredPort
+from rig.sim.scenario import Scenario
 
 RATE_HZ = 20000.0
 

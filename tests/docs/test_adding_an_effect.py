@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 TRIAL = """
 import math
 import numpy as np
-from model.effects import resolve
+from model.effects.registry import resolve
 from model.roll import march
 resolve({"updraught": {"push_mps2": 0.5}})
 w = 2 * math.pi * 25.0
@@ -26,7 +26,7 @@ print(lasts({}), updraught, lasts({"local_gravity": {"excess_mps2": -0.5}}))
 
 def test_the_effect_of_the_how_to_flies(tmp_path: Path) -> None:
     """The how-to's file, put beside the others with nothing else edited, lengthens a flight as weaker gravity would."""
-    page = (ROOT / "docs" / "adding-an-effect.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "add-an-effect.md").read_text(encoding="utf-8")
     assert len(page.splitlines()) < 60
     code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert code is not None

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.flight.first_landing import first_landing, relative_height, run_orbit
 from model.contact_sensor import Instrument, observe, opening_delay
+from model.flight.first_landing import first_landing, relative_height, run_orbit
 from model.tones import Forcing
 
 EVENTS = st.lists(st.floats(1e-6, 5e-3), min_size=2, max_size=40).filter(lambda gaps: len(gaps) % 2 == 0)

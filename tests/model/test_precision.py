@@ -6,13 +6,13 @@ import mpmath
 import numpy as np
 import pytest
 
-from model.orbits.ideal_ball import IdealBall
 from model.bifurcations.events import bifurcations
-from model.orbits.make_ball import ball_of
-from model.surveys.diagram import diagram
 from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
 from model.orbits.attractor import attractor
+from model.orbits.ideal_ball import IdealBall
+from model.orbits.make_ball import ball_of
 from model.precision import PROVEN_PHASE, largest_gamma
+from model.surveys.diagram import diagram
 from model.tones import Forcing
 
 

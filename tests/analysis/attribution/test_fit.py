@@ -17,7 +17,7 @@ UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"),
 TRUTH = {UP: 0.12, DOWN: 0.18}
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say(make: Callable[..., World]) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., World]) -> None:
     """Sixteen runs, both frictions, begun a good way off and fitted again from there, as an explanation is.
 
     The sum of squared pulls is a chi-square's, on either side. The accelerometer's scale is as wrong as its prior
@@ -26,7 +26,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(make: Callable[..., World
     pulls, scale = [], ("accelerometer_gain", "relative")
     for seed in range(16):
         off = 0.005 * np.random.default_rng(100 + seed).standard_normal()
-        world = make({**TRUTH, scale: off}, seed, gammas=(0.5, 0.9, 0.7, 1.2))
+        world = fly_ramp({**TRUTH, scale: off}, seed, gammas=(0.5, 0.9, 0.7, 1.2))
         fitter = Fitter(world, priors_of(world.evidence.setup), np.ones(4, dtype=bool))
         whitener = Whitener.of(world, {**TRUTH, scale: off})
         fitted = fitter.fit(whitener, (UP, DOWN), fitter.fit(whitener, (UP, DOWN), {UP: 0.15, DOWN: 0.15}).values)
@@ -36,10 +36,10 @@ def test_intervals_hold_the_truth_as_often_as_they_say(make: Callable[..., World
     assert abs(np.mean(pulls)) < 3.5 / np.sqrt(len(pulls))
 
 
-def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(make: Callable[..., World]) -> None:
+def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Callable[..., World]) -> None:
     """Gravity 3 % off where 0.1 % is claimed: it stays within bounds, and the loss says that something is wrong."""
     gravity = ("local_gravity", "excess_mps2")
-    world = make({gravity: 0.3}, 0)
+    world = fly_ramp({gravity: 0.3}, 0)
     fitter = Fitter(world, {gravity: Prior(0.0, 0.01)}, np.ones(len(world.evidence.steps), dtype=bool))
     whitener = Whitener.of(world, {gravity: 0.3})
     bound, free = fitter.fit(whitener, (), {}), fitter.fit(whitener, (gravity,), {})
@@ -48,9 +48,9 @@ def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(make: Callab
     assert bound.loss > free.loss + 100.0
 
 
-def test_a_fit_sees_its_training_steps_only(make: Callable[..., World]) -> None:
+def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., World]) -> None:
     """Flights of the other steps may be anything: the values stay, their held-out loss does not."""
-    world = make(TRUTH, 1)
+    world = fly_ramp(TRUTH, 1)
     m = len(world.evidence.steps)
     train = np.arange(m) % 4 != 2
     whitener = Whitener.of(world, TRUTH)
@@ -64,9 +64,9 @@ def test_a_fit_sees_its_training_steps_only(make: Callable[..., World]) -> None:
     assert spoilt.keys() == fitted.values.keys()
 
 
-def test_a_promise_is_kept_where_residuals_are_linear(make: Callable[..., World]) -> None:
+def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., World]) -> None:
     """The gain that `linear_step` foretells for a weak damping is what the fit then finds, within a third."""
-    world = make({RATE: 0.05}, 2)
+    world = fly_ramp({RATE: 0.05}, 2)
     fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
     whitener = Whitener.of(world, {RATE: 0.05})
     nothing, something = fitter.fit(whitener, (), {}), fitter.fit(whitener, (RATE,), {})
@@ -77,25 +77,25 @@ def test_a_promise_is_kept_where_residuals_are_linear(make: Callable[..., World]
 
 @pytest.mark.parametrize(("part", "seen"), [(0.4, False), (2.5, True)])
 def test_what_lies_beyond_the_detection_limit_gains_the_threshold(
-    make: Callable[..., World], part: float, seen: bool
+    fly_ramp: Callable[..., World], part: float, seen: bool
 ) -> None:
     """A damping of 2.5 times the limit is worth the 12 nats that a name needs, one of 0.4 times it is not."""
-    clean = make({}, 5)
+    clean = fly_ramp({}, 5)
     all_steps = np.ones(len(clean.evidence.steps), dtype=bool)
     priors = priors_of(clean.evidence.setup)
     fitter = Fitter(clean, priors, all_steps)
     limit = fitter.detectable(fitter.fit(Whitener.of(clean, {}), (), {}), RATE, 12.0)
     assert 0.0 < limit < 1.0
-    world = make({RATE: part * limit}, 6)
+    world = fly_ramp({RATE: part * limit}, 6)
     fitter = Fitter(world, priors, all_steps)
     whitener = Whitener.of(world, {RATE: part * limit})
     gain = fitter.fit(whitener, (), {}).loss - fitter.fit(whitener, (RATE,), {}).loss
     assert (gain > 12.0) == seen
 
 
-def test_a_size_differs_from_nothing_only_beyond_its_interval(make: Callable[..., World]) -> None:
+def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable[..., World]) -> None:
     """Friction of 0.12 differs from none, a damping that is not there does not, and a shape never counts."""
-    world = make(TRUTH, 3)
+    world = fly_ramp(TRUTH, 3)
     fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
     fitted = fitter.fit(Whitener.of(world, TRUTH), (UP, DOWN, RATE), TRUTH)
     assert fitted.differs((UP, DOWN)) and fitted.differs((UP, RATE))

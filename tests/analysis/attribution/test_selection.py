@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from analysis.attribution import selection
-from analysis.attribution.selection import Attributor
 from analysis.attribution.candidates import Candidate, candidates_of
-from analysis.attribution.hypothesis import Attribution
-from analysis.attribution.fit import Fitter
 from analysis.attribution.comparison import MOST_OF_A_STEP, Compared, thriftiest
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Attribution
+from analysis.attribution.selection import Attributor
 from analysis.residuals.forward_model import Key, World
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
@@ -25,7 +25,7 @@ Explain = Callable[..., Attribution]
 
 @pytest.fixture
 def explain(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter], monkeypatch: pytest.MonkeyPatch
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter], monkeypatch: pytest.MonkeyPatch
 ) -> Explain:
     """Explanation of a short run by a library of six."""
 
@@ -35,7 +35,7 @@ def explain(
     monkeypatch.setattr(selection, "candidates_of", few)
 
     def explained(truth: dict[Key, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> Attribution:
-        world = make(truth, seed, gammas=gammas)
+        world = fly_ramp(truth, seed, gammas=gammas)
         return Attributor(world, fitter_of(world)).explain()
 
     return explained
@@ -66,10 +66,10 @@ def test_two_causes_are_both_named(explain: Explain) -> None:
 
 
 def test_an_idle_companion_is_left_out_again(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """Drag that was added before friction explained everything goes when it is looked at again."""
-    world = make({UP: 0.05, DOWN: 0.05}, 4, gammas=GAMMAS)
+    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 4, gammas=GAMMAS)
     attributor = Attributor(world, fitter_of(world))
     drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),), ({("quadratic_drag", "k_per_m"): 0.5},))
     friction = Candidate(("coulomb_friction",), (UP, DOWN), ({UP: 0.05, DOWN: 0.05},))
@@ -83,10 +83,10 @@ def test_an_idle_companion_is_left_out_again(
 
 
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """Stribeck friction chosen first, for what adhesion did: beside adhesion plain friction does as well."""
-    world = make({UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}, 6, gammas=tuple(np.linspace(0.35, 1.35, 14)))
+    world = fly_ramp({UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}, 6, gammas=tuple(np.linspace(0.35, 1.35, 14)))
     attributor = Attributor(world, fitter_of(world))
     pool = candidates_of(world)
     stribeck, adhesion = (next(c for c in pool if c.names == (name,)) for name in ("stribeck_friction", "adhesion"))
@@ -98,10 +98,10 @@ def test_a_special_case_takes_the_place_of_what_it_is_one_of(
 
 
 def test_a_richer_form_gives_way_to_its_special_case(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """Stribeck friction is chosen although plain friction is all there is: the name is that of plain friction."""
-    world = make({UP: 0.15, DOWN: 0.15}, 6, gammas=GAMMAS)
+    world = fly_ramp({UP: 0.15, DOWN: 0.15}, 6, gammas=GAMMAS)
     attributor = Attributor(world, fitter_of(world))
     pool = candidates_of(world)
     stribeck = attributor.add(_nothing(attributor), next(c for c in pool if c.names == ("stribeck_friction",)))
@@ -112,10 +112,10 @@ def test_a_richer_form_gives_way_to_its_special_case(
 
 
 def test_a_fuller_form_of_what_is_named_stays_on_offer(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """Restitution without its slope is named: the slope may follow, what else is named may not again."""
-    world = make({}, 2, gammas=GAMMAS)
+    world = fly_ramp({}, 2, gammas=GAMMAS)
     attributor = Attributor(world, fitter_of(world))
     pool = candidates_of(world)
     bare = min((c for c in pool if c.names == ("restitution",)), key=lambda c: len(c.free))

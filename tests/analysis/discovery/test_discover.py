@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.discovery.spline_basis import basis_of, hats_of, knots_of, penalty_of
 from analysis.discovery.describe import in_words
+from analysis.discovery.spline_basis import basis_of, hats_of, knots_of, penalty_of
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, Curve, event_term
 
 Array = NDArray[np.float64]

@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.discovery.spline_basis import basis_of, knots_of
-from analysis.discovery.discover import discover
-from analysis.residuals.covariates import covariates
-from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
-from analysis.attribution.hypothesis import Explanation
 from analysis.attribution.fit import Fitter
-from analysis.residuals.forward_model import Key, World
+from analysis.attribution.hypothesis import Explanation
+from analysis.discovery.discover import discover
 from analysis.discovery.penalised_fit import Stack, best_start, try_in_flight
 from analysis.discovery.search import FIRST_TAILS, TermSearch
+from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
+from analysis.residuals.covariates import covariates
+from analysis.residuals.forward_model import Key, World
+from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
 from analysis.residuals.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 
@@ -52,10 +52,10 @@ def search_of(world: World, fitter: Fitter) -> TermSearch:
 
 
 def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """Covariate, direction, size, words; held-out landings at the floor; more than any constant pull."""
-    world = make(latch(), 1)
+    world = fly_ramp(latch(), 1)
     fitter = fitter_of(world)
     found = discover(world, fitter, unexplained(world, fitter), fitter.train)
     assert found is not None
@@ -73,19 +73,19 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     assert before.landing_rms_us > 5.0 * floor
 
 
-def test_nothing_is_discovered_in_noise(make: Callable[..., World], fitter_of: Callable[[World], Fitter]) -> None:
+def test_nothing_is_discovered_in_noise(fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]) -> None:
     """A clean run has no missing term, however many covariates are asked."""
-    world = make({}, 2)
+    world = fly_ramp({}, 2)
     fitter = fitter_of(world)
     assert discover(world, fitter, unexplained(world, fitter), fitter.train) is None
 
 
 def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """The take-off threshold at long and at short rests, each within its band or a tenth."""
     a, tau = 2.0, 4e-3
-    world = make({("adhesion", "a_mps2"): a, ("adhesion", "dwell_s"): tau}, 3)
+    world = fly_ramp({("adhesion", "a_mps2"): a, ("adhesion", "dwell_s"): tau}, 3)
     search = search_of(world, fitter_of(world))
     x = search.tables["dwell_s"]
     knots = knots_of(x[world.evidence.judged])
@@ -98,10 +98,10 @@ def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
 
 
 def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """e = 0.12 - 0.3 v, found without a formula, to a hundredth where rebounds are long enough to be seen."""
-    world = make({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
+    world = fly_ramp({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
     search = search_of(world, fitter_of(world))
     term = next(t for t in IN_FLIGHT if t.name == "restitution")
     span = ranges_of(search.tables, world.evidence.judged)[term.of]
@@ -114,12 +114,12 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
 
 
 def test_the_band_of_a_smooth_force_holds_the_truth(
-    make: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
 ) -> None:
     """A pull that grows evenly with height: in five runs the truth lies within the band where 95 % says so."""
     spring, inside = 40.0, []
     for seed in range(5, 10):
-        world = make({("position_force", "spring_per_s2"): spring}, seed)
+        world = fly_ramp({("position_force", "spring_per_s2"): spring}, seed)
         search = search_of(world, fitter_of(world))
         term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
         found = search.polished(Curve.even(term, ranges_of(search.tables, world.evidence.judged)[term.of]))

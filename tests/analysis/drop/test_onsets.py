@@ -12,9 +12,9 @@ from analysis.drop.onsets import read_wav, sound_onsets
 from analysis.drop.rows import Drop
 from analysis.drop.sequence import bounces_of
 from analysis.drop.sources import load
+from daq.recording import RecordingWriter
 from daq.recording.tables import Block
 from daq.setup.errors import InputError
-from daq.recording import RecordingWriter
 from daq.setup.setup import Setup
 
 

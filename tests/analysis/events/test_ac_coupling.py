@@ -13,8 +13,8 @@ from analysis.events.ac_coupling import USUAL_CORNER_HZ, Coupling, LevelRestorer
 from analysis.events.edges import CLOSES, OPENS, Crossings, CrossingScan, Levels, time_edges
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.signals.stream import PAD, Piece
-from daq.recording.tables import Block
 from daq.recording import RecordingWriter, open_recording
+from daq.recording.tables import Block
 
 RATE = 20000.0
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.events.impact_detection import ImpactScan
-from analysis.signals.stream import PAD
 from analysis.events.impact_template import LEAD, Waveform, echo_samples, learn_waveform
+from analysis.signals.stream import PAD
 
 RATE_HZ = 20000.0
 

@@ -11,8 +11,8 @@ from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from bench.profiles.find import load
 from daq.recording import RecordingWriter, open_recording
 from rig.backends.simulated import SimulatedBackend
-from rig.profile import parse_profile
 from rig.execution.run import run_ramp
+from rig.profile import parse_profile
 from rig.sim.scenario import Scenario
 
 

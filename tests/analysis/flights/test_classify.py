@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.flights.assemble import flights_of
 from analysis.flights.classify import changes, classify, count_modes
 from analysis.flights.compare import compare
-from analysis.flights.assemble import flights_of
 from daq.recording import open_recording
 
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.flights.compare import compare
 from analysis.flights.assemble import flights_of
-from daq.setup.errors import InputError
+from analysis.flights.compare import compare
 from daq.recording import open_recording
+from daq.setup.errors import InputError
 from model.effects.routing import of_the_ball, plate_gain, reading, shapes_the_plate
 
 

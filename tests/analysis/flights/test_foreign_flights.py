@@ -1,17 +1,15 @@
 """Recordings from elsewhere, however they were written down: the same flights and the same plate come out."""
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.flights.table import Flights
 from analysis.flights.assemble import flights_of
+from analysis.flights.table import Flights
+from benchmarks.plants import other_plant
 from daq.importers.columns import open_source, parse_map
 from daq.importers.import_recording import import_recording
 from daq.recording import open_recording
@@ -21,16 +19,6 @@ RATE_HZ = 20000.0
 GAMMAS = (0.4, 0.8, 1.1, 0.6, 1.4, 0.95)
 Columns = dict[str, NDArray[np.float64]]
 Seen = tuple[Flights, NDArray[np.float64]]
-
-
-def _plant() -> ModuleType:
-    path = Path(__file__).parents[2] / "blind" / "other_plant.py"
-    spec = importlib.util.spec_from_file_location("other_plant", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["other_plant"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def setup(**changes: object) -> Setup:
@@ -61,7 +49,7 @@ def seen(raw: Path, out: Path, own: Setup, maps: tuple[str, ...] = (), rate_hz: 
 @pytest.fixture(scope="module")
 def columns() -> Columns:
     """A ramp of the other plant, in volts."""
-    plant = _plant()
+    plant = other_plant
     data = plant.simulate(plant.Run(gammas=GAMMAS, cycles=16, seed=3, jitter_s=5e-6))
     return {k: data[k] for k in ("time_s", "continuity_v", "accelerometer_v", "drive_v")}
 

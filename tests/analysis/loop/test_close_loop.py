@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.attribution.hypothesis import Attribution, Rejected
 from analysis.loop import close_loop
 from analysis.loop.close_loop import verdict_of
-from analysis.residuals.prediction_errors import Errors
-from analysis.attribution.hypothesis import Attribution, Rejected
 from analysis.residuals.forward_model import DRIFT
 from analysis.residuals.lack_of_fit import Remainder
+from analysis.residuals.prediction_errors import Errors
 from analysis.thresholds import FROZEN
 
 NOISE = Remainder(0.4, 1.02, 1.01, None, {}, 0.3, 0.5, 0.6)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.residuals.observations import Evidence, Steps
 from analysis.attribution.fit import Fitter, priors_of
-from analysis.residuals.forward_model import World
 from analysis.loop.design import Design, designs_for, rehearse
+from analysis.residuals.forward_model import World
+from analysis.residuals.observations import Evidence, Steps
 from analysis.residuals.plate_observables import PlateData
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup

@@ -7,8 +7,8 @@ import pytest
 
 from analysis.plate.mains_lines import WANDER_HZ, heard_hz, line_of, moved
 from analysis.plate.measure import plate_of
-from daq.recording import open_recording
 from daq.lock_in import ToneFit, fit_tones
+from daq.recording import open_recording
 
 G = 9.80665
 RATE_HZ = 1000.0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from analysis.report.figures_plate import TONES
 from analysis.report.gamma import gamma_scale
 from analysis.report.style import clipped_dots
-from analysis.report.figures_plate import TONES
 from daq.setup.setup import Forcing
 
 

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import analysis.close_loop
-import analysis.loop_report
-from analysis.attribution.selection import Attributor
+import analysis.loop.close_loop
+import analysis.report.page
 from analysis.attribution.candidates import Candidate
-from analysis.loop.close_loop import Loop, as_json
-from analysis.attribution.hypothesis import Attribution, Rejected
 from analysis.attribution.comparison import Compared
-from analysis.report.page import write_report
-from analysis.report.narrative import reasoning
+from analysis.attribution.hypothesis import Attribution, Rejected
+from analysis.attribution.selection import Attributor
+from analysis.loop.close_loop import Loop, as_json
 from analysis.loop.verdict import Failed
-from analysis.residuals.whitening import Whitener
+from analysis.report.narrative import reasoning
+from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS, interval, verdict_line
+from analysis.residuals.whitening import Whitener
 from bench.cli import app
 
 KEYS = (

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.residuals.prediction_errors import errors_on, fragile, judged_rows, noise_floors_us
 from analysis.residuals.forward_model import World
-from model.effects import row
-from model.integrator.one_step import Measured, PlateSteps, march, one_ahead
+from analysis.residuals.prediction_errors import errors_on, fragile, judged_rows, noise_floors_us
+from model.effects.registry import row
 from model.integrator.kernel import RESOLVED_S
+from model.integrator.one_step import Measured, PlateSteps, march, one_ahead
 
 G = 9.80665
 E0 = 0.4
@@ -90,11 +90,11 @@ def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
     assert p.landing_s[1] == pytest.approx(bounces[0], abs=1e-9)
 
 
-def test_grazes_alone_are_missed_by_far(make: Callable[..., World]) -> None:
+def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., World]) -> None:
     """Elastic runs of nothing but noise: what is missed by far was fragile, the rest is missed as the floor says."""
     ratios, far, left = [], 0, []
     for seed in range(3):
-        world = make(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
+        world = fly_ramp(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
         rows, out = judged_rows(world, REBOUNDS, np.ones(len(world.evidence.steps), dtype=bool))
         ratios.append(errors_on(world, REBOUNDS, rows, out).landing_rms_us / noise_floors_us(world, REBOUNDS, rows)[0])
         left.append(out)
@@ -106,9 +106,9 @@ def test_grazes_alone_are_missed_by_far(make: Callable[..., World]) -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
-def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(make: Callable[..., World]) -> None:
+def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(fly_ramp: Callable[..., World]) -> None:
     """The last flight of each step, moved by a tenth of a millisecond, is as fragile as before."""
-    world = make(REBOUNDS, 0)
+    world = fly_ramp(REBOUNDS, 0)
     ev = world.evidence
     last = np.append(ev.measured.step[1:] != ev.measured.step[:-1], True)
     landing = ev.measured.landing_s + 1e-4 * last

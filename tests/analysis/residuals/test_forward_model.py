@@ -17,11 +17,11 @@ FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down")
 SEEDS = range(4)
 
 
-def test_residuals_at_the_truth_are_unit_normal_once_whitened(make: Callable[..., World]) -> None:
+def test_residuals_at_the_truth_are_unit_normal_once_whitened(fly_ramp: Callable[..., World]) -> None:
     """Edges, carried errors and tones together: Kolmogorov-Smirnov on four runs, and the plate data likewise."""
     events, plate = [], []
     for seed in SEEDS:
-        world = make(FRICTION, seed)
+        world = fly_ramp(FRICTION, seed)
         whitener = Whitener.of(world, FRICTION)
         z, p = whitener.white(world.residuals(FRICTION))
         events.append(z)
@@ -34,9 +34,9 @@ def test_residuals_at_the_truth_are_unit_normal_once_whitened(make: Callable[...
 
 
 @pytest.mark.parametrize("times", [3.0, 8.0])
-def test_what_a_step_shares_is_taken_out(make: Callable[..., World], times: float) -> None:
+def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., World], times: float) -> None:
     """Tones err for a whole step, some by far more than edges: bare residuals of steps differ, whitened ones do not."""
-    world = make(FRICTION, 3)
+    world = fly_ramp(FRICTION, 3)
     sigma = times * world.evidence.steps.sigma_mps2
     rng = np.random.default_rng(0)
     steps = world.evidence.steps
@@ -56,16 +56,16 @@ def test_what_a_step_shares_is_taken_out(make: Callable[..., World], times: floa
     assert between(z) > 1e-3
 
 
-def test_weights_are_near_only_with_those_of_the_plate(make: Callable[..., World]) -> None:
+def test_weights_are_near_only_with_those_of_the_plate(fly_ramp: Callable[..., World]) -> None:
     """A fit is settled when edges and plate data both keep their weights."""
-    whitener = Whitener.of(make(FRICTION, 1), FRICTION)
+    whitener = Whitener.of(fly_ramp(FRICTION, 1), FRICTION)
     assert whitener.near(whitener)
     assert not replace(whitener, plate_sigma=2.0 * whitener.plate_sigma).near(whitener)
 
 
-def test_a_microsecond_that_a_step_shares_is_no_evidence(make: Callable[..., World]) -> None:
+def test_a_microsecond_that_a_step_shares_is_no_evidence(fly_ramp: Callable[..., World]) -> None:
     """However sharp the edges: all landings of a step off by what the circuit may do count as one unit, not as many."""
-    made = make(FRICTION, 1).evidence
+    made = fly_ramp(FRICTION, 1).evidence
     sharp = np.full(len(made), 5e-8)
     world = World(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
     whitener, r = Whitener.of(world, FRICTION, lean=True), world.residuals(FRICTION)
@@ -74,9 +74,9 @@ def test_a_microsecond_that_a_step_shares_is_no_evidence(make: Callable[..., Wor
     assert np.all(np.bincount(whitener.step, z**2) < 2.5)
 
 
-def test_the_truth_loses_least(make: Callable[..., World]) -> None:
+def test_the_truth_loses_least(fly_ramp: Callable[..., World]) -> None:
     """By step and in sum, friction's own size beats a tenth less and a tenth more on the same weights."""
-    world = make(FRICTION, 1)
+    world = fly_ramp(FRICTION, 1)
     whitener = Whitener.of(world, FRICTION)
 
     def loss(part: float) -> float:
@@ -86,9 +86,9 @@ def test_the_truth_loses_least(make: Callable[..., World]) -> None:
     assert loss(1.0) < min(loss(0.9), loss(1.1)) - 20.0
 
 
-def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(make: Callable[..., World]) -> None:
+def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(fly_ramp: Callable[..., World]) -> None:
     """A trend moves rows in proportion to the place in the run, and never beyond the parameter's bounds."""
-    world = make({}, 0)
+    world = fly_ramp({}, 0)
     mu = ("coulomb_friction", "mu_up")
     plain, trend = world.rows({mu: 0.1}), world.rows({mu: 0.1, ("coulomb_friction", "mu_up@drift"): 0.6})
     change = (trend - plain).sum(axis=1)

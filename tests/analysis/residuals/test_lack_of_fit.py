@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.attribution.hypothesis import Explanation
+from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.residuals.forward_model import Values, World
 from analysis.residuals.lack_of_fit import innovations, remainder
 
@@ -24,11 +24,11 @@ def left_by(world: World, values: Values) -> Explanation:
     return cast(Explanation, SimpleNamespace(fitted=SimpleNamespace(values=values)))
 
 
-def test_probabilities_are_those_of_noise_on_noise(make: Callable[..., World]) -> None:
+def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., World]) -> None:
     """Eight runs of noise: none improbable, each test's p spread out, the covariates' like uniform ones."""
     every, scatter, serial = [], [], []
     for seed in range(8):
-        world = make(MU, seed)
+        world = fly_ramp(MU, seed)
         left = remainder(world, left_by(world, MU))
         assert left.p_lack_of_fit > 1e-3
         assert left.covariate is None
@@ -41,9 +41,9 @@ def test_probabilities_are_those_of_noise_on_noise(make: Callable[..., World]) -
     assert min(scatter) > 0.05  # the scale of the noise is granted an error
 
 
-def test_innovations_are_independent_and_of_unit_size(make: Callable[..., World]) -> None:
+def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., World]) -> None:
     """An edge enters the next predictions: neighbours are correlated before, not after."""
-    world = make(MU, 2)
+    world = fly_ramp(MU, 2)
     found = innovations(world, MU, world.uncertainty(MU))
     assert np.std(found.z) == pytest.approx(1.0, abs=0.1)
     together = found.step[1:] == found.step[:-1]
@@ -51,9 +51,9 @@ def test_innovations_are_independent_and_of_unit_size(make: Callable[..., World]
     assert abs(lagged) < 4.0 / np.sqrt(together.sum())
 
 
-def test_a_planted_slope_is_found_and_named(make: Callable[..., World]) -> None:
+def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., World]) -> None:
     """Landings late in proportion to the time in the run, half an uncertainty at its ends: so much is seen."""
-    world = make(MU, 3)
+    world = fly_ramp(MU, 3)
     ev, total = world.evidence, world.uncertainty(MU).landing_total_s
     time = covariates(world, MU)["time_in_run_s"]
     part = (time - time.mean()) / np.ptp(time)
@@ -64,18 +64,18 @@ def test_a_planted_slope_is_found_and_named(make: Callable[..., World]) -> None:
     assert left.covariate in ("time_in_run_s", "step_number")
 
 
-def test_a_missing_cause_is_far_from_noise(make: Callable[..., World]) -> None:
+def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., World]) -> None:
     """Friction 0.1 left out: improbable beyond doubt, and many times the floor."""
-    world = make(MU, 4)
+    world = fly_ramp(MU, 4)
     left = remainder(world, left_by(world, {}))
     assert left.p_lack_of_fit < 1e-12
     assert left.ratio > 3.0
     assert left.covariate in COVARIATES
 
 
-def test_a_rare_graze_is_no_law(make: Callable[..., World]) -> None:
+def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., World]) -> None:
     """Two landings of hundreds that are milliseconds off raise no alarm by themselves."""
-    world = make(MU, 5)
+    world = fly_ramp(MU, 5)
     ev = world.evidence
     rows = np.flatnonzero(ev.judged)[[50, 200]]
     landing = np.array(ev.measured.landing_s)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.residuals.observations import Evidence, evidence_of
 from analysis.plate.fit_mask import Kept
 from analysis.residuals.forward_model import Key, World
 from analysis.residuals.modulation import Swells
+from analysis.residuals.observations import Evidence, evidence_of
 from analysis.residuals.plate_observables import MODULATION
 from analysis.thresholds import FROZEN
-from model.effects import row
+from model.effects.registry import row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead
 
 G = 9.80665

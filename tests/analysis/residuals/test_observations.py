@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.residuals.observations import _clustered, join
 from analysis.residuals.forward_model import World
+from analysis.residuals.observations import _clustered, join
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 QUIET = (0.22, 0.23, 0.24, 0.25)
 
 
-def test_joined_recordings_keep_their_own_steps(make: Callable[..., World]) -> None:
+def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., World]) -> None:
     """Two runs in one table: flights of the second point at its own steps, and predict as they did alone."""
-    one, two = (make(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
+    one, two = (fly_ramp(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
     both = join([one, two])
     assert len(both) == len(one) + len(two)
     assert both.measured.step[len(one)] == len(one.steps) + two.measured.step[0]

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import Kept
-from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from analysis.residuals.plate_mode import Ringing, _driven
+from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from model.integrator.one_step import PlateSteps, Predicted
 
 Array = NDArray[np.float64]

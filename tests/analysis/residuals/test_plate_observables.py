@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.residuals.plate_observables import GAIN, PHASE, SECOND, THIRD, PlateData, expected
-from model.effects import effect
+from model.effects.registry import effect
 
 QUADRATIC, CUBIC = 0.004, -0.0015  # per g and per g^2
 POINTS = 256

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.residuals.forward_model import World
 from analysis.residuals.prediction_errors import (
     errors_on,
     judged_rows,
@@ -15,16 +16,15 @@ from analysis.residuals.prediction_errors import (
     noise_floors_us,
     noise_quantiles_us,
 )
-from analysis.residuals.forward_model import World
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 
 
-def test_the_floor_is_what_a_true_model_misses_by(make: Callable[..., World]) -> None:
+def test_the_floor_is_what_a_true_model_misses_by(fly_ramp: Callable[..., World]) -> None:
     """Five runs of nothing but noise: rms over floor, of landings and of take-offs, is one within 10 %."""
     landing, opening = [], []
     for seed in range(5):
-        world = make(FRICTION, seed)
+        world = fly_ramp(FRICTION, seed)
         rows, out = judged_rows(world, FRICTION, np.ones(len(world.evidence.steps), dtype=bool))
         errors, floors = errors_on(world, FRICTION, rows, out), noise_floors_us(world, FRICTION, rows)
         landing.append(errors.landing_rms_us / floors[0])
@@ -35,9 +35,9 @@ def test_the_floor_is_what_a_true_model_misses_by(make: Callable[..., World]) ->
     assert np.mean(opening) == pytest.approx(1.0, abs=0.1)
 
 
-def test_only_named_steps_count_and_only_grazes_are_left_out(make: Callable[..., World]) -> None:
+def test_only_named_steps_count_and_only_grazes_are_left_out(fly_ramp: Callable[..., World]) -> None:
     """Flights of other steps never; of these all but the ones whose landing nobody could have predicted."""
-    world = make(FRICTION, 0)
+    world = fly_ramp(FRICTION, 0)
     steps = np.arange(len(world.evidence.steps)) == 4
     rows, out = judged_rows(world, FRICTION, steps)
     assert set(world.evidence.measured.step[rows]) == {4}
@@ -53,17 +53,17 @@ def test_only_named_steps_count_and_only_grazes_are_left_out(make: Callable[...,
     assert np.isnan(nothing.landing_rms_us)
 
 
-def test_a_flight_without_prediction_misses_by_half_a_period(make: Callable[..., World]) -> None:
+def test_a_flight_without_prediction_misses_by_half_a_period(fly_ramp: Callable[..., World]) -> None:
     """A ball that a wrong model never lets go is no hit."""
-    world = make({}, 0)
+    world = fly_ramp({}, 0)
     held = {("adhesion", "a_mps2"): 29.0}
     rows, out = judged_rows(world, held, world.evidence.steps.gamma < 0.4)
     assert errors_on(world, held, rows, out).landing_rms_us == pytest.approx(0.5e6 / 25.37, rel=0.05)
 
 
-def test_few_steps_may_miss_by_more_than_their_floor(make: Callable[..., World]) -> None:
+def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., World]) -> None:
     """Tones err for a whole step: noise alone exceeds the floor of two steps by more than that of fourteen."""
-    world = make(FRICTION, 0)
+    world = fly_ramp(FRICTION, 0)
     over = []
     for steps in (2, 14):
         rows, _ = judged_rows(world, FRICTION, np.arange(len(world.evidence.steps)) < steps)

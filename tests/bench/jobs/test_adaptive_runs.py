@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import bench.commands.ramp
-import bench.next_profile
+import bench.profiles.next_run
 from bench.jobs import adaptive_runs
 from daq.setup.errors import InputError
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bench.jobs.calibrate import Measured, contact, drive
 from bench.cli import app
 from bench.commands.ramp import make_backend
+from bench.jobs.calibrate import Measured, contact, drive
 from bench.profiles.edit import write_into
 from bench.profiles.find import load, shipped_folder
 from daq.setup.calibration_age import doubts

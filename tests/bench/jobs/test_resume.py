@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from bench.commands.ramp import make_backend, record
-from bench.profiles.find import load
 from bench.jobs.resume import continued
-from daq.setup.errors import InputError
+from bench.profiles.find import load
 from daq.recording import open_recording
-from rig.profile import parse_profile
+from daq.setup.errors import InputError
 from rig.fakes.faults import FaultyBackend, Unplugged
+from rig.profile import parse_profile
 
 GAMMA = "gamma = { start = 0.4, stop = 2.6, steps = 23 }   # or a list: gamma = [0.5, 0.7]"
 

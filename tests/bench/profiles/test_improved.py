@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from analysis.residuals.forward_model import DRIFT
-from bench.profiles.improved import write_improved
 from bench.profiles.find import load
+from bench.profiles.improved import write_improved
 
 SIMULATED = (Path(__file__).parents[3] / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
 UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")

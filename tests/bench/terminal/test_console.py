@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 
 import bench
 from bench.cli import COMMANDS, app
-from bench.terminal.console import print_table, write_json
 from bench.profiles.find import find_scenario, scenario_names, shipped_folder
+from bench.terminal.console import print_table, write_json
 from bench.terminal.streams import SafeStream, nearest
 from daq.setup.errors import InputError
 

@@ -11,8 +11,8 @@ from bench.terminal.run_display import health_line, limits_line, run_display, st
 from daq.recording import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import Status, run_ramp
-from rig.programme.sequencer import State
 from rig.fakes.faults import Fault, FaultyBackend, LooseCable, LostFrames
+from rig.programme.sequencer import State
 from rig.sim.scenario import Scenario
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.recording.tables import CLOCK_DTYPE
 from daq.clocks.clock_sync import ClockTracker, find_marker, fit_clock, played_s, start_marker
+from daq.recording.tables import CLOCK_DTYPE
 
 RATE = 20000.0
 LATENCY = 311.37

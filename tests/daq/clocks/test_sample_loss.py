@@ -9,31 +9,21 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from daq.recording.tables import Block, BlockFlag
-from daq.clocks.sample_loss import LossFinder
+from benchmarks.daq import losses
 from daq.clocks.loss_search import NOTHING, AtOnce, Beside, Found
+from daq.clocks.sample_loss import LossFinder
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.recording.tables import Block, BlockFlag
 from daq.setup.setup import Setup
 
 RATE_HZ = 20_000.0
-
-
-def losses() -> ModuleType:
-    """The benchmark of 100 lossy and 100 clean runs."""
-    path = Path(__file__).parents[3] / "benchmarks" / "losses.py"
-    spec = importlib.util.spec_from_file_location("losses", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.mark.parametrize("ratio", [1, 2])
 @pytest.mark.parametrize("lost", [1, 17, 800, 5000])
 def test_losses_are_counted_and_placed(lost: int, ratio: int) -> None:
     """One loss, from one sample to a quarter of a second: one gap, the right count, at its place."""
-    (at, _, _), *declared = losses().run(np.random.default_rng(lost + ratio), lost, ratio, seconds=4.0)
+    (at, _, _), *declared = losses.run(np.random.default_rng(lost + ratio), lost, ratio, seconds=4.0)
     assert [n for _, n, _ in declared] == [lost]
     assert abs(declared[0][0] - at) < 400
 
@@ -41,7 +31,7 @@ def test_losses_are_counted_and_placed(lost: int, ratio: int) -> None:
 def test_clean_runs_stay_clean() -> None:
     """Steps, fades, latency, noise and a late clock are not losses."""
     for ratio in (1, 2, 3):
-        assert losses().run(np.random.default_rng(ratio), 0, ratio, seconds=4.0)[1:] == []
+        assert losses.run(np.random.default_rng(ratio), 0, ratio, seconds=4.0)[1:] == []
 
 
 def feed(finder: LossFinder, played: np.ndarray, heard: np.ndarray, kept: np.ndarray | None = None) -> list[Block]:

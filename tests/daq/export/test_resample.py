@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
+from daq.export.export import export
+from daq.export.resample import Resampled
+from daq.recording import Recording, RecordingWriter, open_recording
 from daq.recording.tables import Block
 from daq.setup.errors import InputError
-from daq.export.export import export
-from daq.recording import Recording, RecordingWriter, open_recording
-from daq.export.resample import Resampled
 
 SCALE = 10.0 / 32768.0
 

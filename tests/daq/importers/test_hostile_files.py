@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from daq.setup.errors import InputError
 from daq.export.export import export
 from daq.importers.columns import assign, listed, open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import open_recording
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 NAMES = ("time_s", "accelerometer_v", "drive_v")

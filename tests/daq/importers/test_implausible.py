@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.importers.csv_kernel import parse_rows
-from daq.setup.errors import InputError
 from daq.importers.columns import open_source, parse_map
-from daq.recording.identity import refuse_repeated
+from daq.importers.csv_kernel import parse_rows
 from daq.importers.import_recording import ImportSummary, import_recording
 from daq.recording import open_recording
+from daq.recording.identity import refuse_repeated
+from daq.setup.errors import InputError
 from daq.setup.setup import Forcing, Frozen, Setup
 from daq.setup.strict_toml import load_toml
 

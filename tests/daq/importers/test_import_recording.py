@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
-from daq.setup.errors import InputError
 from daq.export.export import export
 from daq.importers.columns import assign, open_source, parse_map, split_name
 from daq.importers.import_recording import ImportSummary, import_recording
 from daq.recording import open_recording, verify
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 RATE_HZ = 2000.0

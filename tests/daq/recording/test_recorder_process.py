@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.recording.recorder_process import RecorderProcess
+from daq.recording.shared_ring import FOLDER, NAME, Ring, clear_left_behind
 from daq.recording.tables import STEP_DTYPE, Block
 from daq.setup.errors import InputError
-from daq.recording.recorder_process import RecorderProcess
-from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
-from daq.recording.shared_ring import FOLDER, NAME, Ring, clear_left_behind
 from daq.setup.setup import Setup
 
 OPTIONS = {"profile_text": "", "channels": CHANNELS, "backend": "s", "simulated": True}

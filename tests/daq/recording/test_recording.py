@@ -11,8 +11,8 @@ import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq.setup.errors import InputError
 from daq.recording import CHANNELS, Block, BlockFlag, RecordingWriter, open_recording, verify
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 

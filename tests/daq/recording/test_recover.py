@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-from daq.setup.errors import InputError
+from benchmarks.daq import kill
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 CODES = np.random.default_rng(1).integers(-999, 999, (3000, 3), np.int16)
@@ -62,23 +61,12 @@ def test_frames_without_their_row_do_not_count(tmp_path: Path, setup: Setup) -> 
     assert recover(tmp_path / "a.h5").n_samples == 3000
 
 
-def kill_benchmark() -> ModuleType:
-    """The module of the 200 kills."""
-    path = Path(__file__).parents[3] / "benchmarks" / "kill.py"
-    spec = importlib.util.spec_from_file_location("kill", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @posix
 @pytest.mark.parametrize("seconds", [0.0, 0.02, 0.1])
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_killed_recorders(tmp_path: Path, seconds: float) -> None:
     """After SIGKILL at some moment, every acknowledged block is in the recovered file (200 of these: benchmarks)."""
-    lost, whole, _ = kill_benchmark().trial(tmp_path, seconds, 200)
+    lost, whole, _ = kill.trial(tmp_path, seconds, 200)
     assert (lost, whole) == (0, True)
 
 

@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.setup.errors import InputError
 from daq.recording import CHANNELS, Block, RecordingWriter, verify
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 

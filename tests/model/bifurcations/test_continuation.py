@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from model.orbits.ideal_ball import IdealBall
 from model.bifurcations.continuation import doubling_curve, doubling_near, follow_both_ways
 from model.orbits.attractor import LockedCycle, State
 from model.orbits.friction_ball import RoughBall
+from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
 FORCING = Forcing.superposition(1)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from model.orbits.ideal_ball import IdealBall
 from model.bifurcations.events import bifurcations, cycle_windows
 from model.orbits.attractor import attractor
 from model.orbits.friction_ball import RoughBall
+from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
 ONE_SINE = IdealBall(Forcing.superposition(1))

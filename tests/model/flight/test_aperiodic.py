@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks.model.reference import stays_above
 
+from benchmarks.model.reference import stays_above
 from model.flight.first_landing import (
     FlightFlag,
     first_landing,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from benchmarks.model.friction_reference import ExactRough, march
 
+from benchmarks.model.friction_reference import ExactRough, march
 from model.flight import chatter, friction
 from model.flight.first_landing import run_diagram, take_off_phases, turning_points
 from model.series.friction_orbit import Rough, RoughFlag, run_rough_diagram, run_rough_orbit

@@ -5,22 +5,14 @@ import itertools
 import mpmath as mp
 import numpy as np
 import pytest
-from benchmarks.model.adversarial import KINDS, flights_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from benchmarks.model.reference import Exact, lifted_until, stays_above
 
+from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flights_of
+from benchmarks.model.reference import Exact, lifted_until, stays_above
 from model.flight import ideal
 from model.flight.first_landing import FlightFlag, edges, first_landing, relative_height, run_diagram, take_off_phases
 from model.tones import Forcing
-
-HEIGHT_ROUNDING = 1e-15  # relative to gamma (1 + slope tau) + tau^2: what a double's height can be wrong by
-
-
-def allowed(gamma, forcing, tau, speed):
-    """How far a right landing in double precision may be off: the height's rounding over the impact speed."""
-    size = gamma * float(np.sum(forcing.tones[:, 1] * (1 + forcing.tones[:, 0] * tau))) + tau**2
-    return 1e-11 * max(tau, 1e-3) + 4 * HEIGHT_ROUNDING * size / max(speed, 1e-300)
 
 
 @pytest.mark.parametrize("kind", KINDS)

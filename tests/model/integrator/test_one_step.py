@@ -8,8 +8,8 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from model.effects import row
 from model.effects.harmonic_distortion import harmonics, powers
+from model.effects.registry import row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead
 
 G_MPS2 = 9.80665

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from model.orbits.ideal_ball import IdealBall
-from model.orbits.make_ball import ball_of
 from model.orbits.attractor import State, attractor, basins, same_attractor, sweep
 from model.orbits.friction_ball import RoughBall
+from model.orbits.ideal_ball import IdealBall
+from model.orbits.make_ball import ball_of
 from model.tones import Forcing
 
 ONE_SINE = IdealBall(Forcing.superposition(1))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.surveys import ensemble
-from model.orbits.ideal_ball import IdealBall
-from model.surveys.diagram import FIELDS, adaptive, diagram
-from model.surveys.ensemble import Axis, Job
+from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.attractor import attractor
 from model.orbits.friction_ball import RoughBall
+from model.orbits.ideal_ball import IdealBall
+from model.surveys import ensemble
+from model.surveys.diagram import FIELDS, adaptive, diagram
+from model.surveys.ensemble import Axis, Job
 from model.tones import Forcing
-from model.bifurcations.forbidden_zones import forbidden_zones
 
 FORCING = Forcing.superposition(1)
 

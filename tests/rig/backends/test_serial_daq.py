@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
-from daq.recording.tables import Block, BlockFlag, volts_per_code
-from daq.recording import RecordingWriter, open_recording, verify
-from daq.clocks.serial_frames import SerialFrame, encode_frame
 from daq.clocks.clock_sync import played_s
+from daq.clocks.serial_frames import SerialFrame, encode_frame
+from daq.recording import RecordingWriter, open_recording, verify
+from daq.recording.tables import Block, BlockFlag, volts_per_code
 from rig.backends.base import BackendError, Running, TwoClocked
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
-from rig.profile import Profile, parse_profile
 from rig.execution.run import run_ramp
-from rig.sim.scenario import Scenario
 from rig.fakes.serial_device import SerialDevice
 from rig.fakes.serial_loopback import WiredCard, WiredPort
+from rig.profile import Profile, parse_profile
+from rig.sim.scenario import Scenario
 
 RATE = 20000.0
 CHANNELS = ("continuity", "accelerometer", "drive")

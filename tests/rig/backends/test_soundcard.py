@@ -15,14 +15,14 @@ import pytest
 
 from bench.commands.devices import fits
 from bench.commands.ramp import make_backend
-from daq.recording.recorder_process import RecorderProcess
 from daq.recording import open_recording
+from daq.recording.recorder_process import RecorderProcess
 from rig.backends.base import BackendError, Lagging, Running
 from rig.backends.soundcard import SoundcardBackend
 from rig.checks.check import Check
 from rig.execution.priority import before_other_work
-from rig.profile import BackendTable, Profile, parse_profile
 from rig.execution.run import run_ramp
+from rig.profile import BackendTable, Profile, parse_profile
 from rig.programme.sequencer import commanded, fades_of_changes
 
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from daq.recording import RecordingWriter, open_recording
-from rig.programme.ramp import plan
 from rig.execution.run import StopRequest, run_ramp
-from rig.programme.sequencer import Stop, commanded, fades_of_changes, fades_of_steps
 from rig.fakes.faults import FaultyBackend, LostFrames
+from rig.programme.ramp import plan
+from rig.programme.sequencer import Stop, commanded, fades_of_changes, fades_of_steps
 
 
 def record(profile, rig, path, **options):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from daq.setup.errors import InputError
+from rig.sim.blind_scenarios import STRENGTHS, pool, sealed_scenario
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
 from rig.sim.scenario import Scenario, load_scenario
-from rig.sim.blind_scenarios import STRENGTHS, pool, sealed_scenario
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "scenarios").glob("*.toml"))
 
@@ -109,6 +109,6 @@ def test_asking_for_more_effects_than_named_is_refused() -> None:
 
 def test_the_documentation_names_every_effect_parameter_and_rig_key() -> None:
     """docs/reference/scenarios.md lists all there is to write into a scenario."""
-    text = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "scenarios.md").read_text(encoding="utf-8")
     words = [word for name, entry in EFFECTS.items() for word in (name, *(p.name for p in entry.parameters))]
     assert [word for word in (*words, *RIG_DEFAULTS) if f"`{word}`" not in text] == []
