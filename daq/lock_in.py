@@ -136,8 +136,15 @@ class LockIn:
         cycles = self.frequencies_hz / self.rate_hz
         self._inverse = None
         _accumulate(
-            np.ascontiguousarray(values), sort, int(first), cycles, self.response(), self._grams, self._sides,
-            self._squares, self._counts,
+            np.ascontiguousarray(values),
+            sort,
+            int(first),
+            cycles,
+            self.response(),
+            self._grams,
+            self._sides,
+            self._squares,
+            self._counts,
         )
 
     def part(self, sorts: npt.ArrayLike) -> LockIn:

@@ -187,4 +187,3 @@ def opening_delay(
         above = relative_height(forcing, gamma, phase, middle, speed) > gap
         lo, end = np.where(above, lo, middle), np.where(above, middle, end)
     return np.where(np.isinf(hi), np.inf, end)
-

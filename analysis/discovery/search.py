@@ -41,7 +41,13 @@ from model.effects.registry import effect
 Array = NDArray[np.float64]
 
 FINALISTS = 5
-FIRST_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # of the first looks within the flight: see `analysis.discovery.penalised_fit.TAILS`
+FIRST_TAILS = (
+    0.9,
+    0.7,
+    0.5,
+    0.5,
+    0.5,
+)  # of the first looks within the flight: see `analysis.discovery.penalised_fit.TAILS`
 NEAR = 0.4  # of the best first look's gain: who is nearer is looked at again
 LIKE = {"since_impact_s": "dwell_s", "impact_mps": "previous_impact_mps"}  # nearest covariate of a whole flight
 SOME = 0.01  # from nothing at all no step leads down

@@ -137,4 +137,3 @@ class FlightLaw:
         fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)
         up = np.sqrt(self.up_mps2 / k) * np.tan(rise)
         return np.where(t < 0.0, up, -np.sqrt(self.down_mps2 / k) * np.tanh(fall))
-

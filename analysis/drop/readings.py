@@ -19,21 +19,59 @@ from daq.setup.errors import InputError
 Array = NDArray[np.float64]
 
 _TIME = {
-    "t", "time", "times", "zeit", "tempo", "temps", "tijd", "tiempo", "czas", "seconds", "sekunden", "secondi",
+    "t",
+    "time",
+    "times",
+    "zeit",
+    "tempo",
+    "temps",
+    "tijd",
+    "tiempo",
+    "czas",
+    "seconds",
+    "sekunden",
+    "secondi",
     "clock",
 }
 _FRAME = {"frame", "frames", "bild", "bildnummer", "fotogramma", "image", "slice", "beeld", "step", "pas"}
 _HEIGHT = {
-    "y", "h", "height", "höhe", "hoehe", "altezza", "hoogte", "hauteur", "altura", "z", "s", "position",
-    "posizione", "positie", "quota", "y1",
+    "y",
+    "h",
+    "height",
+    "höhe",
+    "hoehe",
+    "altezza",
+    "hoogte",
+    "hauteur",
+    "altura",
+    "z",
+    "s",
+    "position",
+    "posizione",
+    "positie",
+    "quota",
+    "y1",
 }
 _ACROSS = {"x", "x1"}
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
 _UNITS = {*_METRES, *_SECONDS, "px", "pixel", "pixels", "frame", "frames", "deg", "rad", "1", ""}
 _INTERVAL = {
-    "interval", "intervals", "intervall", "intervalle", "intervallo", "intervalli", "difference", "differenz",
-    "differenza", "verschil", "durata", "dauer", "duur", "dt", "flight",
+    "interval",
+    "intervals",
+    "intervall",
+    "intervalle",
+    "intervallo",
+    "intervalli",
+    "difference",
+    "differenz",
+    "differenza",
+    "verschil",
+    "durata",
+    "dauer",
+    "duur",
+    "dt",
+    "flight",
 }
 
 

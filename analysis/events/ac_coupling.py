@@ -104,9 +104,7 @@ def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float)
     return np.asarray(after * np.exp(decay * middle) - before * np.exp(-decay * middle))
 
 
-def _corner_hz(
-    pieces: Sequence[Floats], found: Sequence[npt.NDArray[np.int64]], rate_hz: float
-) -> float | None:
+def _corner_hz(pieces: Sequence[Floats], found: Sequence[npt.NDArray[np.int64]], rate_hz: float) -> float | None:
     """Corner from how means of chunks without an edge decay; the chunk before is the instrument: noise does no bias."""
     top = bottom = 0.0
     chunks, chunk = 0, _samples(CHUNK_S, rate_hz)

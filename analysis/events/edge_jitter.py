@@ -92,9 +92,7 @@ def _rows(time_s: Array, period_s: float) -> list[tuple[Array, Array]]:
     return []
 
 
-def _chained(
-    time_s: Array, like: Ints, known: NDArray[np.bool_], apart_s: float
-) -> list[tuple[Array, Array]]:
+def _chained(time_s: Array, like: Ints, known: NDArray[np.bool_], apart_s: float) -> list[tuple[Array, Array]]:
     """Each row from its first edge on, as measured and with whole cycles taken off."""
     out = []
     for first in np.setdiff1d(np.flatnonzero(known), like[known]):

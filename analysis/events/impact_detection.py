@@ -81,8 +81,17 @@ class ImpactScan:
         recent = self._found[-1][-self.RECENT :]
         out[: len(recent)] = recent
         total = _time(
-            volts, first - pad, found[:n], own, self.waveform.fine, self._bank, self._norms, self.waveform.projector,
-            limit, out, len(recent),
+            volts,
+            first - pad,
+            found[:n],
+            own,
+            self.waveform.fine,
+            self._bank,
+            self._norms,
+            self.waveform.projector,
+            limit,
+            out,
+            len(recent),
         )
         new = out[len(recent) : total].copy()
         self._found[-1] = np.concatenate([self._found[-1], new])

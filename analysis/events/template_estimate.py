@@ -69,9 +69,7 @@ def _onsets(volts: Floats, fitted: npt.NDArray[np.bool_], noise_v: float) -> Flo
     return np.asarray(first[enough] - 0.5, dtype=np.float64)
 
 
-def _snippets(
-    volts: Floats, fitted: npt.NDArray[np.bool_], places: Floats, echo: int
-) -> tuple[Floats, Floats]:
+def _snippets(volts: Floats, fitted: npt.NDArray[np.bool_], places: Floats, echo: int) -> tuple[Floats, Floats]:
     """Accelerometer around impacts far from others, and their place before the sample."""
     alone = (np.append(np.diff(places), np.inf) > echo) & (np.diff(places, prepend=-np.inf) > echo)
     sample = np.ceil(places).astype(np.int64)
@@ -108,9 +106,7 @@ def _without_motion(
     return volts, fitted
 
 
-def _motion(
-    volts: Floats, start: int, rate_hz: float, row: np.void, quiet: npt.NDArray[np.bool_]
-) -> ToneFit:
+def _motion(volts: Floats, start: int, rate_hz: float, row: np.void, quiet: npt.NDArray[np.bool_]) -> ToneFit:
     """The plate's tones in a piece of a step: the usual ones, and harmonics and mains lines that stand out.
 
     Hum and distortion that are left in would pass for ringing; harmonics that are not there fill the masked holes.

@@ -68,11 +68,19 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     flags |= _unresolved(strength, flags, report)
     flags |= _hidden(plate, setup.g_mps2.value, takeoff, landing, contact, step, flags)
     return Flights(
-        takeoff_s=takeoff, landing_s=landing,
-        takeoff_uncertainty_s=takeoff_sigma, landing_uncertainty_s=landing_sigma,
-        takeoff_phase=plate.phase(takeoff, step), landing_phase=plate.phase(landing, step),
-        step=step, gamma=_gammas(found, step), contact_s=contact, impact=strength, flags=flags.astype(np.int32),
-        plate=plate, edges=report,
+        takeoff_s=takeoff,
+        landing_s=landing,
+        takeoff_uncertainty_s=takeoff_sigma,
+        landing_uncertainty_s=landing_sigma,
+        takeoff_phase=plate.phase(takeoff, step),
+        landing_phase=plate.phase(landing, step),
+        step=step,
+        gamma=_gammas(found, step),
+        contact_s=contact,
+        impact=strength,
+        flags=flags.astype(np.int32),
+        plate=plate,
+        edges=report,
     )
 
 
@@ -127,8 +135,13 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
 
 
 def _split(
-    takeoff: Floats, landing: Floats, takeoff_sigma: Floats, landing_sigma: Floats, flags: Ints,
-    impacts: Impacts, reach_s: float,
+    takeoff: Floats,
+    landing: Floats,
+    takeoff_sigma: Floats,
+    landing_sigma: Floats,
+    flags: Ints,
+    impacts: Impacts,
+    reach_s: float,
 ) -> tuple[Floats, Floats, Floats, Floats, Ints]:
     """Cut intervals in the air at impacts inside them (not at their ends: those are the edges' own)."""
     if takeoff.size == 0 or impacts.time_s.size == 0:
@@ -167,9 +180,7 @@ def _strength(landing: Floats, impacts: Impacts, reach_s: float) -> Floats:
         return np.full(landing.size, np.nan)
     after = np.minimum(np.searchsorted(impacts.time_s, landing), impacts.time_s.size - 1)
     before = np.maximum(after - 1, 0)
-    nearer = np.where(
-        np.abs(impacts.time_s[before] - landing) < np.abs(impacts.time_s[after] - landing), before, after
-    )
+    nearer = np.where(np.abs(impacts.time_s[before] - landing) < np.abs(impacts.time_s[after] - landing), before, after)
     return np.where(np.abs(impacts.time_s[nearer] - landing) < reach_s, impacts.strength[nearer], np.nan)
 
 
@@ -293,9 +304,15 @@ def _hidden(
 
 def _gammas(found: Scan, step: Ints) -> Floats:
     """Gamma of each flight's step: measured on the plate, else what the rig says it achieved, else what was asked."""
-    best = np.array([
-        plate.gamma if plate is not None and np.isfinite(plate.gamma)
-        else row["achieved_gamma"] if np.isfinite(row["achieved_gamma"]) else row["gamma"]
-        for plate, row in zip(found.plate.steps, found.steps, strict=True)
-    ] or [np.nan])
+    best = np.array(
+        [
+            plate.gamma
+            if plate is not None and np.isfinite(plate.gamma)
+            else row["achieved_gamma"]
+            if np.isfinite(row["achieved_gamma"])
+            else row["gamma"]
+            for plate, row in zip(found.plate.steps, found.steps, strict=True)
+        ]
+        or [np.nan]
+    )
     return np.where(step >= 0, best[np.maximum(step, 0)], np.nan)

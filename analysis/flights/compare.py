@@ -211,9 +211,16 @@ def compare(
     alike = [s.mean_ratio for s in steps if np.isfinite(s.mean_ratio) and s.measured.kind == "cycle" and s.periodic]
     ratios = alike or [s.mean_ratio for s in steps if np.isfinite(s.mean_ratio)]
     return Comparison(
-        tuple(steps), seen, _first(flights, setup, seen, declared), tuple(sorted(declared)),
-        1.0 - float(np.median(ratios)) if ratios else float("nan"), inside / count if count else float("nan"), count,
-        sum(s.measured.double_hits for s in steps), flights.plate.rate_hz, flights.plate.ratio,
+        tuple(steps),
+        seen,
+        _first(flights, setup, seen, declared),
+        tuple(sorted(declared)),
+        1.0 - float(np.median(ratios)) if ratios else float("nan"),
+        inside / count if count else float("nan"),
+        count,
+        sum(s.measured.double_hits for s in steps),
+        flights.plate.rate_hz,
+        flights.plate.ratio,
     )
 
 
@@ -261,8 +268,18 @@ def _step(
         if low > 0.0
     )
     return StepComparison(
-        plate.step, plate.gamma, plate.gamma_peak, own, found.label, predicted, periodic, ratio, rms, within,
-        doubt if periodic else "", bands,
+        plate.step,
+        plate.gamma,
+        plate.gamma_peak,
+        own,
+        found.label,
+        predicted,
+        periodic,
+        ratio,
+        rms,
+        within,
+        doubt if periodic else "",
+        bands,
     )
 
 
@@ -289,9 +306,7 @@ def seen_by_instrument(found: Attractor, frequency_hz: float, flights: Flights) 
     return np.asarray((landing_s[last] - takeoff_s[first])[1:]) if first.size > 1 else np.zeros(0)
 
 
-def _first(
-    flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Effects
-) -> FirstBifurcation:
+def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Effects) -> FirstBifurcation:
     """The first change after take-off, measured and predicted, in gamma."""
     measured = next((c for c in seen if c.type not in ("take-off", "landing for good")), None)
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]

@@ -21,7 +21,7 @@ def doubts(recording: Recording, plate: PlateMotion) -> list[str]:
     if jitter > UNEVEN_SAMPLES:
         said.append(
             f"the file's times differ from {recording.rate_hz:.6g} samples/s by {jitter:.3g} samples rms, and samples "
-            "are counted: \"within one sample\" is of the count, not of the times"
+            'are counted: "within one sample" is of the count, not of the times'
         )
     steps = [s for s in plate.steps if s is not None]
     if "drive" in recording.channels and steps:

@@ -172,4 +172,3 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
 def _noise_mps2(recording: Recording, known: Survey) -> float:
     """White noise of the accelerometer in m/s^2."""
     return known.noise_v / abs(recording.setup.channels.accelerometer.volts_per_mps2)
-

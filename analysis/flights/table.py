@@ -85,9 +85,7 @@ class Flights:
 
     def select(self, chosen: npt.NDArray[np.bool_]) -> Flights:
         """The chosen flights, same plate."""
-        columns = {
-            f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("plate", "edges")
-        }
+        columns = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("plate", "edges")}
         return Flights(**columns, plate=self.plate, edges=self.edges)
 
     def good(self) -> npt.NDArray[np.bool_]:
@@ -122,7 +120,15 @@ class EdgeReport:
 
 
 COLUMNS = (
-    "takeoff_s", "landing_s", "duration_s", "uncertainty_s", "takeoff_phase", "landing_phase", "step", "gamma", "flags",
+    "takeoff_s",
+    "landing_s",
+    "duration_s",
+    "uncertainty_s",
+    "takeoff_phase",
+    "landing_phase",
+    "step",
+    "gamma",
+    "flags",
 )
 
 
@@ -138,8 +144,16 @@ def write_csv(flights: Flights, path: Path) -> None:
         out.writerow(COLUMNS)
         duration, sigma = flights.duration_s, flights.uncertainty_s
         for i in range(len(flights)):
-            out.writerow([
-                f"{flights.takeoff_s[i]:.9f}", f"{flights.landing_s[i]:.9f}", f"{duration[i]:.9f}", f"{sigma[i]:.9f}",
-                f"{flights.takeoff_phase[i]:.6f}", f"{flights.landing_phase[i]:.6f}",
-                int(flights.step[i]), f"{flights.gamma[i]:.6f}", flag_names(int(flights.flags[i])),
-            ])
+            out.writerow(
+                [
+                    f"{flights.takeoff_s[i]:.9f}",
+                    f"{flights.landing_s[i]:.9f}",
+                    f"{duration[i]:.9f}",
+                    f"{sigma[i]:.9f}",
+                    f"{flights.takeoff_phase[i]:.6f}",
+                    f"{flights.landing_phase[i]:.6f}",
+                    int(flights.step[i]),
+                    f"{flights.gamma[i]:.6f}",
+                    flag_names(int(flights.flags[i])),
+                ]
+            )

@@ -266,7 +266,7 @@ def _notes(evidence: Evidence, attribution: Attribution) -> tuple[str, ...]:
 
 
 def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, Any]:
-    """The verdict for a machine; what does not exist is null. ``next_run`` as `analysis.loop.design.as_json` gives it."""
+    """The verdict for a machine; what does not exist is null. ``next_run``: see `analysis.loop.design.as_json`."""
 
     def plain(errors: Errors) -> dict[str, Any]:
         return {k: _finite(v) for k, v in dataclasses.asdict(errors).items()}

@@ -164,9 +164,7 @@ class Folder:
             fold.blocks += end - block
             fold.last_sample = b
 
-    def _sort(
-        self, block: int, end: int, hits: Ints, fraction: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.int8]:
+    def _sort(self, block: int, end: int, hits: Ints, fraction: npt.NDArray[np.float32]) -> npt.NDArray[np.int8]:
         """Place and band of blocks; the block in which an impact begins, a little early, is touched."""
         blocks = np.arange(block, end)
         place = np.where(fraction > 0.9, FLIGHT, np.where(fraction < 0.1, CONTACT, NEITHER))

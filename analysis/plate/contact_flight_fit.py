@@ -72,8 +72,13 @@ def _apart(contact: LockIn, total: LockIn, rms: float, rows: list[int]) -> tuple
         own, covariance = part @ solution, part @ inverse @ part.T * rms**2
         fits.append(
             ToneFit(
-                total.frequencies_hz[rows], own[1::2] + 1j * own[2::2], covariance[1:, 1:], rms,
-                float(own[0]), float(np.sqrt(covariance[0, 0])), n,
+                total.frequencies_hz[rows],
+                own[1::2] + 1j * own[2::2],
+                covariance[1:, 1:],
+                rms,
+                float(own[0]),
+                float(np.sqrt(covariance[0, 0])),
+                n,
             )
         )
     return fits[0], fits[1]

@@ -78,9 +78,22 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
         gram, side, power = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros((windows, 2))
         used = np.zeros(windows, dtype=np.int64)
         fit_windows(
-            span.values, keep, span.first,
-            folded.frequencies_hz / rate_hz, folded.response(), amplitudes, offsets, rows, group, slow, seen, length,
-            gram, side, power, used,
+            span.values,
+            keep,
+            span.first,
+            folded.frequencies_hz / rate_hz,
+            folded.response(),
+            amplitudes,
+            offsets,
+            rows,
+            group,
+            slow,
+            seen,
+            length,
+            gram,
+            side,
+            power,
+            used,
         )
         slow_s = (span.first + (np.arange(slow.size) + 0.5) * group) / rate_hz
         time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
@@ -178,16 +191,26 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
     forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], acceleration.amplitudes[rows])
     return StepPlate(
-        step=fold.step, first_sample=fold.first_sample, last_sample=fold.last_sample,
-        frequency_hz=fold.frequency_hz, frequency_uncertainty_hz=fold.frequency_uncertainty_hz,
-        nominal_hz=fold.nominal_hz, ratio=fold.ratio, multiples=multiples,
-        acceleration=acceleration, drive=drive, sides=sides,
-        gamma=gamma, gamma_uncertainty=gamma * relative,
+        step=fold.step,
+        first_sample=fold.first_sample,
+        last_sample=fold.last_sample,
+        frequency_hz=fold.frequency_hz,
+        frequency_uncertainty_hz=fold.frequency_uncertainty_hz,
+        nominal_hz=fold.nominal_hz,
+        ratio=fold.ratio,
+        multiples=multiples,
+        acceleration=acceleration,
+        drive=drive,
+        sides=sides,
+        gamma=gamma,
+        gamma_uncertainty=gamma * relative,
         gamma_peak=gamma_peak_of(forcing, fold.frequency_hz, setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, fold.ratio),
         phase0_rad=float(np.mod(np.angle(acceleration.amplitudes[0]) - 0.5 * np.pi, 2 * np.pi)),
-        masked=1.0 - total.n / max(fold.folded.n, 1), windows=windows,
-        slow=_slow(fold, factor), kept=_kept(fold),
+        masked=1.0 - total.n / max(fold.folded.n, 1),
+        windows=windows,
+        slow=_slow(fold, factor),
+        kept=_kept(fold),
     )
 
 
@@ -219,9 +242,12 @@ def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
     both: Complexes = np.concatenate([k.amplitudes for k in fold.looks])
     sigma = np.concatenate([k.noise * k.spread[:, :, None] for k in fold.looks])
     return Windows(
-        np.concatenate([k.time_s for k in fold.looks]), WINDOW_CYCLES / fold.frequency_hz,
-        np.asarray(both[:, :, 0] * factor, dtype=np.complex128), sigma[:, :, 0] * abs(factor),
-        both[:, :, 1], sigma[:, :, 1],
+        np.concatenate([k.time_s for k in fold.looks]),
+        WINDOW_CYCLES / fold.frequency_hz,
+        np.asarray(both[:, :, 0] * factor, dtype=np.complex128),
+        sigma[:, :, 0] * abs(factor),
+        both[:, :, 1],
+        sigma[:, :, 1],
     )
 
 

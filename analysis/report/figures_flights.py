@@ -51,7 +51,12 @@ def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> N
         ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=style.MEASURED, alpha=0.75, label="measured")
         if np.any(true & marked):
             ax.plot(
-                x[true & marked], y[true & marked], "x", ms=4.0, mew=0.9, color=style.DOUBTFUL,
+                x[true & marked],
+                y[true & marked],
+                "x",
+                ms=4.0,
+                mew=0.9,
+                color=style.DOUBTFUL,
                 label="measured: double hit, or unsure",
             )
         ax.set_xlabel(shown.label)
@@ -86,7 +91,8 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
     """Each flight time against the one before, for the steps where most happens, with the model's."""
     ranked = sorted(
         (s for s in comparison.steps if s.measured.flights >= 3),
-        key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights), reverse=True,
+        key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights),
+        reverse=True,
     )
     chosen = sorted(ranked[:MAPS], key=lambda s: s.step)
     if not chosen:
@@ -95,7 +101,12 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     with style.figure(
-        folder, "return_maps", style.badge_of(recording), nrows=rows, ncols=columns, squeeze=False,
+        folder,
+        "return_maps",
+        style.badge_of(recording),
+        nrows=rows,
+        ncols=columns,
+        squeeze=False,
         figsize=(3.1 * columns + 0.4, 3.2 * rows + 0.4),
     ) as (drawn, axes):
         for ax in axes.ravel()[len(chosen) :]:
@@ -130,7 +141,12 @@ def draw_trajectory(recording: Recording, flights: Flights, folder: Path, step: 
     begin = flights.takeoff_s[index[0]] - 0.3 / plate.frequency_hz
     end = begin + CYCLES / plate.frequency_hz
     with style.figure(
-        folder, "trajectory", style.badge_of(recording), nrows=2, sharex=True, figsize=(8.0, 5.0),
+        folder,
+        "trajectory",
+        style.badge_of(recording),
+        nrows=2,
+        sharex=True,
+        figsize=(8.0, 5.0),
         height_ratios=(3.2, 1.0),
     ) as (_, (ax, low)):
         t = np.linspace(begin, end, 1200)
@@ -186,8 +202,13 @@ def _draw_predicted(
         s = np.linspace(0.0, found.tau[i] / omega, 80)
         x, v = (float(f(flights.plate.true_time_s(t))) for f in (motion.position_at, motion.velocity_at))
         ax.plot(
-            1e3 * (t + s - begin), 1e3 * (x + v * s - 0.5 * g * s**2), "--", lw=1.6, color=style.MODEL,
-            label=None if shown else "ball, model's cycle", zorder=5,
+            1e3 * (t + s - begin),
+            1e3 * (x + v * s - 0.5 * g * s**2),
+            "--",
+            lw=1.6,
+            color=style.MODEL,
+            label=None if shown else "ball, model's cycle",
+            zorder=5,
         )
         shown = True
         t += float(found.tau[i]) / omega

@@ -1,4 +1,4 @@
-"""Pictures of the closed loop: errors step by step, candidates compared (residuals: `analysis.report.figures_residuals`).
+"""Figures of the closed loop: errors step by step, candidates compared.
 
 The rule kept here: before is always the pale colour and after the dark one, in the same units on the same axis, and the
 noise floor is drawn wherever an error is.
@@ -85,8 +85,15 @@ def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
         ):
             if which.any():
                 ax.barh(
-                    at[which], gain[which], xerr=error[which], color=colour, ecolor="#495057", capsize=2, hatch=hatch,
-                    edgecolor=AFTER if hatch else "none", label=words,
+                    at[which],
+                    gain[which],
+                    xerr=error[which],
+                    color=colour,
+                    ecolor="#495057",
+                    capsize=2,
+                    hatch=hatch,
+                    edgecolor=AFTER if hatch else "none",
+                    label=words,
                 )
         for place, (_, (g, e)) in zip(at, rows, strict=True):
             if not g > 0.0:

@@ -34,9 +34,7 @@ def draw_plate(recording: Recording, flights: Flights, folder: Path) -> None:
         return
     scale = gamma_scale(recording.setup.forcing, plates[-1].ratio)
     x = scale.factor * np.array([p.gamma for p in plates])
-    with style.figure(
-        folder, "plate", style.badge_of(recording), nrows=2, ncols=2, figsize=(9.0, 6.0)
-    ) as (_, axes):
+    with style.figure(folder, "plate", style.badge_of(recording), nrows=2, ncols=2, figsize=(9.0, 6.0)) as (_, axes):
         _gain(axes[0, 0], plates, x)
         _lag(axes[1, 0], plates, x)
         axes[1, 0].set_xlabel(scale.label)

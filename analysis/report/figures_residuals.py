@@ -58,8 +58,16 @@ def _of(loop: Loop, values: Values, which: str) -> Array:
 
 
 def _draw(
-    loop: Loop, folder: Path, badge: str, name: str, event: str, against: tuple[str, ...], rows: NDArray[np.bool_],
-    before: Array, after: Array, floor_us: float,
+    loop: Loop,
+    folder: Path,
+    badge: str,
+    name: str,
+    event: str,
+    against: tuple[str, ...],
+    rows: NDArray[np.bool_],
+    before: Array,
+    after: Array,
+    floor_us: float,
 ) -> None:
     """Blocks of three covariates: the row of residuals before over the row after (alone where nothing was added)."""
     if not rows.any():
@@ -142,8 +150,15 @@ def draw_plate(loop: Loop, folder: Path, badge: str) -> None:
             rows = data.kind == kind
             for residual, colour, mark, side in sides:
                 ax.errorbar(
-                    gamma[rows], per * residual[rows], per * data.sigma[rows], fmt=mark, ms=4, mfc="none", lw=0.8,
-                    color=colour, label=side,
+                    gamma[rows],
+                    per * residual[rows],
+                    per * data.sigma[rows],
+                    fmt=mark,
+                    ms=4,
+                    mfc="none",
+                    lw=0.8,
+                    color=colour,
+                    label=side,
                 )
             ax.axhline(0.0, color=FLOOR, lw=0.6)
             ax.set(xlabel=rf"${scale.symbol}$", ylabel=words)

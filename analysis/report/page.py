@@ -251,6 +251,7 @@ def _provenance_table(made: Sequence[dict[str, Any]], report: dict[str, str]) ->
 
 def _errors_table(loop: Loop) -> str:
     b, a, floor = loop.before, loop.after, loop.noise_floor_us
+
     def us(value: float, low: float | None = None, high: float | None = None) -> str:
         band = "" if low is None or high is None else f" ({microseconds(low)} .. {microseconds(high)})"
         return f"{microseconds(value)}{band} &micro;s"
@@ -352,4 +353,3 @@ def _hidden(loop: Loop) -> str:
         f"<table><tr><th>effect</th><th>parameter</th><th>hidden below</th></tr>{rows}</table>"
         f"<p>Not identifiable on this run at any size: {html.escape(blind)}.</p>"
     )
-

@@ -27,8 +27,15 @@ ZONE = "#f2d0a4"
 PLATE = "#5c677d"
 CONTACT = "#dfe7ef"
 STYLE: dict[Any, Any] = {
-    "font.family": "serif", "mathtext.fontset": "cm", "font.size": 10, "axes.linewidth": 0.8, "xtick.direction": "in",
-    "ytick.direction": "in", "figure.constrained_layout.use": True, "savefig.dpi": 160, "svg.fonttype": "none",
+    "font.family": "serif",
+    "mathtext.fontset": "cm",
+    "font.size": 10,
+    "axes.linewidth": 0.8,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "figure.constrained_layout.use": True,
+    "savefig.dpi": 160,
+    "svg.fonttype": "none",
 }
 FORMATS = ("png", "svg")
 
@@ -59,7 +66,13 @@ def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tupl
             yield drawn, axes
             colour = "#a4161a" if badge.startswith("SIMULATED") else "#2d6a4f"
             drawn.text(
-                0.993, 1.0 - 0.07 / drawn.get_figheight(), badge, ha="right", va="top", fontsize=8, color="white",
+                0.993,
+                1.0 - 0.07 / drawn.get_figheight(),
+                badge,
+                ha="right",
+                va="top",
+                fontsize=8,
+                color="white",
                 weight="bold",
                 bbox={"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"},
             )

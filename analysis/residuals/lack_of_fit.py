@@ -97,9 +97,14 @@ def remainder(world: World, explanation: Explanation) -> Remainder:
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
     between, scatter, serial = _p_between(found), _p_scatter(found.z), _p_serial(found)
     return Remainder(
-        min(1.0, 4.0 * min(p_first, between, scatter, serial)), ratio_of(world, values, u),
-        plate_ratio_of(world, values), first if p_first < FROZEN.lack_p else None,
-        {k: math.exp(v) for k, v in logs.items()}, between, scatter, serial,
+        min(1.0, 4.0 * min(p_first, between, scatter, serial)),
+        ratio_of(world, values, u),
+        plate_ratio_of(world, values),
+        first if p_first < FROZEN.lack_p else None,
+        {k: math.exp(v) for k, v in logs.items()},
+        between,
+        scatter,
+        serial,
     )
 
 

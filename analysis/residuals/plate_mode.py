@@ -224,7 +224,7 @@ class Ringing:
     # -- contact and flight -----------------------------------------------------------------------------------------
     @cached_property
     def _gates(self) -> Complex:
-        """Normal equations of the joint fits of contact and flight: see `analysis.plate.contact_flight_fit`, (m, 2 p, 2 p)."""
+        """Normal equations of the joint fits of contact and flight, (m, 2 p, 2 p)."""
         extra = self.kept.in_contact.overlaps(self._turns, self._turns)
         fitted = np.diagonal(self._gram, axis1=1, axis2=2) != 0.0
         beside = extra * (fitted[:, :, None] & self._own[:, None, :])

@@ -224,9 +224,7 @@ class _Blocks:
             opening = _lowest(lambda x: self.loss((x, landing)), opening)
         return opening, landing
 
-    def _raised(
-        self, rows: NDArray[np.bool_], both: Callable[[float], tuple[float, float]], excess: float
-    ) -> float:
+    def _raised(self, rows: NDArray[np.bool_], both: Callable[[float], tuple[float, float]], excess: float) -> float:
         """The excess raised while residuals scatter by more than a unit once what a step shares is taken out."""
         for _ in range(RAISES):
             z, _ = self.unit(both(excess))

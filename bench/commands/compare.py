@@ -85,8 +85,10 @@ def as_json(held: Comparison) -> dict[str, Any]:
         },
         "changes": [
             {
-                "type": c.type, "bracket_gamma": [c.gamma_before, c.gamma_after],
-                "before": c.before.label, "after": c.after.label,
+                "type": c.type,
+                "bracket_gamma": [c.gamma_before, c.gamma_after],
+                "before": c.before.label,
+                "after": c.after.label,
             }
             for c in held.changes
         ],
@@ -97,10 +99,17 @@ def as_json(held: Comparison) -> dict[str, Any]:
 def _step_json(own: StepComparison) -> dict[str, Any]:
     """One step for a machine."""
     return {
-        "step": own.step, "gamma": own.gamma, "gamma_peak": own.gamma_peak, "measured": own.measured.label,
-        "flights": own.measured.flights, "double_hits": own.measured.double_hits, "predicted": own.predicted,
-        "doubt": own.doubt or None, "predicted_flight_times_s": own.predicted_s.tolist(),
-        "mean_ratio": _finite(own.mean_ratio), "rms_s": _finite(own.rms_s),
+        "step": own.step,
+        "gamma": own.gamma,
+        "gamma_peak": own.gamma_peak,
+        "measured": own.measured.label,
+        "flights": own.measured.flights,
+        "double_hits": own.measured.double_hits,
+        "predicted": own.predicted,
+        "doubt": own.doubt or None,
+        "predicted_flight_times_s": own.predicted_s.tolist(),
+        "mean_ratio": _finite(own.mean_ratio),
+        "rms_s": _finite(own.rms_s),
         "within_one_sample": _finite(own.within_sample),
         "forbidden_bands": [
             {"low_s": b.low_s, "high_s": b.high_s, "observed": b.observed, "expected": b.expected, "p_value": b.p_value}

@@ -16,14 +16,18 @@ def command(
     profile: Path = typer.Option(..., "--profile", "-p", metavar="P.toml", help="What was measured with what."),
     out: Path = typer.Option(..., "--out", "-o", metavar="REC.h5", help="Recording to create; never overwritten."),
     mapping: list[str] = typer.Option(
-        [], "--map", metavar="ROLE=COLUMN[:UNIT]",
+        [],
+        "--map",
+        metavar="ROLE=COLUMN[:UNIT]",
         help="Column of time, continuity, accelerometer, drive; or of the set frequency or set level, whose every "
         "change starts a step. "
         "Units: s ms us ns; V mV; fs (fraction of the channel's range); g m/s^2 (acceleration).",
     ),
     rate: float = typer.Option(None, "--rate", metavar="HZ", help="Sample rate where there is no time column."),
     channel: list[str] = typer.Option(
-        [], "--channel", metavar="[ROLE=]VALUE",
+        [],
+        "--channel",
+        metavar="[ROLE=]VALUE",
         help="Long table: use the rows of this sensor; with a role, make the rows of each value a column.",
     ),
     channel_column: str = typer.Option(None, "--channel-column", help="Its selecting column (default: channel)."),
@@ -55,7 +59,13 @@ def command(
         source = open_source(raw, select, channel_column)
         with _progress(json_out == "-") as progress:
             summary = import_recording(
-                source, out, setup, text, mapping=parse_map(mapping), rate_hz=rate, note=readable(note),
+                source,
+                out,
+                setup,
+                text,
+                mapping=parse_map(mapping),
+                rate_hz=rate,
+                note=readable(note),
                 progress=progress,
             )
     except InputError as error:
@@ -136,7 +146,8 @@ def _print(payload: dict[str, Any]) -> None:
     console = Console(highlight=False, markup=False, emoji=False)
     console.print(
         f"{payload['recording']}: {payload['n_samples']} samples at {payload['rate_hz']:.9g} samples/s "
-        f"({payload['duration_s']:.3f} s), {len(payload['steps'])} steps", soft_wrap=True,
+        f"({payload['duration_s']:.3f} s), {len(payload['steps'])} steps",
+        soft_wrap=True,
     )
     roles = [f"{role} from {listed([name])}" for role, name in payload["columns"].items()]
     console.print(", ".join(roles), soft_wrap=True)
@@ -149,7 +160,10 @@ def _print(payload: dict[str, Any]) -> None:
         hold = step["n_samples"] - step["settle_samples"]
         shown = ["-" if v is None else f"{v:.4g}" for v in (step["gamma"], step["achieved_gamma"])]
         table.add_row(
-            str(i), f"{step['first_sample'] / payload['rate_hz']:.3f}", f"{hold / payload['rate_hz']:.3f}",
-            f"{step['frequency_hz']:.5f}", *shown,
+            str(i),
+            f"{step['first_sample'] / payload['rate_hz']:.3f}",
+            f"{hold / payload['rate_hz']:.3f}",
+            f"{step['frequency_hz']:.5f}",
+            *shown,
         )
     print_table(table)

@@ -52,10 +52,26 @@ def command(
 
     run(
         Request(
-            ratio=c, gamma=gamma, gamma_peak=gamma_peak, gamma_range=gamma_range, bifurcations=bifurcations,
-            effects=tuple(effect), frequency_hz=frequency_hz, sweep=sweep, phase_deg=phase_deg, steps=steps,
-            adaptive=adaptive, grid=tuple(grid), narrowest=narrowest, workers=workers, cluster=cluster,
-            paper_figure=paper_figure, json_to=json_to, out=out, figure=figure,
-            profile=profile, overwrite=overwrite,
+            ratio=c,
+            gamma=gamma,
+            gamma_peak=gamma_peak,
+            gamma_range=gamma_range,
+            bifurcations=bifurcations,
+            effects=tuple(effect),
+            frequency_hz=frequency_hz,
+            sweep=sweep,
+            phase_deg=phase_deg,
+            steps=steps,
+            adaptive=adaptive,
+            grid=tuple(grid),
+            narrowest=narrowest,
+            workers=workers,
+            cluster=cluster,
+            paper_figure=paper_figure,
+            json_to=json_to,
+            out=out,
+            figure=figure,
+            profile=profile,
+            overwrite=overwrite,
         )
     )

@@ -119,7 +119,7 @@ def make_backend(
     for option, given in unheeded.items():
         if given:
             wanted = "replay" if option == "--replay" else "simulated"
-            raise InputError(f"{option}: is for backend.kind = \"{wanted}\"; this profile's is \"{kind}\"")
+            raise InputError(f'{option}: is for backend.kind = "{wanted}"; this profile\'s is "{kind}"')
     if profile.backend.kind == "replay":
         from rig.backends.replay import ReplayBackend
 

@@ -95,10 +95,16 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
         "flights": int((~table.has(FlightFlag.FALSE)).sum()),
         "flags": {str(f.name): int(table.has(f).sum()) for f in FlightFlag},
         "edges": {
-            "opening_tau_s": report.opening.tau_s, "closing_tau_s": report.closing.tau_s, "dips": report.dips,
+            "opening_tau_s": report.opening.tau_s,
+            "closing_tau_s": report.closing.tau_s,
+            "dips": report.dips,
         },
-        "second_witness": None if witness is None else {
-            "offset_s": witness.offset_s, "uncertainty_s": _finite(witness.uncertainty_s), "pairs": witness.pairs,
+        "second_witness": None
+        if witness is None
+        else {
+            "offset_s": witness.offset_s,
+            "uncertainty_s": _finite(witness.uncertainty_s),
+            "pairs": witness.pairs,
         },
         "accelerometer_noise_mps2": table.plate.noise_mps2,
         "steps": [_step_json(table, own) for own in classes],
@@ -109,17 +115,25 @@ def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
     """One step for a machine; a step that could not be fitted has its verdict alone."""
     plate = table.plate.steps[own.step]
     row: dict[str, Any] = {
-        "step": own.step, "verdict": own.label, "flights": own.flights, "double_hits": own.double_hits,
-        "modes": own.modes, "mean_flight_time_s": _finite(own.mean_s), "repeat_s": _finite(own.repeat_s),
+        "step": own.step,
+        "verdict": own.label,
+        "flights": own.flights,
+        "double_hits": own.double_hits,
+        "modes": own.modes,
+        "mean_flight_time_s": _finite(own.mean_s),
+        "repeat_s": _finite(own.repeat_s),
         "expected_repeat_s": _finite(own.expected_s),
     }
     if plate is None:
         return row
     fit = plate.acceleration
     row |= {
-        "gamma": _finite(plate.gamma), "gamma_uncertainty": _finite(plate.gamma_uncertainty),
-        "gamma_peak": plate.gamma_peak, "gamma_from_drive": _finite(plate.gamma_drive),
-        "frequency_hz": plate.frequency_hz, "masked": plate.masked,
+        "gamma": _finite(plate.gamma),
+        "gamma_uncertainty": _finite(plate.gamma_uncertainty),
+        "gamma_peak": plate.gamma_peak,
+        "gamma_from_drive": _finite(plate.gamma_drive),
+        "frequency_hz": plate.frequency_hz,
+        "masked": plate.masked,
         "tones": [
             {"frequency_hz": f, "amplitude_mps2": abs(z), "phase_rad": _angle(z), "uncertainty_mps2": s}
             for f, z, s in zip(
@@ -168,8 +182,14 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
             for n in plate.lines
         ]
         shown.add_row(
-            str(own.step), f"{plate.gamma:.4f}", f"{plate.gamma_uncertainty:.4f}", f"{plate.gamma_peak:.3f}",
-            f"{plate.gamma_drive:.4f}", str(own.flights), str(own.double_hits), mean,
+            str(own.step),
+            f"{plate.gamma:.4f}",
+            f"{plate.gamma_uncertainty:.4f}",
+            f"{plate.gamma_peak:.3f}",
+            f"{plate.gamma_drive:.4f}",
+            str(own.flights),
+            str(own.double_hits),
+            mean,
             own.label,
         )
     print_table(shown)

@@ -78,9 +78,14 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
     if request.sweep == "down":
         gammas = gammas[::-1]
     return ensemble.Job(
-        ratio=request.ratio, gammas=tuple(gammas.tolist()), phase_rad=math.radians(request.phase_deg), effects=effects,
-        axes=tuple(_axis(text) for text in request.grid), frequency_hz=request.frequency_hz,
-        sweep=request.sweep is not None, g_mps2=request.g_mps2,
+        ratio=request.ratio,
+        gammas=tuple(gammas.tolist()),
+        phase_rad=math.radians(request.phase_deg),
+        effects=effects,
+        axes=tuple(_axis(text) for text in request.grid),
+        frequency_hz=request.frequency_hz,
+        sweep=request.sweep is not None,
+        g_mps2=request.g_mps2,
     )
 
 
@@ -142,9 +147,17 @@ def _rows_json(rows: Rows, job: ensemble.Job) -> list[dict[str, Any]]:
     for i in range(rows.gamma.size):
         tau = rows.tau[i][np.isfinite(rows.tau[i])].tolist()
         seconds = None if job.frequency_hz is None else [t / (2.0 * math.pi * job.frequency_hz) for t in tau]
-        out.append({
-            "c": job.ratio, "gamma": float(rows.gamma[i]), "kind": KINDS[int(rows.kind[i])],
-            "period": int(rows.period[i]) or None, "flights": int(rows.flights[i]), "resets": int(rows.resets[i]),
-            "locked": bool(rows.locked[i]), "tau": tau, "flight_time_s": seconds,
-        })
+        out.append(
+            {
+                "c": job.ratio,
+                "gamma": float(rows.gamma[i]),
+                "kind": KINDS[int(rows.kind[i])],
+                "period": int(rows.period[i]) or None,
+                "flights": int(rows.flights[i]),
+                "resets": int(rows.resets[i]),
+                "locked": bool(rows.locked[i]),
+                "tau": tau,
+                "flight_time_s": seconds,
+            }
+        )
     return out

@@ -156,9 +156,14 @@ def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> 
             ax.axvline(event.gamma * scale, color=LINE, lw=0.6, ls=(0, (4, 3)), zorder=0)
             if event.gamma - last > (high - low) / 40.0:
                 ax.text(
-                    event.gamma * scale, 0.985, f" {kinds[event.type]}", rotation=90, va="top", ha="left", fontsize=7,
-                    color=LINE, transform=ax.get_xaxis_transform(),
+                    event.gamma * scale,
+                    0.985,
+                    f" {kinds[event.type]}",
+                    rotation=90,
+                    va="top",
+                    ha="left",
+                    fontsize=7,
+                    color=LINE,
+                    transform=ax.get_xaxis_transform(),
                 )
             last = event.gamma
-
-

@@ -165,9 +165,7 @@ def ball_for(request: Request) -> Ball:
     forcing = forcing_of(request)
     if not forcing.moves:
         raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")
-    return ball_of(
-        forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2
-    )
+    return ball_of(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
 
 
 def _gamma(request: Request) -> float:
@@ -208,8 +206,15 @@ def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float |
     tau = [float(t) for t in found.tau]
     seconds = None if frequency_hz is None else [t / (2.0 * math.pi * frequency_hz) for t in tau]
     return {
-        "c": ratio, "gamma": gamma, "kind": found.kind, "period": found.period, "flights": found.flights,
-        "resets": found.resets, "locked": found.locked, "tau": tau, "flight_time_s": seconds,
+        "c": ratio,
+        "gamma": gamma,
+        "kind": found.kind,
+        "period": found.period,
+        "flights": found.flights,
+        "resets": found.resets,
+        "locked": found.locked,
+        "tau": tau,
+        "flight_time_s": seconds,
     }
 
 
@@ -233,6 +238,9 @@ def _bifurcations(ball: Ball, request: Request) -> None:
 def bifurcation_json(found: Bifurcation, peak: float) -> dict[str, Any]:
     """One bifurcation as scripts read it; ``peak`` is gamma_peak over gamma."""
     return {
-        "gamma": found.gamma, "gamma_peak": found.gamma * peak, "type": found.type,
-        "period_before": found.before.period, "period_after": found.after.period,
+        "gamma": found.gamma,
+        "gamma_peak": found.gamma * peak,
+        "type": found.type,
+        "period_before": found.before.period,
+        "period_after": found.after.period,
     }

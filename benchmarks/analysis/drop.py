@@ -136,9 +136,7 @@ def _random_truth(cam: ModuleType, cause: str, rng: np.random.Generator) -> Any:
         "coulomb_friction": {"friction": rng.uniform(0.03, 0.3)},
     }.get(cause, {})
     scatter = float(rng.choice([0.0, 0.002, 0.006]))
-    return cam.Truth(
-        height_m=rng.uniform(0.15, 1.0), e0=rng.uniform(0.6, 0.94), hold_s=0.0, scatter=scatter, **added
-    )
+    return cam.Truth(height_m=rng.uniform(0.15, 1.0), e0=rng.uniform(0.6, 0.94), hold_s=0.0, scatter=scatter, **added)
 
 
 def _heard(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array, Array | None, Array, Array]:

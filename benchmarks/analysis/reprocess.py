@@ -51,12 +51,21 @@ def record(path: Path, minutes: float) -> None:
         size = last + (gamma - last) * 0.5 * (1.0 - np.cos(np.pi * rise))
         drive = -size * np.sin(2.0 * np.pi * ((FREQUENCY_HZ * n / RATE_HZ) % 1.0))
         writer.append(Block(k * per_step, plant.exchange(drive)))
-        writer.mark_step(step_row({
-            "first_sample": k * per_step, "n_samples": per_step,
-            "settle_samples": per_step * SETTLE_CYCLES // STEP_CYCLES,
-            "gamma": gamma, "frequency_hz": FREQUENCY_HZ, "ratio": 1, "cycles": STEP_CYCLES,
-            "settle_cycles": SETTLE_CYCLES, "fade_samples": fade,
-        })[0])
+        writer.mark_step(
+            step_row(
+                {
+                    "first_sample": k * per_step,
+                    "n_samples": per_step,
+                    "settle_samples": per_step * SETTLE_CYCLES // STEP_CYCLES,
+                    "gamma": gamma,
+                    "frequency_hz": FREQUENCY_HZ,
+                    "ratio": 1,
+                    "cycles": STEP_CYCLES,
+                    "settle_cycles": SETTLE_CYCLES,
+                    "fade_samples": fade,
+                }
+            )[0]
+        )
         last = float(gamma)
     writer.close()
 
@@ -158,13 +167,17 @@ def main() -> None:
             record(path, minutes)
             found = {job: best(job, path, warm, given.repeats if job != "obvious" else 1) for job in JOBS}
             ours = found["reprocess"]
-            rows.append({
-                "minutes": minutes, "file_mb": path.stat().st_size / 1e6,
-                **{f"{job}_s": run["seconds"] for job, run in found.items()},
-                "ratio_to_raw": ours["seconds"] / found["raw"]["seconds"],
-                "times_faster": found["obvious"]["seconds"] / ours["seconds"],
-                "memory_mb": ours["memory_mb"], "obvious_memory_mb": found["obvious"]["memory_mb"],
-            })
+            rows.append(
+                {
+                    "minutes": minutes,
+                    "file_mb": path.stat().st_size / 1e6,
+                    **{f"{job}_s": run["seconds"] for job, run in found.items()},
+                    "ratio_to_raw": ours["seconds"] / found["raw"]["seconds"],
+                    "times_faster": found["obvious"]["seconds"] / ours["seconds"],
+                    "memory_mb": ours["memory_mb"],
+                    "obvious_memory_mb": found["obvious"]["memory_mb"],
+                }
+            )
             path.unlink()
             print(json.dumps(rows[-1], indent=1))
     print("goals:", json.dumps(GOALS))

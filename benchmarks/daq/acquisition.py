@@ -97,7 +97,10 @@ def idle(until: float, folder: Path) -> None:
 
 
 LOADS: dict[str, Callable[[float, Path], None]] = {
-    "idle": idle, "python": pure_python, "churn": churn, "gzip": gzip_reading,
+    "idle": idle,
+    "python": pure_python,
+    "churn": churn,
+    "gzip": gzip_reading,
 }
 
 
@@ -105,8 +108,14 @@ def run(load: str, seconds: float, folder: Path) -> str:
     """One run under one load; a line of what came of it."""
     path = folder / f"{load}.h5"
     recorder = RecorderProcess(
-        path, Setup.model_validate(SETUP), profile_text="", channels=CHANNELS, backend="benchmark", simulated=True,
-        block_samples=BLOCK, private=False,
+        path,
+        Setup.model_validate(SETUP),
+        profile_text="",
+        channels=CHANNELS,
+        backend="benchmark",
+        simulated=True,
+        block_samples=BLOCK,
+        private=False,
     )
     ring = recorder.ring
     shape = (ring.slots, BLOCK, len(CHANNELS), ring.name)
@@ -143,8 +152,10 @@ def main() -> None:
         import resource
 
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
-        print(f"recorder and device: {children.ru_utime + children.ru_stime:.0f} s of processor time, at most "
-              f"{children.ru_maxrss / 1024:.0f} MB each; {os.cpu_count()} cores")
+        print(
+            f"recorder and device: {children.ru_utime + children.ru_stime:.0f} s of processor time, at most "
+            f"{children.ru_maxrss / 1024:.0f} MB each; {os.cpu_count()} cores"
+        )
 
 
 if __name__ == "__main__":

@@ -36,9 +36,7 @@ class Witnessed(SerialDevice):
     """A device whose plant's events are written down, in the time of the drive."""
 
     def __init__(self, ppm: float, ppm_per_minute: float) -> None:
-        super().__init__(
-            Scenario("ideal"), RATE_HZ, np.random.default_rng(1), ppm=ppm, ppm_per_minute=ppm_per_minute
-        )
+        super().__init__(Scenario("ideal"), RATE_HZ, np.random.default_rng(1), ppm=ppm, ppm_per_minute=ppm_per_minute)
         self.events: dict[str, list[float]] = {"left_s": [], "landed_s": []}
 
     def _convert(self) -> bool:

@@ -47,11 +47,16 @@ def loadtxt(path: Path) -> None:
 def main() -> None:
     """Print megabytes a second of each."""
     minutes = float(sys.argv[1]) if len(sys.argv) > 1 else 4.0
-    setup = Setup.model_validate({
-        "name": "benchmark", "sampling": {"rate_hz": RATE_HZ}, "forcing": {"frequency_hz": 25.37},
-        "drive": {"g_per_volt": 2.0}, "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g"}},
-        "ball": {"mass_kg": 0.25},
-    })
+    setup = Setup.model_validate(
+        {
+            "name": "benchmark",
+            "sampling": {"rate_hz": RATE_HZ},
+            "forcing": {"frequency_hz": 25.37},
+            "drive": {"g_per_volt": 2.0},
+            "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g"}},
+            "ball": {"mass_kg": 0.25},
+        }
+    )
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "a.csv"
         table(raw, minutes)
@@ -69,8 +74,10 @@ def main() -> None:
             import_recording(open_source(raw), Path(folder) / "a.h5", setup, "")
 
         cases: list[tuple[str, Callable[[], object]]] = [
-            ("bytes read", raw.read_bytes), ("numbers read, numpy.loadtxt (before)", lambda: loadtxt(raw)),
-            ("numbers read, now", parse), ("whole import, now", whole),
+            ("bytes read", raw.read_bytes),
+            ("numbers read, numpy.loadtxt (before)", lambda: loadtxt(raw)),
+            ("numbers read, now", parse),
+            ("whole import, now", whole),
         ]
         megabytes = raw.stat().st_size / 1e6
         for name, job in cases:

@@ -24,8 +24,11 @@ def drive(rng: np.random.Generator, ratio: int, seconds: float) -> np.ndarray:
     n = int(seconds * RATE_HZ)
     frequency = float(rng.uniform(20, 40))
     knots = np.arange(0, n + 8000, 8000)
-    level = np.interp(np.arange(n), np.sort(np.r_[knots, knots + 1500])[: 2 * len(knots)],
-                      np.repeat(np.r_[0.0, rng.uniform(0.3, 1.5, len(knots))], 2)[1 : 2 * len(knots) + 1])
+    level = np.interp(
+        np.arange(n),
+        np.sort(np.r_[knots, knots + 1500])[: 2 * len(knots)],
+        np.repeat(np.r_[0.0, rng.uniform(0.3, 1.5, len(knots))], 2)[1 : 2 * len(knots) + 1],
+    )
     phase = 2 * np.pi * frequency / RATE_HZ * np.arange(n)
     return level * (np.sin(phase) + (0.5 * np.sin(ratio * phase) if ratio > 1 else 0.0))
 
@@ -77,8 +80,10 @@ def main() -> None:
         else:
             print(f"  run {i}: lost {lost} at {at}, declared {declared}")
         alarms += bool(run(rng, 0, 1 + i % 3)[1:])
-    print(f"losses of 1 to 5000 samples: found {found}/{options.runs}, count right to 1 sample {right}/{options.runs}, "
-          f"place off by at most {worst} samples")
+    print(
+        f"losses of 1 to 5000 samples: found {found}/{options.runs}, count right to 1 sample {right}/{options.runs}, "
+        f"place off by at most {worst} samples"
+    )
     print(f"clean runs with a false alarm: {alarms}/{options.runs}")
 
 

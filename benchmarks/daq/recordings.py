@@ -1,6 +1,6 @@
 """Write, close, verify, read, export and import a recording; how fast, how large, how much memory.
 
-    python -m benchmarks.daq.recordings --minutes 10
+python -m benchmarks.daq.recordings --minutes 10
 """
 
 from __future__ import annotations

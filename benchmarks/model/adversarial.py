@@ -1,6 +1,5 @@
 """Flights chosen to break a landing solver: tiny, at a threshold, just inside a window, grazing, bounced, long."""
 
-
 import numpy as np
 
 from model.flight.first_landing import first_landing, take_off_phases

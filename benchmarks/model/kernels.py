@@ -176,9 +176,7 @@ def rough_part(n: int, seconds: float) -> None:
             if n_up == 0:
                 continue
             tau, speed = rough_solve_ivp(c, gamma, rough, float(up[0]))
-            exact = friction.rough_land(
-                forcing.tones, gamma, up, n_up, down, n_down, rough.packed, up[0], 0.0, True
-            )
+            exact = friction.rough_land(forcing.tones, gamma, up, n_up, down, n_down, rough.packed, up[0], 0.0, True)
             errors.append(max(abs(tau - exact[0]) / exact[0], abs(speed - exact[2])))
         rate = len(errors) / (time.process_time() - start)
         wrong = sum(not e < WRONG for e in errors)

@@ -1,4 +1,4 @@
-"""The peers of `benchmarks/model/kernels.py`: one ideal flight each, as a practised user of that library would write it.
+"""The peers of `benchmarks/model/kernels.py`: one ideal flight each, as its practised user would write it.
 
 The rule kept here: a peer gets the take-off phase and returns the flight time; everything else is its own affair. A
 peer that is not installed is absent, with a line that says so.
@@ -115,9 +115,7 @@ def diffrax_flight() -> Flight:
         c, gamma = args
         return jnp.array([y[1], gamma * (jnp.sin(t) + c * c * jnp.sin(c * t)) - 1.0])
 
-    event = diffrax.Event(
-        lambda t, y, args, **_: y[0], optimistix.Newton(1e-10, 1e-10), direction=False
-    )
+    event = diffrax.Event(lambda t, y, args, **_: y[0], optimistix.Newton(1e-10, 1e-10), direction=False)
 
     @jax.jit  # type: ignore[untyped-decorator]
     def solve(c: Any, gamma: Any, phi0: Any) -> Any:

@@ -3,10 +3,10 @@
 The plant writes down every frame it gave. A recording is right when it is those frames, code for code, with as many
 missing, and where, as it declares.
 
-    python -m benchmarks.rig.jack_card run                  # a ramp, closed loop; its flights beside the in-process rig's
-    python -m benchmarks.rig.jack_card run --hold 280       # the same for five minutes
-    python -m benchmarks.rig.jack_card xruns                # xruns provoked by stopping the run's process now and then
-    python -m benchmarks.rig.jack_card unplug               # the driver killed in the middle of a run
+    python -m benchmarks.rig.jack_card run  # a ramp, closed loop; its flights beside the in-process rig's
+    python -m benchmarks.rig.jack_card run --hold 280  # the same for five minutes
+    python -m benchmarks.rig.jack_card xruns  # xruns provoked by stopping the run's process now and then
+    python -m benchmarks.rig.jack_card unplug  # the driver killed in the middle of a run
     python -m benchmarks.rig.jack_card rehearse --times 20  # the rehearsal of docs/how-to/devices.md, every core busy beside it
 
 Needs jackd and libportaudio2. On a machine that is busy with other work, ``--first`` runs all of it before that work
@@ -113,9 +113,7 @@ def flights(recording: Path) -> None:
         gaps_s = rec.gaps[:, 0] / rec.rate_hz
     marked = found.has(FlightFlag.GAP)
     touch = np.array([np.any((found.takeoff_s <= g) & (found.landing_s >= g)) for g in gaps_s], np.bool_)
-    unmarked = sum(
-        bool(np.any((found.takeoff_s <= g) & (found.landing_s >= g) & ~marked)) for g in gaps_s
-    )
+    unmarked = sum(bool(np.any((found.takeoff_s <= g) & (found.landing_s >= g) & ~marked)) for g in gaps_s)
     print(f"{len(gaps_s)} gaps, {touch.sum()} in a flight; {marked.sum()} flights marked; {unmarked} gaps unmarked")
 
 

@@ -35,9 +35,7 @@ def profile_text(port: str) -> str:
     _, text = load("simulated")
     text = text.replace("start = 0.4, stop = 2.6, steps = 23", "start = 0.6, stop = 2.4, steps = 13")
     text = text.replace("hold_cycles = 20", "hold_cycles = 60")
-    return text.replace(
-        'kind = "simulated"', f'kind = "soundcard+serial"\ndevice = "shaker"\nport = "{port}"\n'
-    )
+    return text.replace('kind = "simulated"', f'kind = "soundcard+serial"\ndevice = "shaker"\nport = "{port}"\n')
 
 
 def plant(server: str, port: str, out: str, hidden: str) -> None:

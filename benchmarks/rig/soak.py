@@ -81,8 +81,10 @@ def main() -> None:
         report, size = verify(path), path.stat().st_size
     children = os.times()
     at = np.array(watch.rows)
-    print(f"{summary.how} {summary.why}: {summary.n_samples} samples, {summary.lost_samples} lost, in {wall:.0f} s; "
-          f"{report.state}{', suspect' if report.suspect else ''}, {size / 1e6:.0f} MB")
+    print(
+        f"{summary.how} {summary.why}: {summary.n_samples} samples, {summary.lost_samples} lost, in {wall:.0f} s; "
+        f"{report.state}{', suspect' if report.suspect else ''}, {size / 1e6:.0f} MB"
+    )
     shares = 100 * own / wall, 100 * (children[2] + children[3]) / wall
     print(f"processor: run {shares[0]:.1f} %, recorder {shares[1]:.1f} % of a core (its closing included)")
     ended = began + summary.n_samples / rig.rate_hz  # afterwards the recorder writes the columns
@@ -91,8 +93,10 @@ def main() -> None:
         slope = np.polyfit((whole[:, 0] - began) / 60.0, whole[:, column], 1)[0] if len(whole) > 2 else np.nan
         quarter = max(1, len(whole) // 4)
         first, last = whole[:quarter, column].mean(), whole[-quarter:, column].mean()
-        print(f"memory of the {name}: {first:.1f} MB in the first quarter, {last:.1f} MB in the last, at most "
-              f"{whole[:, column].max():.1f} MB, {slope:+.3f} MB a minute; {at[:, column].max():.1f} MB while closing")
+        print(
+            f"memory of the {name}: {first:.1f} MB in the first quarter, {last:.1f} MB in the last, at most "
+            f"{whole[:, column].max():.1f} MB, {slope:+.3f} MB a minute; {at[:, column].max():.1f} MB while closing"
+        )
 
 
 if __name__ == "__main__":

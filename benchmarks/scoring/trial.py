@@ -175,7 +175,11 @@ def _own(job: Job, folder: Path) -> Path:
     rng = np.random.default_rng(job.seed)
     strength = "weak" if job.kind == "weak" else "strong"
     scenario = sealed_scenario(
-        rng, job.effects, strength=strength, count=len(job.effects), nuisances=bool(rng.random() < 0.5)  # type: ignore[arg-type]
+        rng,
+        job.effects,
+        strength=strength,
+        count=len(job.effects),
+        nuisances=bool(rng.random() < 0.5),  # type: ignore[arg-type]
     )
     sealed = folder / "sealed.toml"
     sealed.write_text(scenario.to_toml(), encoding="utf-8")

@@ -154,9 +154,7 @@ class SlipFit:
         return Slip(self.guess + float(turned / gain), sigma, rms_v, float(gain))
 
 
-def slip_at(
-    played: Played | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS
-) -> Slip:
+def slip_at(played: Played | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS) -> Slip:
     """Slip of ``heard`` (its first frame is number ``first``) near ``guess``."""
     best = Slip(float(guess), np.inf, float(np.std(heard)), 0.0)
     for _ in range(iterations):
@@ -172,9 +170,7 @@ def slip_at(
     return best
 
 
-def candidates(
-    played: Played | Stretch, heard: Floats, first: int, low: int, high: int, gain: float
-) -> list[Slip]:
+def candidates(played: Played | Stretch, heard: Floats, first: int, low: int, high: int, gain: float) -> list[Slip]:
     """Slips between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
 
     Parameters

@@ -91,7 +91,7 @@ def _digits(recording: Recording | Resampled, channel: str) -> str:
 def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
     names = recording.channels
     line = ",".join(["%.9f", *(_digits(recording, name) for name in names)]) + "\n"
-    with (gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n")) as file:
+    with gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n") as file:
         file.write(",".join(["time_s", *(_plain_text(f"{name}_v") for name in names)]) + "\n")
         for a, b in _pieces(recording.n_samples, _ROWS):
             columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(name, a, b) for name in names)]

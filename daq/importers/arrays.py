@@ -28,8 +28,17 @@ _MOST_ROW_BYTES = 4096  # of one row of a table
 _MOST_CHUNK_BYTES = 1 << 28  # unpacked at once
 _MOST_PACKED = 2000  # times smaller than its content, no measurement is
 _SMALL_BYTES = 1 << 24
-_READ_ERRORS = (OSError, ValueError, EOFError, RuntimeError, NotImplementedError, KeyError, TypeError, zlib.error,
-                zipfile.BadZipFile)
+_READ_ERRORS = (
+    OSError,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    NotImplementedError,
+    KeyError,
+    TypeError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
 
 
 class _ArraySource:

@@ -140,8 +140,8 @@ class CsvSource:
                 "semicolon or tab under a header."
             )
         self._delimiter = delimiter
-        self._decimal = "." if delimiter in (",", None) else _decimal_of(
-            "\n".join(line for _, line in lines[first:]), delimiter
+        self._decimal = (
+            "." if delimiter in (",", None) else _decimal_of("\n".join(line for _, line in lines[first:]), delimiter)
         )
         self._first_line = lines[first][0]
         self._width = len(_fields(lines[first][1], delimiter))

@@ -26,8 +26,10 @@ def powers_of_five() -> NDArray[np.uint64]:
     for q in range(_FIRST_POWER, _LAST_POWER + 1):
         if q >= 0:
             value = 5**q
-            value = value << (128 - value.bit_length()) if value.bit_length() <= 128 else value >> (
-                value.bit_length() - 128
+            value = (
+                value << (128 - value.bit_length())
+                if value.bit_length() <= 128
+                else value >> (value.bit_length() - 128)
             )
         else:
             power = 5**-q
@@ -39,7 +41,11 @@ def powers_of_five() -> NDArray[np.uint64]:
 
 
 def parse_rows(
-    block: NDArray[np.uint8], delimiter: str | None, decimal: str, width: int, role_of: NDArray[np.int64],
+    block: NDArray[np.uint8],
+    delimiter: str | None,
+    decimal: str,
+    width: int,
+    role_of: NDArray[np.int64],
     shape: tuple[int, int],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], int]:
     """Numbers of a block of whole lines.

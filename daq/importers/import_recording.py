@@ -125,7 +125,11 @@ def import_recording(
 
 
 def _begun(
-    source: Source, columns: Mapping[str, Column], out: Path, setup: Setup, scales: Mapping[str, tuple[float, float]],
+    source: Source,
+    columns: Mapping[str, Column],
+    out: Path,
+    setup: Setup,
+    scales: Mapping[str, tuple[float, float]],
     attributes: Mapping[str, Any],
 ) -> ColumnWriter:
     """The column file, empty; each channel in the type that its column has."""
@@ -169,6 +173,7 @@ def _timebase(
     if time is None:
         base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
     else:
+
         def times(start: int, stop: int) -> Floats:
             return np.asarray(writer.read("timestamp", start, stop) * 1e-9, np.float64)
 
@@ -194,7 +199,11 @@ def _volts(writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], role
 
 
 def _find(
-    writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], setup: Setup, base: Timebase, intake: Intake,
+    writer: ColumnWriter,
+    scales: Mapping[str, tuple[float, float]],
+    setup: Setup,
+    base: Timebase,
+    intake: Intake,
     progress: Progress | None,
 ) -> tuple[NDArray[np.void], bool]:
     """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
@@ -220,7 +229,11 @@ def _find(
 
 
 def _found(
-    read: Callable[[int, int], Floats], n_samples: int, setup: Setup, base: Timebase, intake: Intake,
+    read: Callable[[int, int], Floats],
+    n_samples: int,
+    setup: Setup,
+    base: Timebase,
+    intake: Intake,
     progress: Progress | None,
 ) -> list[FoundStep]:
     """Steps of one channel: cut where the file says that something was set, else where the channel changes."""
@@ -268,7 +281,11 @@ def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:
 
 
 def _late_attributes(
-    source: Source, columns: Mapping[str, Column], setup: Setup, base: Timebase, intake: Intake,
+    source: Source,
+    columns: Mapping[str, Column],
+    setup: Setup,
+    base: Timebase,
+    intake: Intake,
     extra: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     started = ""
@@ -284,8 +301,9 @@ def _late_attributes(
         "imported_at": now_utc(),
         "imported_from": source.path.name,
         "imported_sha256": _sha256(source.path),
-        "imported_columns": [f"{role}={column.name}" + (f":{column.unit}" if column.unit else "")
-                             for role, column in columns.items()],
+        "imported_columns": [
+            f"{role}={column.name}" + (f":{column.unit}" if column.unit else "") for role, column in columns.items()
+        ],
         "time_origin_s": intake.origin_s,
         "extra_json": json.dumps(dict(extra or {})),
     }

@@ -44,8 +44,12 @@ class Intake:
 
 
 def take_in(
-    source: Source, columns: Mapping[str, Column], scales: Mapping[str, tuple[float, float]], setup: Setup,
-    writer: ColumnWriter, progress: Progress | None,
+    source: Source,
+    columns: Mapping[str, Column],
+    scales: Mapping[str, tuple[float, float]],
+    setup: Setup,
+    writer: ColumnWriter,
+    progress: Progress | None,
 ) -> Intake:
     """Stream every row into the writer, checking as it goes.
 

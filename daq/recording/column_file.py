@@ -86,7 +86,8 @@ class ColumnWriter:
         self.part = path.with_name(path.name + ".part")
         self.n_samples = 0
         self._filters: dict[str, Any] = (
-            dict(hdf5plugin.Bitshuffle(nelems=SHUFFLED_SAMPLES, cname="lz4")) if compression == "lz4"
+            dict(hdf5plugin.Bitshuffle(nelems=SHUFFLED_SAMPLES, cname="lz4"))
+            if compression == "lz4"
             else {"compression": "gzip", "compression_opts": 4, "shuffle": True}
         )
         self._disk = DiskFile(self.part)

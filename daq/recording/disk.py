@@ -41,8 +41,11 @@ class DiskFile(io.RawIOBase):
         """
         if self._failure is not None:
             said = self._failure.strerror or str(self._failure)
-            raise OSError(self._failure.errno, f"the disk refuses to take more ({said}); free some space there, "
-                          "or choose another place", str(self._path)) from self._failure
+            raise OSError(
+                self._failure.errno,
+                f"the disk refuses to take more ({said}); free some space there, or choose another place",
+                str(self._path),
+            ) from self._failure
 
     def write(self, data: Any) -> int:
         """Write all of ``data``, or keep the failure."""

@@ -239,7 +239,12 @@ def probe(path: str) -> None:
 
 def is_whole(path: Path, timeout_s: float = 30.0) -> bool:
     """Whether `probe`, in a process of its own that can be ended, comes back in time."""
-    command = [sys.executable, "-c", "import sys; from daq.recording.frame_file import probe; probe(sys.argv[1])", str(path)]
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from daq.recording.frame_file import probe; probe(sys.argv[1])",
+        str(path),
+    ]
     try:
         return subprocess.run(command, capture_output=True, timeout=timeout_s).returncode == 0
     except subprocess.TimeoutExpired:

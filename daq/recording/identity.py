@@ -60,7 +60,5 @@ def refuse_repeated(paths: Sequence[Path]) -> None:
                     content = content_id(recording)
                 seen[i] = (other, n, content)
             if content == known:
-                raise InputError(
-                    f"{other} and {path} hold the same samples; name each run once, or it counts twice."
-                )
+                raise InputError(f"{other} and {path} hold the same samples; name each run once, or it counts twice.")
         seen.append((path, own, known))

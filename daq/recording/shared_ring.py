@@ -106,7 +106,13 @@ class Ring:
         self._frames[slot, :n] = block.codes
         lost = block.lost_before + self._missing
         self._rows[slot] = (
-            block.first_sample, n, block.flags, block.clock_ns, lost, block.lost_uncertainty, block.adc_ns,
+            block.first_sample,
+            n,
+            block.flags,
+            block.clock_ns,
+            lost,
+            block.lost_uncertainty,
+            block.adc_ns,
             crc32(block.codes),
         )
         self._missing = 0
@@ -126,8 +132,13 @@ class Ring:
                 break  # not all of it is visible to this process yet: next time
             taken.append(
                 Block(
-                    int(row["first_sample"]), codes, int(row["flags"]), int(row["clock_ns"]), int(row["lost_before"]),
-                    int(row["lost_uncertainty"]), int(row["adc_ns"]),
+                    int(row["first_sample"]),
+                    codes,
+                    int(row["flags"]),
+                    int(row["clock_ns"]),
+                    int(row["lost_before"]),
+                    int(row["lost_uncertainty"]),
+                    int(row["adc_ns"]),
                 )
             )
         self._counters[1] = at + len(taken)

@@ -102,8 +102,9 @@ def _report(recording: Recording, faults: list[str]) -> VerifyReport:
         state = "damaged"
     elif recording.frames is not None or ended == "incomplete":
         state = "incomplete"
-        where.append(f"cut off or still being written after {recording.n_samples} samples; run: bench recover "
-                     f"{recording.path}")
+        where.append(
+            f"cut off or still being written after {recording.n_samples} samples; run: bench recover {recording.path}"
+        )
     else:
         state = "complete" if ended == "complete" else "stopped"
     if ended not in ("complete", "incomplete"):

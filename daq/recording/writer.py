@@ -109,7 +109,12 @@ class RecordingWriter:
         self.path = Path(path)
         require_space(self.path, expected_samples, len(channels))
         attributes = root_attributes(
-            setup, profile_text=profile_text, backend=backend, simulated=simulated, note=note, extra=extra,
+            setup,
+            profile_text=profile_text,
+            backend=backend,
+            simulated=simulated,
+            note=note,
+            extra=extra,
             scenario_sha256=scenario_sha256,
         )
         known = {name: (scales or {}).get(name, _default_scale(setup, name)) for name in channels}
@@ -246,7 +251,11 @@ def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]
         setup, gaps, names = recording.setup, recording.gaps, recording.channels
         attributes = dict(recording.stored) | changed
         writer = ColumnWriter(
-            target, setup, dict.fromkeys(names, np.dtype("<i2")), {n: recording.scale(n) for n in names}, attributes,
+            target,
+            setup,
+            dict.fromkeys(names, np.dtype("<i2")),
+            {n: recording.scale(n) for n in names},
+            attributes,
             overwrite=source == target,
         )
         try:

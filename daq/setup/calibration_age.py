@@ -38,9 +38,7 @@ def doubts(setup: Setup, on: datetime.date) -> list[str]:
         elif (on - quantity.date).days > setup.calibration_days:
             expired.setdefault(kind, []).append(f"{key} ({quantity.date})")
     remedy = "; bench calibrate {} --into PROFILE"
-    return [
-        f"never calibrated: {', '.join(keys)}" + remedy.format(kind) for kind, keys in missing.items()
-    ] + [
+    return [f"never calibrated: {', '.join(keys)}" + remedy.format(kind) for kind, keys in missing.items()] + [
         f"calibrated more than {setup.calibration_days} days before: {', '.join(keys)}" + remedy.format(kind)
         for kind, keys in expired.items()
     ]

@@ -82,10 +82,12 @@ def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forci
         reach = round(max(10 / left.frequency_hz, 0.1) * rate_hz)
         low, high = max(left.start, left.stop - reach), min(right.stop, left.stop + reach)
         edges = _edges(low, high, rate_hz, min(left.frequency_hz, right.frequency_hz))
-        misfit = np.array([
-            [fit(read, a, b, rate_hz, side.frequency_hz, forcing).rms ** 2 for side in (left, right)]
-            for a, b in pairwise(edges)
-        ]).reshape(-1, 2)
+        misfit = np.array(
+            [
+                [fit(read, a, b, rate_hz, side.frequency_hz, forcing).rms ** 2 for side in (left, right)]
+                for a, b in pairwise(edges)
+            ]
+        ).reshape(-1, 2)
         before = np.concatenate([[0.0], np.cumsum(misfit[:, 0])])
         after = np.concatenate([np.cumsum(misfit[::-1, 1])[::-1], [0.0]])
         border = int(edges[np.argmin(before + after)])
@@ -159,8 +161,9 @@ def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) ->
         else:
             begin = a if fade_from is None else fade_from
             change = track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
-            found.append(Still(int(track.edges[begin]), int(track.edges[a]), int(track.edges[b]),
-                               region.frequency_hz + change))
+            found.append(
+                Still(int(track.edges[begin]), int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change)
+            )
             fade_from = None
     return found
 

@@ -126,9 +126,14 @@ def cycle_windows(
             continue
         room = 4 * np.spacing(max(b, 1.0))  # at the level itself the tables are in two minds
         out += itinerary_windows.windows(
-            lambda g: ball.signatures(g, ball.most_flights), lambda w: locked_beside(ball, w),
-            lambda stretches, spacing: locked_within(ball, stretches, spacing), a + room, b - room, narrowest,
-            longest, ball.coarse,
+            lambda g: ball.signatures(g, ball.most_flights),
+            lambda w: locked_beside(ball, w),
+            lambda stretches, spacing: locked_within(ball, stretches, spacing),
+            a + room,
+            b - room,
+            narrowest,
+            longest,
+            ball.coarse,
         )
     return out
 

@@ -110,8 +110,10 @@ def _range_of(fly: Fly, piece: Floats) -> tuple[float, float]:
         best = float(tau[k])
         if 0 < k < tau.size - 1:
             inside = minimize_scalar(
-                lambda p, s=sign: s * fly(np.array([p]))[0][0], bounds=(phases[k - 1], phases[k + 1]),
-                method="bounded", options={"xatol": 1e-12},
+                lambda p, s=sign: s * fly(np.array([p]))[0][0],
+                bounds=(phases[k - 1], phases[k + 1]),
+                method="bounded",
+                options={"xatol": 1e-12},
             )
             best = sign * min(sign * best, float(inside.fun))
         ends.append(best)

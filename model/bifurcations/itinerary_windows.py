@@ -36,7 +36,7 @@ class Window:
     code: int
     locked: bool = False
     how: tuple[str, str] = ("", "")
-    """What ends it below and above, where that is known from the family (`model.bifurcations.locked_family`); empty: to be seen."""
+    """Events at its lower and upper end, where known from the locked family; empty where not."""
 
     @property
     def width(self) -> float:

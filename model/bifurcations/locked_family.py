@@ -118,9 +118,7 @@ def _end(point: Family, n: int, left: tuple[float, _Cycle], right: tuple[float, 
     return None
 
 
-def _doubling_between(
-    point: Family, n: int, left: tuple[float, _Cycle], right: tuple[float, _Cycle]
-) -> float | None:
+def _doubling_between(point: Family, n: int, left: tuple[float, _Cycle], right: tuple[float, _Cycle]) -> float | None:
     """Where the cycle of ``n`` flights that lies between two points of its doubled cycle's walk has multiplier -1."""
     width = right[0] - left[0]
     ends = []

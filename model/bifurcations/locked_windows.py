@@ -75,8 +75,14 @@ def locked_beside(ball: Map, window: Window) -> list[Window]:
                 up = family.end > family.start
                 out.append(
                     Window(
-                        min(family.start, family.end), max(family.start, family.end), window.flights, 0, window.period,
-                        0, True, ("", family.how) if up else (family.how, ""),
+                        min(family.start, family.end),
+                        max(family.start, family.end),
+                        window.flights,
+                        0,
+                        window.period,
+                        0,
+                        True,
+                        ("", family.how) if up else (family.how, ""),
                     )
                 )
     return out

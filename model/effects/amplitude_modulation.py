@@ -16,9 +16,7 @@ EFFECT = Effect(
     summary="the plate's amplitude swells and sinks slowly",
     parameters=(
         Parameter("depth", "1", 0.0, 0.9, 0.003, meaning="relative amplitude of the swell"),
-        Parameter(
-            "frequency_hz", "Hz", 1e-3, 20.0, 0.002, absent=1.0, scan=(1.0,), shape=True, meaning="of the swell"
-        ),
+        Parameter("frequency_hz", "Hz", 1e-3, 20.0, 0.002, absent=1.0, scan=(1.0,), shape=True, meaning="of the swell"),
     ),
     seen_in=("plate", "landing", "takeoff"),
     confused_with={

@@ -18,7 +18,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 def of_the_ball(effects: Effects) -> dict[str, dict[str, float]]:
-    """Effects that act on the ball's flight, its take-off or its impact: what `model.orbits.make_ball.ball_of` takes."""
+    """Effects that act on the ball's flight, its take-off or its impact."""
     return {n: dict(t) for n, t in effects.items() if effect(n).hooks.keys() & set(COMPILED_HOOKS)}
 
 

@@ -17,8 +17,15 @@ EFFECT = Effect(
     name="smooth_force",
     summary="a force as a smooth function of one quantity of the flight",
     parameters=(
-        Parameter("of", "1", 0.0, 5.0, 1.0, shape=True,
-                  meaning="0 none, 1 height, 2 velocity, 3 absolute velocity, 4 time since take-off, 5 since impact"),
+        Parameter(
+            "of",
+            "1",
+            0.0,
+            5.0,
+            1.0,
+            shape=True,
+            meaning="0 none, 1 height, 2 velocity, 3 absolute velocity, 4 time since take-off, 5 since impact",
+        ),
         Parameter("against", "1", 0.0, 1.0, 1.0, shape=True, meaning="1: against the motion, as friction is"),
         Parameter("lag_s", "s", 0.0, 1e3, 1e-2, shape=True, meaning="from impact to take-off"),
         Parameter("start", "1", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),

@@ -40,9 +40,7 @@ def edges_between(tones: Floats, gamma: float, start: float, stop: float) -> tup
 
 
 @compiled
-def land_aperiodic(
-    tones: Floats, gamma: float, phi0: float, v0: float, at_threshold: bool
-) -> tuple[float, float, int]:
+def land_aperiodic(tones: Floats, gamma: float, phi0: float, v0: float, at_threshold: bool) -> tuple[float, float, int]:
     """``(tau, impact speed, flag)`` of the flight from ``phi0``; with ``v0 = 0`` the phase must be inside a window."""
     s0, slope0, q0 = shape(tones, phi0)
     stage: Stage = (phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - 1.0, v0, 0.0, 1.0)

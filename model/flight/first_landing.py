@@ -96,9 +96,7 @@ def take_off_phases(forcing: Forcing, gamma: float) -> Windows:
     return Windows(table[0 : 2 * n : 2].copy(), table[1 : 2 * n : 2].copy())
 
 
-def relative_height(
-    forcing: Forcing, gamma: float, phi0: ArrayLike, tau: ArrayLike, v0: ArrayLike = 0.0
-) -> Floats:
+def relative_height(forcing: Forcing, gamma: float, phi0: ArrayLike, tau: ArrayLike, v0: ArrayLike = 0.0) -> Floats:
     """Height above the plate ``tau`` after a take-off at ``phi0`` with relative speed ``v0`` (the paper's eq. 4).
 
     For pictures and checks: plain arithmetic, any ``tau`` (negative too), arrays broadcast, units g/w^2.
@@ -203,7 +201,5 @@ def run_diagram(
         aperiodic.aperiodic_diagram(forcing.tones, grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag)
         return out
     kept = (out.tau, out.takeoff_phase, out.flag)
-    batched_ideal.lockstep_diagram(
-        forcing.tones, turning_points(forcing), grid, phi0, n_transient, every_flight, kept
-    )
+    batched_ideal.lockstep_diagram(forcing.tones, turning_points(forcing), grid, phi0, n_transient, every_flight, kept)
     return out

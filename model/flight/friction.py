@@ -1,4 +1,4 @@
-"""The rough, bouncing ball, compiled: up, hang, fall, rebound, chatter; each by its closed form (`model.flight.segment`).
+"""Flights with Coulomb friction and restitution, compiled: rise, hang, fall, rebound, chatter, each in closed form.
 
 The rule kept here: between events no step is taken, and the events are proven first. Going up only ``h' = 0`` can end
 the stage, because the height grows; falling the height is monotone, so the plate and the standstill are looked for
@@ -84,9 +84,7 @@ def _fall_for_ever(tones: Floats, gamma: float, stage: Stage) -> tuple[bool, flo
 
 
 @compiled
-def fall(
-    tones: Floats, gamma: float, down: Floats, n_down: int, stage: Stage
-) -> tuple[bool, float, float, float, int]:
+def fall(tones: Floats, gamma: float, down: Floats, n_down: int, stage: Stage) -> tuple[bool, float, float, float, int]:
     """A fall from a standstill: ``(landed, time, phase, impact speed, flag)``; not landed means that it stood still."""
     phi0 = stage[0]
     if n_down == 0:

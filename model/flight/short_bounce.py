@@ -23,9 +23,7 @@ def _rest(c: Series, t: float) -> tuple[float, float, float]:
     """``G = sum_{m = 3}^{10} c_m t^m`` and its two derivatives."""
     c3, c4, c5, c6, c7, c8, c9, c10 = c
     g = c3 + t * (c4 + t * (c5 + t * (c6 + t * (c7 + t * (c8 + t * (c9 + t * c10))))))
-    g1 = 3 * c3 + t * (
-        4 * c4 + t * (5 * c5 + t * (6 * c6 + t * (7 * c7 + t * (8 * c8 + t * (9 * c9 + t * 10 * c10)))))
-    )
+    g1 = 3 * c3 + t * (4 * c4 + t * (5 * c5 + t * (6 * c6 + t * (7 * c7 + t * (8 * c8 + t * (9 * c9 + t * 10 * c10))))))
     g2 = 6 * c3 + t * (
         12 * c4 + t * (20 * c5 + t * (30 * c6 + t * (42 * c7 + t * (56 * c8 + t * (72 * c9 + t * 90 * c10)))))
     )

@@ -755,12 +755,42 @@ def one_ahead(
         out[i, 7], out[i, 8] = v0, previous_hit
         if ratio != 0.0 and linked[i]:
             hear(
-                t_landed, start, True, q, qd, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m], heard,
+                t_landed,
+                start,
+                True,
+                q,
+                qd,
+                om,
+                ze,
+                wi,
+                ri,
+                ii,
+                pi,
+                first[m],
+                first[m + 1],
+                span_s,
+                listen[m],
+                heard,
                 heard_s,
             )
             hear(
-                start, landing[i], False, qs, qds, om, ze, wi, ri, ii, pi, first[m], first[m + 1], span_s, listen[m],
-                heard, heard_s,
+                start,
+                landing[i],
+                False,
+                qs,
+                qds,
+                om,
+                ze,
+                wi,
+                ri,
+                ii,
+                pi,
+                first[m],
+                first[m + 1],
+                span_s,
+                listen[m],
+                heard,
+                heard_s,
             )
         q, qd = strike(qs, qds, landing[i] - start, previous_hit, om, ze, ratio, pi)
 

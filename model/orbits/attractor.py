@@ -175,8 +175,17 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
     shown = slice(-CHAOS_SHOWN, None)
     resets = int(path.reset[shown].sum())
     return Attractor(
-        "chaotic", None, path.tau[shown].size, resets, False, path.tau[shown], path.phase[shown], path.speed[shown],
-        None, _exponent(path.slope[path.slope.size // 4 :]), path.last,
+        "chaotic",
+        None,
+        path.tau[shown].size,
+        resets,
+        False,
+        path.tau[shown],
+        path.phase[shown],
+        path.speed[shown],
+        None,
+        _exponent(path.slope[path.slope.size // 4 :]),
+        path.last,
     )
 
 

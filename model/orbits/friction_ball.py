@@ -89,8 +89,21 @@ class RoughBall:
         tau, phase, speed = np.empty((3, max_flights))
         index, threshold, mark = np.empty((3, max_flights), dtype=np.int64)
         first, stop, periods, phi, v = kernel.fly_rough_until_closed(
-            self.forcing.tones, gamma, up, n_up, down, n_down, self.rough, start.phase, start.speed,
-            tau, phase, speed, index, threshold, mark,
+            self.forcing.tones,
+            gamma,
+            up,
+            n_up,
+            down,
+            n_down,
+            self.rough,
+            start.phase,
+            start.speed,
+            tau,
+            phase,
+            speed,
+            index,
+            threshold,
+            mark,
         )
         n = slice(0, stop)
         return _Flown(tau[n], phase[n], speed[n], index[n], threshold[n], mark[n], first, periods, State(phi, v))
@@ -103,8 +116,15 @@ class RoughBall:
         if flown.tau.size == 0:
             return resting(flown.last)
         return Path(
-            flown.tau, flown.phase, flown.speed, np.full(flown.tau.size, math.nan), flown.threshold >= 0,
-            (flown.mark & kernel.CHATTERS) > 0, flown.first, flown.periods, flown.last,
+            flown.tau,
+            flown.phase,
+            flown.speed,
+            np.full(flown.tau.size, math.nan),
+            flown.threshold >= 0,
+            (flown.mark & kernel.CHATTERS) > 0,
+            flown.first,
+            flown.periods,
+            flown.last,
         )
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
@@ -112,9 +132,7 @@ class RoughBall:
         self._check(gammas)
         out = np.empty((len(gammas), SIGNATURE_SIZE), dtype=np.int64)
         turning = first_landing.turning_points(self.forcing)
-        kernel.rough_signatures(
-            self.forcing.tones, turning, np.ascontiguousarray(gammas), self.rough, max_flights, out
-        )
+        kernel.rough_signatures(self.forcing.tones, turning, np.ascontiguousarray(gammas), self.rough, max_flights, out)
         return out
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
@@ -155,8 +173,17 @@ class RoughBall:
             return None
         phases, taus, speeds, starts = np.empty((4, n))
         ok, periods, trace, determinant = kernel.close_rough_cycle(
-            self.forcing.tones, first_landing.turning_points(self.forcing), gamma, self.rough, near.phase, near.speed, n,
-            phases, taus, speeds, starts,
+            self.forcing.tones,
+            first_landing.turning_points(self.forcing),
+            gamma,
+            self.rough,
+            near.phase,
+            near.speed,
+            n,
+            phases,
+            taus,
+            speeds,
+            starts,
         )
         if not ok or has_shorter(phases):
             return None

@@ -105,7 +105,7 @@ def fly_rough_until_closed(
 def rough_hash(
     landing_index: Integers, threshold: Integers, mark: Integers, first: int, stop: int, start: int
 ) -> tuple[int, int]:
-    """``(code, flights)`` as `model.orbits.ideal_cycles.hash_of`; a completed chatter's small bounces are left out of both."""
+    """``(code, flights)`` of an itinerary; a completed chatter's small bounces are left out of both."""
     code = threshold[start] + 1
     flights = 0
     pending = 0  # small bounces so far that will be left out if they end in a completed chatter
@@ -201,8 +201,11 @@ def rough_flight(
                 return total, phi, 0.0, (math.nan, math.nan, math.nan, math.nan)
             phi_phi, phi_v = h_phi / speed, h_v / speed
             e_slope = rough[2] - 2.0 * rough[3] * speed if rough[2] > rough[3] * speed else 0.0
-            return total, phi, speed, (
-                phi_phi, phi_v, -e_slope * (w_phi + pull * phi_phi), -e_slope * (w_v + pull * phi_v)
+            return (
+                total,
+                phi,
+                speed,
+                (phi_phi, phi_v, -e_slope * (w_phi + pull * phi_phi), -e_slope * (w_v + pull * phi_v)),
             )
         rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
         total += wait

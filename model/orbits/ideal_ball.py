@@ -55,9 +55,7 @@ class IdealBall:
         if start.speed > 0.0:
             at = fold(start.phase, edge[0])
             a0 = gamma * q_and_slope(self.forcing.tones, at)[0] - 1.0
-            tau, rest_at, lead_speed, _ = ideal.land(
-                self.forcing.tones, gamma, edge, n_windows, at, a0, start.speed
-            )
+            tau, rest_at, lead_speed, _ = ideal.land(self.forcing.tones, gamma, edge, n_windows, at, a0, start.speed)
             lead_tau = [tau]
             if n_windows == 0:
                 return resting(State(rest_at % TWO_PI))
@@ -105,7 +103,6 @@ class IdealBall:
         forcing = self.forcing
         speeds = np.array([first_landing.first_landing(forcing, gamma, p).impact_speed for p in phases])
         return LockedCycle(phases, np.zeros(n), taus, speeds, periods, multiplier)
-
 
     def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
         """Signatures (`model.orbits.ideal_cycles`) of the orbits from rest at each gamma, shape (m, SIGNATURE_SIZE)."""

@@ -195,9 +195,7 @@ def close_cycle(
     turn = 0
     multiplier = 0.0
     for _ in range(60):
-        ok, landing, turn, multiplier = map_cycle(
-            tones, gamma, edge, n_windows, phi, n, phases, taus, landing_index
-        )
+        ok, landing, turn, multiplier = map_cycle(tones, gamma, edge, n_windows, phi, n, phases, taus, landing_index)
         if not ok:
             return False, phi, turn, multiplier
         miss = landing - phi

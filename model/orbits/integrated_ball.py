@@ -1,4 +1,4 @@
-"""The ball with any set of effects as `model.orbits.attractor` wants it, flown by the integrated kernel of `model.integrator.one_step`.
+"""The ball with any set of effects, flown by the integrator.
 
 The rule kept here: SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
 the take-off phase from rest repeats within `REPEATS`, not exactly.
@@ -60,8 +60,13 @@ class RolledBall:
         w = self.omega_radps
         plate = Plate(n * w, 1j * gamma * self.g_mps2 * n**2 * b * np.exp(1j * p))
         return one_step.march(
-            self.effects, g_mps2=self.g_mps2, period_s=1.0 / self.frequency_hz, omega_radps=plate.omega_radps,
-            acceleration_mps2=plate.acceleration, flights=flights, start_s=phase / w,
+            self.effects,
+            g_mps2=self.g_mps2,
+            period_s=1.0 / self.frequency_hz,
+            omega_radps=plate.omega_radps,
+            acceleration_mps2=plate.acceleration,
+            flights=flights,
+            start_s=phase / w,
             impact_mps=self._impact_for(launch) * self.g_mps2 / w,
         )
 
@@ -93,8 +98,15 @@ class RolledBall:
         launch = found.launch_mps[stop] / speed_unit if stop < count else 0.0
         last = State(float(landing[stop - 1] % TWO_PI), float(launch))
         return Path(
-            (landing - takeoff)[kept], phase[kept], found.impact_mps[kept] / speed_unit,
-            np.full(stop, math.nan), reset[kept], chatter[kept], first, periods, last,
+            (landing - takeoff)[kept],
+            phase[kept],
+            found.impact_mps[kept] / speed_unit,
+            np.full(stop, math.nan),
+            reset[kept],
+            chatter[kept],
+            first,
+            periods,
+            last,
         )
 
     def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:

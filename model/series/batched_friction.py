@@ -66,6 +66,8 @@ from model.series.halley_iterations import (
 
 LANES = 64
 ROUNDS = 5
+
+
 @compiled
 def _store(
     whole: Rows, flights: Floats, lane: int, tau: float, speed: float, rest: float, flag: int, out: Floats, flags: Flags
@@ -150,9 +152,7 @@ def _turn(
 
 
 @compiled
-def _fly_stage(
-    tones: Floats, gamma: float, up: Floats, down: Floats, whole: Rows, work: Floats, lane: int
-) -> float:
+def _fly_stage(tones: Floats, gamma: float, up: Floats, down: Floats, whole: Rows, work: Floats, lane: int) -> float:
     """One stage alone, by `model.flight.friction`: its time, with X, H, V and STOPS as a round leaves them."""
     stage = stage_from(
         tones, gamma, work[PHI, lane], work[V0, lane], work[H0, lane], work[LEVEL, lane], whole[AT_EDGE, lane] == 1

@@ -1,4 +1,4 @@
-"""The rounds of `model.series.batched_friction`: which branch ends a lane's stage, and the Halley steps of all lanes together.
+"""Choice of the branch that ends each segment, and the Halley iterations of all orbits together.
 
 The rule kept here: a branch is chosen from tabulated edges alone, and only where its ends prove that it holds the end
 of the stage and no earlier one does; any other lane is said not to be plain.
@@ -80,9 +80,7 @@ def _set_bracket(work: Floats, lane: int, lo: float, hi: float, turns: float, gu
 
 
 @compiled
-def _bracket_rise(
-    gamma: float, up: Floats, slopes: Floats, n_up: int, fastest: float, work: Floats, lane: int
-) -> bool:
+def _bracket_rise(gamma: float, up: Floats, slopes: Floats, n_up: int, fastest: float, work: Floats, lane: int) -> bool:
     """The branch in which a rising lane first stands still; always plain."""
     phi0, v0, level, slope0 = work[PHI, lane], work[V0, lane], work[LEVEL, lane], work[SLOPE0, lane]
     i = 0
@@ -160,9 +158,7 @@ def _bracket_fall(
 
 
 @compiled
-def bracket(
-    tones: Floats, gammas: Floats, up: Floats, down: Floats, whole: Rows, work: Floats, n: int
-) -> None:
+def bracket(tones: Floats, gammas: Floats, up: Floats, down: Floats, whole: Rows, work: Floats, n: int) -> None:
     """Every lane's branch, rising or falling."""
     fastest, highest = total_speed(tones), tones[:, 1].sum()
     for lane in range(n):

@@ -105,5 +105,3 @@ def rough_batch(
         for k in range(first, stop):
             if mark[k] & CHATTERS:
                 outcome[row, CHATTERING] = 1
-
-

@@ -62,8 +62,13 @@ def empty_rows(gammas: Floats, keep: int) -> Rows:
     """Rows to be filled."""
     m = len(gammas)
     return Rows(
-        np.array(gammas, dtype=np.float64), np.zeros(m, dtype=np.int8), np.zeros(m, dtype=np.int32),
-        np.zeros(m, dtype=np.int32), np.zeros(m, dtype=np.int32), np.zeros(m, dtype=bool), np.full((m, keep), np.nan),
+        np.array(gammas, dtype=np.float64),
+        np.zeros(m, dtype=np.int8),
+        np.zeros(m, dtype=np.int32),
+        np.zeros(m, dtype=np.int32),
+        np.zeros(m, dtype=np.int32),
+        np.zeros(m, dtype=bool),
+        np.full((m, keep), np.nan),
     )
 
 
@@ -97,7 +102,7 @@ def exact_rows(
     ball_at: Callable[[int], Ball],
     keep: int,
 ) -> Rows:
-    """Rows by the compiled kernels; those that do not close by `model.orbits.attractor.attractor` of ``ball_at(row)``."""
+    """Rows by the compiled kernels; those that do not close by the attractor of ``ball_at(row)``."""
     lengthening = 1.0 if rough is None else lengthened(rough[:, 1], rough[:, 2])
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)

@@ -139,8 +139,11 @@ def compute(job: Job, start: int, stop: int) -> Rows:
             each = [rough_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
             rough = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
         return exact_rows(
-            job.forcing, gammas, rough,
-            lambda i: job.ball(job.effects_at(columns, i)), job.keep,
+            job.forcing,
+            gammas,
+            rough,
+            lambda i: job.ball(job.effects_at(columns, i)),
+            job.keep,
         )
     rows = empty_rows(gammas, job.keep)
     for i, gamma in enumerate(gammas):

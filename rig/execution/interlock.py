@@ -52,9 +52,7 @@ class _Window:
 
     def add_volts(self, name: str, volts: Floats, drive_v: Floats) -> None:
         """One more block of a channel."""
-        sums = np.array(
-            [len(volts), volts.sum(), volts @ volts, volts @ drive_v, drive_v.sum(), drive_v @ drive_v]
-        )
+        sums = np.array([len(volts), volts.sum(), volts @ volts, volts @ drive_v, drive_v.sum(), drive_v @ drive_v])
         self.sums[name] = self.sums.get(name, np.zeros(6)) + sums
 
     def gain(self, name: str) -> float:
@@ -96,9 +94,7 @@ class Interlock:
         Cycles since the ball last showed itself, by contact or impact.
     """
 
-    def __init__(
-        self, profile: Profile, channels: tuple[str, ...], scales: Mapping[str, tuple[float, float]]
-    ) -> None:
+    def __init__(self, profile: Profile, channels: tuple[str, ...], scales: Mapping[str, tuple[float, float]]) -> None:
         self._limits = profile.limits
         self._column = {name: i for i, name in enumerate(channels)}
         self._rate_hz = profile.sampling.rate_hz

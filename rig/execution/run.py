@@ -191,8 +191,13 @@ class _Run:
     def summary(self, wall_s: float) -> RunSummary:
         """What came of it."""
         return RunSummary(
-            self.how, self.why, self._writer.n_samples, self._steps, len(self._programme.steps),
-            self.account.lost_samples, wall_s,
+            self.how,
+            self.why,
+            self._writer.n_samples,
+            self._steps,
+            len(self._programme.steps),
+            self.account.lost_samples,
+            wall_s,
         )
 
     def _land(self) -> None:

@@ -30,6 +30,7 @@ NOISE_BLOCK = 65536
 REFRESH_SAMPLES = 64
 """Drifting parameters are brought up to date this often, counted from the start of the run; a power of two."""
 
+
 @njit()
 def _code(volts: float, scale_v: float, limit: float) -> int:
     return int(min(max(math.floor(volts / scale_v + 0.5), -limit), limit - 1.0))

@@ -16,16 +16,39 @@ _FLOATS = (
     "t_s",  # time at the start of the interval
     "dt_s",  # its length
     "u",  # place within the interval, 0..1
-    "height_m", "speed_mps",  # ball relative to the plate
-    "mode_m", "mode_mps",  # slow mode of the table
-    "a0", "a1", "a2", "a3",  # driven plate acceleration in the interval: cubic in u
-    "node1", "node2", "node3",  # the last reconstruction nodes
-    "plate_mps", "plate_end_mps",  # driven plate velocity, leaky, at both ends of the interval
-    "mean_square_1", "mean_square_v2", "lagged_v", "last_v", "shaker_x", "shaker_v", "shaker_drive",  # drive chain
-    "landed_s", "left_s", "flight_s", "hold_until_s", "contact_since_s", "closed_s",
+    "height_m",
+    "speed_mps",  # ball relative to the plate
+    "mode_m",
+    "mode_mps",  # slow mode of the table
+    "a0",
+    "a1",
+    "a2",
+    "a3",  # driven plate acceleration in the interval: cubic in u
+    "node1",
+    "node2",
+    "node3",  # the last reconstruction nodes
+    "plate_mps",
+    "plate_end_mps",  # driven plate velocity, leaky, at both ends of the interval
+    "mean_square_1",
+    "mean_square_v2",
+    "lagged_v",
+    "last_v",
+    "shaker_x",
+    "shaker_v",
+    "shaker_drive",  # drive chain
+    "landed_s",
+    "left_s",
+    "flight_s",
+    "hold_until_s",
+    "contact_since_s",
+    "closed_s",
     "rocking",
-    "ring_re", "ring_im",
-    "turn_re", "turn_im", "volts_per_mps2", "zero_v",  # derived from the parameters
+    "ring_re",
+    "ring_im",
+    "turn_re",
+    "turn_im",
+    "volts_per_mps2",
+    "zero_v",  # derived from the parameters
     "continuity_v",
 )
 _INTEGERS = (

@@ -224,4 +224,3 @@ def _client(name: str, server: str) -> Any:
         return jack.Client(name, no_start_server=True, servername=server, use_exact_name=True)
     except jack.JackError as error:
         raise InputError(f"JACK server {server!r} does not answer as {name!r} ({error})") from error
-

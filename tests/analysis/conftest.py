@@ -47,7 +47,8 @@ def setup_for(ratio: int = 1) -> Setup:
     """The measuring part of the simulated rig."""
     return Setup.model_validate(
         {
-            "name": "test", "forcing": {"frequency_hz": FREQUENCY_HZ, "ratio": ratio},
+            "name": "test",
+            "forcing": {"frequency_hz": FREQUENCY_HZ, "ratio": ratio},
             "drive": {"g_per_volt": G_PER_VOLT},
             "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g", "offset_v": 0.0}},
             "ball": {"mass_kg": 0.2492},
@@ -68,11 +69,22 @@ def ramp(setup: Setup, gammas: np.ndarray, settle: int, hold: int) -> tuple[np.n
             turns = (m * setup.forcing.frequency_hz * index / RATE_HZ) % 1.0
             wave -= m * m * (z * np.exp(2j * np.pi * turns)).real
         volts.append((last + (gamma - last) * rise) * wave / G_PER_VOLT)
-        steps.append(step_row({
-            "first_sample": first, "n_samples": n, "settle_samples": round(settle * period), "gamma": gamma,
-            "frequency_hz": setup.forcing.frequency_hz, "ratio": setup.forcing.ratio, "cycles": settle + hold,
-            "settle_cycles": settle, "fade_samples": fade, "direction": 1,
-        }))
+        steps.append(
+            step_row(
+                {
+                    "first_sample": first,
+                    "n_samples": n,
+                    "settle_samples": round(settle * period),
+                    "gamma": gamma,
+                    "frequency_hz": setup.forcing.frequency_hz,
+                    "ratio": setup.forcing.ratio,
+                    "cycles": settle + hold,
+                    "settle_cycles": settle,
+                    "fade_samples": fade,
+                    "direction": 1,
+                }
+            )
+        )
         first, last = first + n, float(gamma)
     return np.concatenate(volts), steps
 
@@ -85,8 +97,15 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
     """Make a recording on the simulated rig; ``truth=True`` also writes down every event (slower)."""
 
     def made(
-        gammas: np.ndarray, *, ratio: int = 1, settle: int = 6, hold: int = 14, truth: bool = False, seed: int = 1,
-        effects: Mapping[str, Mapping[str, float]] | None = None, rig: Mapping[str, float] | None = None,
+        gammas: np.ndarray,
+        *,
+        ratio: int = 1,
+        settle: int = 6,
+        hold: int = 14,
+        truth: bool = False,
+        seed: int = 1,
+        effects: Mapping[str, Mapping[str, float]] | None = None,
+        rig: Mapping[str, float] | None = None,
     ) -> Made:
         setup = setup_for(ratio)
         plant = Plant(Scenario("test", dict(effects or {}), dict(rig or {})), RATE_HZ, np.random.default_rng(seed))
@@ -126,15 +145,22 @@ RampFlyer = Callable[..., World]
 def bare_evidence() -> Evidence:
     """A run of a single step: what its instruments are worth, to be copied by `rehearse`."""
     setup = Setup(
-        name="t", forcing=Forcing(frequency_hz=25.37, ratio=2), ball=Ball(mass_kg=0.25),
+        name="t",
+        forcing=Forcing(frequency_hz=25.37, ratio=2),
+        ball=Ball(mass_kg=0.25),
         channels=Channels(accelerometer=AccelerometerChannel(sensitivity=0.1, unit="V/g")),  # type: ignore[arg-type]
     )
     omega = 2 * np.pi * 25.37
     each = np.repeat(np.eye(8), 2, axis=0) * np.tile([1.0, 1j], 8)[:, None]
     steps = Steps(
-        np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1), np.full(1, 2, dtype=np.int64), np.zeros(1),
+        np.zeros(1, np.int64),
+        np.zeros(1, np.int64),
+        np.ones(1),
+        np.full(1, 2, dtype=np.int64),
+        np.zeros(1),
         PlateSteps(np.full((1, 8), omega), np.zeros((1, 8), complex), np.array([1 / 25.37])),
-        TONE_MPS2 * each[None], np.array([[True, True] + 6 * [False]]),
+        TONE_MPS2 * each[None],
+        np.array([[True, True] + 6 * [False]]),
     )
     kinds = np.array([GAIN, PHASE], dtype=np.int64)
     two, ints = np.ones(2), np.ones(2, dtype=np.int64)
@@ -165,7 +191,9 @@ def fly_ramp() -> RampFlyer:
     """``fly_ramp(truth, seed, gammas=..., declared=...)``: the world of a c = 2 ramp flown under ``truth``."""
 
     def made(
-        truth: Mapping[Key, float], seed: int, gammas: tuple[float, ...] = GAMMAS,
+        truth: Mapping[Key, float],
+        seed: int,
+        gammas: tuple[float, ...] = GAMMAS,
         declared: Mapping[str, Mapping[str, float]] | None = None,
     ) -> World:
         world = World(bare_evidence(), declared or {})

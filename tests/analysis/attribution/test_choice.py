@@ -23,9 +23,7 @@ def explanation(
     """Losses of a candidate by step, without the fit behind them; ``sized``: its parameters differ from nothing."""
     losses = {"events": events, "plate": np.zeros(STEPS) if plate is None else plate}
     whitener: Any = SimpleNamespace(excess_s=(1e-6, 1e-6), total_s=np.ones(3), lost=False)
-    fitted: Any = SimpleNamespace(
-        differs=lambda keys: sized, fitter=SimpleNamespace(world=None), values={}, strain=0.0
-    )
+    fitted: Any = SimpleNamespace(differs=lambda keys: sized, fitter=SimpleNamespace(world=None), values={}, strain=0.0)
     return Explanation((Candidate((name,), ((name, "size"),)),), fitted, whitener, losses)
 
 

@@ -32,7 +32,9 @@ def pull_mps2(height_m: np.ndarray) -> np.ndarray:
 def latch() -> dict[Key, float]:
     """The magnet, as the effect that carries a smooth force."""
     out: dict[Key, float] = {
-        ("smooth_force", "of"): 1.0, ("smooth_force", "start"): 0.0, ("smooth_force", "spacing"): HEIGHTS[1],
+        ("smooth_force", "of"): 1.0,
+        ("smooth_force", "start"): 0.0,
+        ("smooth_force", "spacing"): HEIGHTS[1],
     }
     return out | {("smooth_force", f"c{i}"): -float(x) for i, x in enumerate(pull_mps2(HEIGHTS))}
 

@@ -28,7 +28,14 @@ def test_a_ramp_shows_the_ideal_balls_changes_between_the_right_steps(make) -> N
         flights = flights_of(recording)
     classes = classify(flights)
     assert [c.label for c in classes] == [
-        "rest", "1-cycle", "1-cycle", "1-cycle", "1-cycle locked", "1-cycle locked", "2-cycle", "2-cycle"
+        "rest",
+        "1-cycle",
+        "1-cycle",
+        "1-cycle",
+        "1-cycle locked",
+        "1-cycle locked",
+        "2-cycle",
+        "2-cycle",
     ]
     gammas = np.array([p.gamma for p in flights.plate.steps])
     found = changes(classes, gammas)

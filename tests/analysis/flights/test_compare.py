@@ -16,8 +16,12 @@ from model.effects.routing import of_the_ball, plate_gain, reading, shapes_the_p
 def test_each_effect_acts_in_one_place() -> None:
     """Ball, drive and accelerometer are told apart by what the effects' own files define."""
     effects = {
-        "coulomb_friction": {"mu_up": 0.1}, "drive_gain": {"relative": 0.1}, "gain_compression": {"per_g2": 0.05},
-        "accelerometer_gain": {"relative": 0.2}, "mains_hum": {"amplitude_mps2": 0.1}, "contact_latency": {},
+        "coulomb_friction": {"mu_up": 0.1},
+        "drive_gain": {"relative": 0.1},
+        "gain_compression": {"per_g2": 0.05},
+        "accelerometer_gain": {"relative": 0.2},
+        "mains_hum": {"amplitude_mps2": 0.1},
+        "contact_latency": {},
     }
     assert list(of_the_ball(effects)) == ["coulomb_friction"]
     assert plate_gain(effects, 2.0) == pytest.approx(1.1 / 1.2)

@@ -32,7 +32,10 @@ def setup(**changes: object) -> Setup:
         parts[part][name] = value
     return Setup.model_validate(
         {
-            "name": "theirs", "forcing": {"frequency_hz": 25.37}, "ball": {"mass_kg": 0.25}, "drive": parts["drive"],
+            "name": "theirs",
+            "forcing": {"frequency_hz": 25.37},
+            "ball": {"mass_kg": 0.25},
+            "drive": parts["drive"],
             "channels": {"accelerometer": parts["accelerometer"], "continuity": parts["continuity"]},
         }
     )

@@ -140,7 +140,9 @@ def test_the_rejected_candidate_is_part_of_the_json() -> None:
     assert close_loop._rejected(None) is None
     found = close_loop._rejected(Rejected(("restitution",), 1729.0, math.inf, "the plate data fit worse with it"))
     assert found == {
-        "names": ["restitution"], "gain_nats": 1729.0, "standard_error": None,
+        "names": ["restitution"],
+        "gain_nats": 1729.0,
+        "standard_error": None,
         "reason": "the plate data fit worse with it",
     }
 

@@ -22,13 +22,19 @@ FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"):
 def seen_evidence() -> Evidence:
     """As little evidence as a rehearsal needs of the run that was made: one step, its uncertainties, no plate data."""
     setup = Setup(
-        name="t", forcing=Forcing(frequency_hz=25.37), ball=Ball(mass_kg=0.25),
+        name="t",
+        forcing=Forcing(frequency_hz=25.37),
+        ball=Ball(mass_kg=0.25),
         channels=Channels(accelerometer=AccelerometerChannel(sensitivity=0.1, unit="V/g")),  # type: ignore[arg-type]
     )
     nothing = np.zeros(0)
     none = np.zeros(0, dtype=np.int64)
     steps = Steps(
-        np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([1.0]), np.ones(1, np.int64), np.zeros(1),
+        np.zeros(1, np.int64),
+        np.zeros(1, np.int64),
+        np.array([1.0]),
+        np.ones(1, np.int64),
+        np.zeros(1),
         PlateSteps(np.full((1, 8), 159.4), np.zeros((1, 8), complex), np.array([1 / 25.37])),
         np.full((1, 16, 8), 0.001 + 0j),
         np.array([[True] + 7 * [False]]),
@@ -36,8 +42,16 @@ def seen_evidence() -> Evidence:
     one = np.full(3, 1e-5)
     yes: NDArray[np.bool_] = np.ones(3, dtype=bool)
     return Evidence(
-        Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes), one, one, yes, np.ones(3),
-        np.full(3, np.inf), steps, PlateData(none, none, *(nothing,) * 5, none, none, nothing), setup, 2e-4,
+        Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes),
+        one,
+        one,
+        yes,
+        np.ones(3),
+        np.full(3, np.inf),
+        steps,
+        PlateData(none, none, *(nothing,) * 5, none, none, nothing),
+        setup,
+        2e-4,
     )
 
 

@@ -26,12 +26,21 @@ from analysis.residuals.whitening import Whitener
 from bench.cli import app
 
 KEYS = (
-    "verdict", "effects", "discovered", "tie_set", "before", "after", "noise_floor_us", "held_out_steps", "remainder",
+    "verdict",
+    "effects",
+    "discovered",
+    "tie_set",
+    "before",
+    "after",
+    "noise_floor_us",
+    "held_out_steps",
+    "remainder",
     "next_run",
 )
 ERRORS = ("landing_rms_us", "landing_robust_us", "takeoff_robust_us", "flight_time_relative")
 FRICTION = Candidate(
-    ("coulomb_friction",), (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")),
+    ("coulomb_friction",),
+    (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")),
     ({("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1},),
 )
 
@@ -49,7 +58,8 @@ def one_candidate(self: Attributor) -> Attribution:
 def closed(make: Callable[..., Any]) -> tuple[Loop, Path]:
     """The loop closed on a short ramp with friction 0.1, and its recording."""
     path = make(
-        np.array([0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 0.62, 0.92, 1.07]), hold=12,
+        np.array([0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 0.62, 0.92, 1.07]),
+        hold=12,
         effects={"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}},
     ).path
     with pytest.MonkeyPatch.context() as patch:

@@ -80,9 +80,17 @@ def swells_of(
     value = np.array(table["value"], dtype=np.float64)
     none = np.zeros(m, dtype=np.int64)
     swells = Swells(
-        np.array(table["recording"], dtype=np.int64), np.array(table["span"]), np.tile(2.0 * np.pi * every, (m, 1)), z,
-        np.full(m, 2), np.full(m, np.nan), np.full(m, np.inf), np.array(table["step"], dtype=np.int64),
-        np.array(table["window"]), value, np.full(len(value), 1e-3),
+        np.array(table["recording"], dtype=np.int64),
+        np.array(table["span"]),
+        np.tile(2.0 * np.pi * every, (m, 1)),
+        z,
+        np.full(m, 2),
+        np.full(m, np.nan),
+        np.full(m, np.inf),
+        np.array(table["step"], dtype=np.int64),
+        np.array(table["window"]),
+        value,
+        np.full(len(value), 1e-3),
         Kept.join(kept, np.arange(m), none),
     )
     tones = np.zeros((m, 8), dtype=np.complex128)
@@ -149,8 +157,12 @@ def test_a_ball_on_a_swelling_plate_lands_where_brute_force_says() -> None:
     takeoff, landing = t[first], t[first + flies]
     start = takeoff - 2e-3
     measured = Measured(
-        np.array([start - 0.01, takeoff]), np.array([start, landing]), np.array([False, False]),
-        np.array([False, True]), np.zeros(2, dtype=np.int64), np.array([False, True]),
+        np.array([start - 0.01, takeoff]),
+        np.array([start, landing]),
+        np.array([False, False]),
+        np.array([False, True]),
+        np.zeros(2, dtype=np.int64),
+        np.array([False, True]),
     )
     found = one_ahead(measured, modulated, row({}, G))
     assert found.takeoff_s[1] == pytest.approx(takeoff, abs=5e-6)

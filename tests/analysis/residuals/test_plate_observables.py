@@ -24,8 +24,16 @@ def _data(kinds: list[int], multiples: list[int], ratio: int, share: complex, fi
     whole = np.ones(len(kinds), dtype=np.int64)
     m = np.array(multiples, dtype=np.int64)
     return PlateData(
-        np.array(kinds, dtype=np.int64), 0 * whole, 0 * one, one, 159.4 * m, first_g * one, 9.8 * first_g * one, m,
-        ratio * whole, share * one,
+        np.array(kinds, dtype=np.int64),
+        0 * whole,
+        0 * one,
+        one,
+        159.4 * m,
+        first_g * one,
+        9.8 * first_g * one,
+        m,
+        ratio * whole,
+        share * one,
     )
 
 
@@ -62,8 +70,6 @@ def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
     low = transfer({**absent, "low_pass_s": 1e-3, "sharpness": 0.0}, omega, accel_g)
     assert low == pytest.approx(1.0 / (1.0 + 1e-3j * omega))
     damping, own_hz = 0.4, 3.0
-    high = transfer(
-        {**absent, "high_pass_hz": 2.0 * damping * own_hz, "sharpness": 0.25 / damping**2}, omega, accel_g
-    )
+    high = transfer({**absent, "high_pass_hz": 2.0 * damping * own_hz, "sharpness": 0.25 / damping**2}, omega, accel_g)
     s, own = 1j * omega[1:], 2.0 * np.pi * own_hz
     assert high[1:] == pytest.approx(s**2 / (s**2 + 2.0 * damping * own * s + own**2))

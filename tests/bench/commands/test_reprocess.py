@@ -28,10 +28,15 @@ SHAKER = {
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two steps of the ideal rig at c = 1: gamma_peak 1.6 and 4."""
-    setup = Setup.model_validate({
-        "name": "test", "forcing": {"frequency_hz": 25.37}, "drive": {"g_per_volt": 2.0},
-        "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g", "offset_v": 0.0}}, "ball": {"mass_kg": 0.25},
-    })
+    setup = Setup.model_validate(
+        {
+            "name": "test",
+            "forcing": {"frequency_hz": 25.37},
+            "drive": {"g_per_volt": 2.0},
+            "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g", "offset_v": 0.0}},
+            "ball": {"mass_kg": 0.25},
+        }
+    )
     plant = Plant(Scenario("ideal"), RATE_HZ, np.random.default_rng(1))
     path = tmp_path_factory.mktemp("run") / "run.h5"
     writer = RecordingWriter(path, setup, profile_text="", channels=plant.channels, backend="simulated", simulated=True)
@@ -40,10 +45,20 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         t = (k * n + np.arange(n)) / RATE_HZ
         volts = -0.5 * peak * np.sin(2 * np.pi * 25.37 * t) * np.minimum(np.arange(n) / 2000 + k * 0.4, 1.0)
         writer.append(Block(k * n, plant.exchange(volts)))
-        writer.mark_step(step_row({
-            "first_sample": k * n, "n_samples": n, "settle_samples": n // 3, "gamma": peak / 2, "frequency_hz": 25.37,
-            "ratio": 1, "settle_cycles": 10.0, "cycles": 30.0,
-        })[0])
+        writer.mark_step(
+            step_row(
+                {
+                    "first_sample": k * n,
+                    "n_samples": n,
+                    "settle_samples": n // 3,
+                    "gamma": peak / 2,
+                    "frequency_hz": 25.37,
+                    "ratio": 1,
+                    "settle_cycles": 10.0,
+                    "cycles": 30.0,
+                }
+            )[0]
+        )
     writer.close()
     return path
 

@@ -35,7 +35,9 @@ def test_a_failed_run_keeps_the_verdict_before_it(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("daq.recording.open_recording", lambda path: Simulated())
     monkeypatch.setattr(adaptive_runs, "close_loop", lambda *a, **k: loop)
-    monkeypatch.setattr(bench.profiles.next_run, "possible_runs", lambda *a: [SimpleNamespace(design=design, nats=90.0)])
+    monkeypatch.setattr(
+        bench.profiles.next_run, "possible_runs", lambda *a: [SimpleNamespace(design=design, nats=90.0)]
+    )
     monkeypatch.setattr(bench.profiles.next_run, "profile_of", lambda text, design: text)
     monkeypatch.setattr(bench.profiles.next_run, "profile_text", lambda path: "")
     monkeypatch.setattr("rig.profile.parse_profile", lambda *a: None)

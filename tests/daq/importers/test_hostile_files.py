@@ -230,7 +230,7 @@ def test_a_formula_is_no_name_in_an_exported_table(tmp_path: Path, setup: Setup)
         recording._known = lambda channel: "drive"  # type: ignore[method-assign]
         recording._scales["drive"] = [1.0, 0.0]
         export(recording, tmp_path / "b.csv", "csv")
-    assert (tmp_path / "b.csv").read_text().splitlines()[0] == "time_s,\"'=cmd|\"\"/c calc\"\"!A1_v\",drive_v"
+    assert (tmp_path / "b.csv").read_text().splitlines()[0] == 'time_s,"\'=cmd|""/c calc""!A1_v",drive_v'
 
 
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "hdf5", "mat", "wav"])

@@ -196,7 +196,11 @@ def test_numbers_are_read_to_the_last_bit() -> None:
     words += [f"{m}e{e}" for m, e in zip(odd_ones.tolist(), rng.integers(-30, 30, 3000).tolist(), strict=True)]
     words += ["0", "-0.0", ".5", "5.", "00000000000000000000001.5", "0.000000000000000000000123", "1E-5"]
     table, lines, left, wrong = parse_rows(
-        np.frombuffer("".join(f"7,{w},8\n" for w in words).encode(), np.uint8), ",", ".", 3, np.array([0, 1, 2]),
+        np.frombuffer("".join(f"7,{w},8\n" for w in words).encode(), np.uint8),
+        ",",
+        ".",
+        3,
+        np.array([0, 1, 2]),
         (3, len(words)),
     )
     assert wrong == -1 and len(left) == 0 and lines.tolist() == list(range(len(words)))
@@ -252,7 +256,7 @@ def test_a_set_frequency_that_cannot_be(tmp_path: Path, setup: Setup, columns: C
 
 def test_profiles_from_every_editor(tmp_path: Path) -> None:
     """A profile with a byte-order mark, or in UTF-16, is the same profile."""
-    text = '[forcing]\nfrequency_hz = 25.0\n'
+    text = "[forcing]\nfrequency_hz = 25.0\n"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):
         (tmp_path / "p.toml").write_text(text, encoding=encoding, newline="\r\n")
         assert load_toml(tmp_path / "p.toml", Outer)[0].forcing.frequency_hz == 25.0

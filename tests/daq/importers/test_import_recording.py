@@ -112,9 +112,7 @@ def test_matrix_columns_by_number(tmp_path: Path, setup: Setup, columns: Columns
     """A matrix gives its columns as name[i]; without a time column the file's own rate serves."""
     matrix = np.column_stack([columns["accelerometer_v"], columns["drive_v"]])
     np.savez(tmp_path / "a.npz", data=matrix, fs=RATE_HZ)
-    summary = bring_in(
-        tmp_path / "a.npz", tmp_path / "a.h5", setup, ["accelerometer=data[0]", "drive=data[1]"]
-    )
+    summary = bring_in(tmp_path / "a.npz", tmp_path / "a.h5", setup, ["accelerometer=data[0]", "drive=data[1]"])
     check(tmp_path / "a.h5", columns, summary)
 
 
@@ -268,9 +266,13 @@ def mess(columns: Columns, kind: str) -> str:
     lines = [",".join(columns)] + [",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True)]
     fields = lines[1001].split(",")
     changed = {
-        "missing value": [*fields[:2], "", fields[3]], "short row": fields[:3], "long row": [*fields, "7"],
-        "text": [*fields[:2], "overload", fields[3]], "nan": [*fields[:2], "nan", fields[3]],
-        "inf": [*fields[:3], "inf"], "time back": ["0.1", *fields[1:]],
+        "missing value": [*fields[:2], "", fields[3]],
+        "short row": fields[:3],
+        "long row": [*fields, "7"],
+        "text": [*fields[:2], "overload", fields[3]],
+        "nan": [*fields[:2], "nan", fields[3]],
+        "inf": [*fields[:3], "inf"],
+        "time back": ["0.1", *fields[1:]],
     }
     lines[1001] = ",".join(changed[kind])
     return "\n".join(lines) + "\n"

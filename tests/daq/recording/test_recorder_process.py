@@ -171,9 +171,7 @@ def test_a_recorder_that_never_writes_ends_the_run(tmp_path: Path, setup: Setup)
     assert (report.state, report.n_samples) == ("stopped", n) and n >= 4000
 
 
-def test_a_stepped_clock_moves_no_sample(
-    tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stepped_clock_moves_no_sample(tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
     """The system's clock set back by a day in the middle of a run: samples and their times stay what they were."""
     writer = RecordingWriter(tmp_path / "a.h5", setup, **OPTIONS)
     writer.append(Block(0, CODES[:1000], clock_ns=10**9))

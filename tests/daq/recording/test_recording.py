@@ -23,8 +23,15 @@ def write(
     rng = np.random.default_rng(seed)
     codes = rng.integers(-32768, 32767, (sum(sizes), 3), np.int16, endpoint=True)
     writer = RecordingWriter(
-        path, setup, profile_text="name = 'test'\n", channels=CHANNELS, backend="simulated", simulated=True,
-        note="knob at 3", extra={"temperature_degc": 21.5}, scenario_sha256="ab" * 32,
+        path,
+        setup,
+        profile_text="name = 'test'\n",
+        channels=CHANNELS,
+        backend="simulated",
+        simulated=True,
+        note="knob at 3",
+        extra={"temperature_degc": 21.5},
+        scenario_sha256="ab" * 32,
     )
     first = 0
     for i, n in enumerate(sizes):

@@ -16,9 +16,7 @@ from daq.setup.setup import Setup
 def record(path: Path, setup: Setup, n_blocks: int = 4) -> RecordingWriter:
     """An open writer with some blocks of 50000 frames in it."""
     rng = np.random.default_rng(2)
-    writer = RecordingWriter(
-        path, setup, profile_text="", channels=CHANNELS, backend="simulated", simulated=True
-    )
+    writer = RecordingWriter(path, setup, profile_text="", channels=CHANNELS, backend="simulated", simulated=True)
     for i in range(n_blocks):
         writer.append(Block(50_000 * i, rng.integers(-999, 999, (50_000, 3), np.int16)))
     writer.mark_step({"first_sample": 0, "n_samples": 100_000})

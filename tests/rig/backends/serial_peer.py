@@ -20,9 +20,7 @@ from rig.sim.scenario import Scenario
 def main() -> None:
     """Serve until the drive ends."""
     ppm, ppm_per_minute = (float(word) for word in sys.argv[1:3])
-    device = SerialDevice(
-        Scenario("ideal"), 20000.0, np.random.default_rng(1), ppm=ppm, ppm_per_minute=ppm_per_minute
-    )
+    device = SerialDevice(Scenario("ideal"), 20000.0, np.random.default_rng(1), ppm=ppm, ppm_per_minute=ppm_per_minute)
     master, slave = os.openpty()
     tty.setraw(slave)
     out, source = sys.stdout.buffer, sys.stdin.buffer

@@ -117,9 +117,7 @@ def test_a_port_that_is_not_there_is_named() -> None:
         open_port("/dev/not-there", 115200)
 
 
-def wired(
-    device: SerialDevice, marker_v: float = 0.2
-) -> tuple[SoundcardSerialBackend, WiredCard, WiredPort]:
+def wired(device: SerialDevice, marker_v: float = 0.2) -> tuple[SoundcardSerialBackend, WiredCard, WiredPort]:
     """The back end over a device in this process."""
     port = WiredPort(device)
     card = WiredCard(port, RATE)
@@ -315,9 +313,7 @@ def peer() -> Iterator[tuple[PeerCard, str]]:
     command = [sys.executable, str(Path(__file__).with_name("serial_peer.py")), "80", "2"]
     root = Path(__file__).parents[3]
     environment = os.environ | {"PYTHONPATH": str(root)}
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root, env=environment
-    ) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root, env=environment) as process:
         name = process.stdout.readline().decode().strip()
         yield PeerCard(process), name
         process.kill()

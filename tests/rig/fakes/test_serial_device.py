@@ -20,9 +20,7 @@ def drive(n: int) -> np.ndarray:
 
 def sent(ppm: float, n: int, piece: int, ppm_per_minute: float = 0.0) -> tuple[np.ndarray, int]:
     """What comes out of the device, decoded, and the samples lost on the way."""
-    device = SerialDevice(
-        Scenario("ideal"), RATE, np.random.default_rng(3), ppm=ppm, ppm_per_minute=ppm_per_minute
-    )
+    device = SerialDevice(Scenario("ideal"), RATE, np.random.default_rng(3), ppm=ppm, ppm_per_minute=ppm_per_minute)
     decoder = FrameDecoder(3)
     played = drive(n)
     frames = [frame for at in range(0, n, piece) for frame in decoder.feed(device.play(played[at : at + piece]))]

@@ -141,7 +141,7 @@ def test_an_impact_holds_the_circuit_closed() -> None:
     rig = Scenario("c", {"contact_closure": {"duration_s": 8e-4}}, QUIET | {"adc_range_v": 10.0})
     closed = Plant(rig, RATE_HZ, np.random.default_rng(0)).exchange(volts)[LATE, 0] < 8192
     edges = np.flatnonzero(np.diff(closed.astype(int)))
-    lengths = np.diff(edges)[:: 2] if closed[edges[0] + 1] else np.diff(edges)[1:: 2]
+    lengths = np.diff(edges)[::2] if closed[edges[0] + 1] else np.diff(edges)[1::2]
     assert lengths / RATE_HZ == pytest.approx(8e-4, abs=1.1e-4)
 
 
