@@ -30,7 +30,7 @@ class Thresholds:
         Probability under which the remainder is more than noise.
     lack_ratio
         And at least so many times the noise floor, so that a trifle in a long run is not a discovery.
-    plate_ratio
+    plate_rms_z
         The same for plate data (root mean square of normalised residuals).
     quiet_ratio
         Ratio, of flights and of plate data, below which no second cause is looked for.
@@ -42,7 +42,7 @@ class Thresholds:
 
     gain_nats: float = 12.0
     gain_sigmas: float = 2.0
-    again_nats: float = 15.0
+    next_effect_nats: float = 15.0
     again_sigmas: float = 2.5
     worse_nats: float = 6.0
     worse_sigmas: float = 2.0
@@ -52,9 +52,9 @@ class Thresholds:
     reserve: int = 4
     lack_p: float = 1e-4
     lack_ratio: float = 1.25
-    plate_ratio: float = 1.6
-    quiet_ratio: float = 1.25
-    clean_bill: float = 1.5
+    plate_rms_z: float = 1.6
+    noise_like_ratio: float = 1.25
+    max_rms_over_floor: float = 1.5
     most_effects: int = 3
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from analysis.attribution.fit import parameter_of
-from analysis.residuals.forward_model import DRIFT, Key, World
+from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
 from model.effects.registry import registry
 
 UNLIKE = 0.3  # relative: a shape farther off begins a fit of its own
@@ -21,11 +21,11 @@ class Candidate:
     """One way to add an effect: its names in reports, the parameters it frees, and where to look for them first."""
 
     names: tuple[str, ...]
-    free: tuple[Key, ...]
-    starts: tuple[Mapping[Key, float], ...] = ()
+    free: tuple[ParameterId, ...]
+    starts: tuple[Mapping[ParameterId, float], ...] = ()
 
 
-def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidate]:
+def candidates_of(world: ForwardModel, hints_hz: Sequence[float] = ()) -> list[Candidate]:
     """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations."""
     out = []
     declared = {name for name, _ in world.base}
@@ -55,14 +55,14 @@ def candidates_of(world: World, hints_hz: Sequence[float] = ()) -> list[Candidat
     return out
 
 
-def _swelling(world: World, keys: Sequence[Key]) -> tuple[Mapping[Key, float], ...]:
+def _swelling(world: ForwardModel, keys: Sequence[ParameterId]) -> tuple[Mapping[ParameterId, float], ...]:
     """Where windows within the steps say that the plate's amplitude swells: its depth and frequency."""
     swells = world.evidence.swells
     hints = () if swells is None else swells.hints()
     return tuple({keys[0]: depth, keys[1]: hz} for hz, depth in hints)
 
 
-def trends_of(free: Sequence[Key]) -> list[Candidate]:
+def trends_of(free: Sequence[ParameterId]) -> list[Candidate]:
     """Trends of what has been accepted."""
     out = []
     for name, q in free:
@@ -75,8 +75,8 @@ def trends_of(free: Sequence[Key]) -> list[Candidate]:
 
 
 def unlike(
-    starts: Sequence[tuple[float, dict[Key, float]]], free: Sequence[Key], *, absent: bool = False
-) -> list[tuple[float, dict[Key, float]]]:
+    starts: Sequence[tuple[float, dict[ParameterId, float]]], free: Sequence[ParameterId], *, absent: bool = False
+) -> list[tuple[float, dict[ParameterId, float]]]:
     """The best start, and the best of those that what shapes the effect puts elsewhere: another pitch, another trap.
 
     With ``absent``, also the best one with the effect present: where data are squares, there is no slope without it.
@@ -85,7 +85,7 @@ def unlike(
     sizes = [k for k in free if not parameter_of(k).shape]
     first = starts[0][1]
 
-    def nothing(point: Mapping[Key, float]) -> bool:
+    def nothing(point: Mapping[ParameterId, float]) -> bool:
         return all(point.get(k, 0.0) == parameter_of(k).absent for k in sizes)
 
     others = [s for s in starts if any(abs(s[1][k] - first[k]) > UNLIKE * abs(first[k]) for k in shapes)]

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.comparison import Compared, thriftiest
-from analysis.attribution.hypothesis import Explanation, Rejected
+from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.attribution.hypothesis import Hypothesis, Rejected
 from analysis.residuals.lack_of_fit import plate_ratio_of
 from analysis.thresholds import FROZEN, Thresholds
 
@@ -35,25 +35,25 @@ class Judge:
     def __init__(self, train: NDArray[np.bool_], limits: Thresholds = FROZEN) -> None:
         self.train, self.limits = train, limits
 
-    def gain(self, worse: Explanation, better: Explanation) -> Compared:
+    def gain(self, worse: Hypothesis, better: Hypothesis) -> LogScoreDifference:
         """Gain of one explanation over another."""
-        return Compared.of(worse.per_step, better.per_step, self.train)
+        return LogScoreDifference.of(worse.per_step, better.per_step, self.train)
 
-    def finds(self, best: Explanation, x: Explanation) -> bool:
+    def finds(self, best: Hypothesis, x: Hypothesis) -> bool:
         """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
         found = x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1]
         return best.whitener.lost and found and self.gain(best, x).gain > PLENTY_NATS
 
-    def tied(self, best: Explanation, x: Explanation) -> bool:
+    def tied(self, best: Hypothesis, x: Hypothesis) -> bool:
         """Whether the data cannot tell ``x`` from ``best``."""
         lead = self.gain(x, best)
         return not self.finds(x, best) and not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
 
-    def refusal(self, best: Explanation, x: Explanation, depth: int) -> str | None:
+    def refusal(self, best: Hypothesis, x: Hypothesis, depth: int) -> str | None:
         """What forbids ``x`` in place of ``best``, in words; None where nothing does."""
         limits = self.limits
         nats, sigmas = (
-            (limits.gain_nats, limits.gain_sigmas) if depth == 0 else (limits.again_nats, limits.again_sigmas)
+            (limits.gain_nats, limits.gain_sigmas) if depth == 0 else (limits.next_effect_nats, limits.again_sigmas)
         )
         gain = self.gain(best, x)
         if not gain.gain > nats:
@@ -65,23 +65,23 @@ class Judge:
                 "standard errors"
             )
         for channel in x.losses:
-            change = Compared.of(x.losses[channel], best.losses[channel], self.train)
+            change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)
             if change.beyond(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
         if x.candidates[-1].free and not x.fitted.differs(x.candidates[-1].free):
             return "the 95 % intervals of its parameters hold the values at which it does nothing"
         return None
 
-    def _trifling(self, x: Explanation, channel: str, loss: Compared, gain: Compared) -> bool:
+    def _trifling(self, x: Hypothesis, channel: str, loss: LogScoreDifference, gain: LogScoreDifference) -> bool:
         """Whether plate data that lose a trifle of what the events gain are still noise.
 
         While events were lost, calibrations could follow the plate's noise; found events hold them.
         """
         if channel != "plate" or loss.gain > TRIFLE * gain.gain:
             return False
-        return plate_ratio_of(x.fitted.fitter.world, x.fitted.values) < self.limits.quiet_ratio
+        return plate_ratio_of(x.fitted.fitter.world, x.fitted.values) < self.limits.noise_like_ratio
 
-    def choose(self, best: Explanation, found: Sequence[Explanation], depth: int) -> Explanation | None:
+    def choose(self, best: Hypothesis, found: Sequence[Hypothesis], depth: int) -> Hypothesis | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
 
         Every parameter has a price, and calibrations that have to be bent for it count against an explanation.
@@ -91,11 +91,11 @@ class Judge:
             return None
         top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
         close = [x for x in passing if self.tied(top, x)]
-        costs = [x.fitted.strain + self.limits.tie_nats * len(x.free) for x in close]
-        return close[thriftiest(top.per_step, [x.per_step for x in close], costs, self.train)]
+        costs = [x.fitted.prior_penalty + self.limits.tie_nats * len(x.free) for x in close]
+        return close[penalised_best(top.per_step, [x.per_step for x in close], costs, self.train)]
 
     def rejected(
-        self, best: Explanation, found: Sequence[Explanation], depth: int, chosen: Explanation | None
+        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, chosen: Hypothesis | None
     ) -> Rejected | None:
         """The refused candidate of the greatest gain, if it gains more than what was chosen; None where there is none.
 

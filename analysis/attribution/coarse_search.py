@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from analysis.attribution.fit import parameter_of
-from analysis.residuals.forward_model import DRIFT, Key, World
+from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
 
-Point = dict[Key, float]
+Point = dict[ParameterId, float]
 
 MOST_EVENTS = 300
 MOST_STEPS_OF_SIMPLEX = 70
 REBOUND = ("restitution", "e0")
 FRICTION = (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))
-DIALS: tuple[tuple[tuple[Key, ...], tuple[float, ...]], ...] = (
+DIALS: tuple[tuple[tuple[ParameterId, ...], tuple[float, ...]], ...] = (
     ((REBOUND,), (0.03, 0.1, 0.17, 0.25, 0.32, 0.4, 0.46, 0.52, 0.6, 0.7, 0.8)),
     (FRICTION, (0.05, 0.12, 0.2, 0.3, 0.45)),
 )
-FIRST_PACE: Mapping[Key, float] = {REBOUND: 0.03, **dict.fromkeys(FRICTION, 0.03)}  # of the simplex
+FIRST_PACE: Mapping[ParameterId, float] = {REBOUND: 0.03, **dict.fromkeys(FRICTION, 0.03)}  # of the simplex
 
 
-def thinned(world: World, train: NDArray[np.bool_], most: int = MOST_EVENTS) -> World:
+def subsample(world: ForwardModel, train: NDArray[np.bool_], most: int = MOST_EVENTS) -> ForwardModel:
     """The same world with at most about ``most`` judged events, spread over the steps in ``train``."""
     ev = world.evidence
     judged = ev.judged & train[ev.measured.step]
@@ -42,10 +42,10 @@ def thinned(world: World, train: NDArray[np.bool_], most: int = MOST_EVENTS) -> 
     before: NDArray[np.int64] = np.cumsum(judged) - judged
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
     judged &= before - first[ev.measured.step] < share
-    return World(replace(ev, judged=judged, measured=replace(ev.measured, wanted=judged)), world.declared)
+    return ForwardModel(replace(ev, judged=judged, measured=replace(ev.measured, wanted=judged)), world.declared)
 
 
-class Landscape:
+class CoarseSearch:
     """The loss as a function of a few parameters, each channel's excess at its best everywhere.
 
     Parameters
@@ -58,11 +58,11 @@ class Landscape:
         Steps that may be seen.
     """
 
-    def __init__(self, world: World, values: Mapping[Key, float], train: NDArray[np.bool_]) -> None:
+    def __init__(self, world: ForwardModel, values: Mapping[ParameterId, float], train: NDArray[np.bool_]) -> None:
         self.world, self.values, self.train = world, dict(values), train
         self.whitener = Whitener.of(world, values)
 
-    def loss(self, point: Mapping[Key, float]) -> float:
+    def loss(self, point: Mapping[ParameterId, float]) -> float:
         """Loss at the common values overridden by ``point``."""
         r = self.world.residuals({**self.values, **point})
         return self.whitener.profile_loss(r, self.world.evidence.plate, self.train)
@@ -71,7 +71,7 @@ class Landscape:
         """The ``count`` best of several points, the best first."""
         return sorted(((self.loss(p), p) for p in points), key=lambda pair: pair[0])[:count]
 
-    def descend(self, point: Point, keys: Sequence[Key]) -> tuple[float, Point]:
+    def descend(self, point: Point, keys: Sequence[ParameterId]) -> tuple[float, Point]:
         """Go down from ``point`` in ``keys`` (both frictions as one where they start alike), by a simplex."""
         groups = _groups(point, keys)
         if not groups:
@@ -90,9 +90,9 @@ class Landscape:
         return float(found.fun), at(found.x)
 
 
-def _groups(point: Point, keys: Sequence[Key]) -> list[tuple[Key, ...]]:
+def _groups(point: Point, keys: Sequence[ParameterId]) -> list[tuple[ParameterId, ...]]:
     """Coordinates of the simplex: each key by itself, both directions of friction together where they are equal."""
-    out: list[tuple[Key, ...]] = []
+    out: list[tuple[ParameterId, ...]] = []
     both = all(k in keys and k in point for k in FRICTION) and point[FRICTION[0]] == point[FRICTION[1]]
     for key in keys:
         if key[1].endswith(DRIFT) or key not in point or (both and key == FRICTION[1]):
@@ -101,7 +101,9 @@ def _groups(point: Point, keys: Sequence[Key]) -> list[tuple[Key, ...]]:
     return out
 
 
-def joint_points(starts: Sequence[Mapping[Key, float]], fresh: Sequence[Key], chosen: Sequence[Key]) -> list[Point]:
+def joint_points(
+    starts: Sequence[Mapping[ParameterId, float]], fresh: Sequence[ParameterId], chosen: Sequence[ParameterId]
+) -> list[Point]:
     """A candidate's starting points, each with every setting of the dials that the chosen or fresh parameters hold."""
     grids: list[list[Point]] = [[{k: v for k, v in p.items() if k in fresh} for p in starts] or [{}]]
     for keys, settings in DIALS:

@@ -17,7 +17,7 @@ MOST_OF_A_STEP = 12.0  # nats
 
 
 @dataclass(frozen=True)
-class Compared:
+class LogScoreDifference:
     """One explanation against another by the held-out steps.
 
     Attributes
@@ -35,7 +35,7 @@ class Compared:
     even_error: float
 
     @classmethod
-    def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> Compared:
+    def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> LogScoreDifference:
         """Gain of ``better`` over ``worse``, both losses by step."""
         d = (worse - better)[train]
         return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP, MOST_OF_A_STEP)))
@@ -50,7 +50,7 @@ class Compared:
         )
 
 
-def thriftiest(top: Array, losses: Sequence[Array], costs: Sequence[float], train: NDArray[np.bool_]) -> int:
+def penalised_best(top: Array, losses: Sequence[Array], costs: Sequence[float], train: NDArray[np.bool_]) -> int:
     """Which of several explanations that tie does the most for the least.
 
     Parameters
@@ -63,7 +63,9 @@ def thriftiest(top: Array, losses: Sequence[Array], costs: Sequence[float], trai
     train
         Steps that count.
     """
-    return int(np.argmin([Compared.of(x, top, train).even + cost for x, cost in zip(losses, costs, strict=True)]))
+    return int(
+        np.argmin([LogScoreDifference.of(x, top, train).even + cost for x, cost in zip(losses, costs, strict=True)])
+    )
 
 
 def _sum(d: Array) -> tuple[float, float]:

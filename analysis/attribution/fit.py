@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from analysis.residuals.forward_model import DRIFT, Key, World
+from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.whitening import Whitener, step_losses
 from daq.setup.setup import Setup
@@ -38,7 +38,7 @@ class Prior:
     sigma: float
 
 
-def priors_of(setup: Setup) -> dict[Key, Prior]:
+def priors_of(setup: Setup) -> dict[ParameterId, Prior]:
     """Priors of calibrations, nuisances and declared effects, from the profile and from the effects' own files."""
     out = {
         (r.effect.name, q.name): Prior(q.absent, q.calibration)
@@ -70,7 +70,7 @@ def priors_of(setup: Setup) -> dict[Key, Prior]:
     return out
 
 
-def parameter_of(key: Key) -> Parameter:
+def parameter_of(key: ParameterId) -> Parameter:
     """The parameter behind a key; a trend has the size of its parameter and no bound but that."""
     name, q = key
     parameter = effect(name).effect.parameter(q.removesuffix(DRIFT))
@@ -92,17 +92,17 @@ class Fitter:
         True for the steps that fits and selection may see, shape (m,).
     """
 
-    def __init__(self, world: World, priors: Mapping[Key, Prior], train: NDArray[np.bool_]) -> None:
+    def __init__(self, world: ForwardModel, priors: Mapping[ParameterId, Prior], train: NDArray[np.bool_]) -> None:
         self.world, self.priors, self.train = world, dict(priors), train
         spread = np.flatnonzero(train)
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
 
     # -- coordinates: one typical size is one unit -------------------------------------------------------------
-    def _scale(self, key: Key) -> float:
+    def _scale(self, key: ParameterId) -> float:
         q = parameter_of(key)
         return float(q.typical ** (1.0 / q.power))
 
-    def bounds(self, key: Key, *, released: bool) -> tuple[float, float]:
+    def bounds(self, key: ParameterId, *, released: bool) -> tuple[float, float]:
         """Bounds of a coordinate: what is physically possible, and for a calibration what its uncertainty allows.
 
         A calibration that would have to be farther off is an effect, to be named; it must not be absorbed.
@@ -114,19 +114,19 @@ class Fitter:
             low, high = max(low, prior.mean - reach), min(high, prior.mean + reach)
         return self._to_x(key, low), self._to_x(key, high)
 
-    def _to_x(self, key: Key, value: float) -> float:
+    def _to_x(self, key: ParameterId, value: float) -> float:
         power = parameter_of(key).power
         return float(np.sign(value) * abs(value) ** (1.0 / power)) / self._scale(key)
 
-    def _to_value(self, key: Key, x: float) -> float:
+    def _to_value(self, key: ParameterId, x: float) -> float:
         q, y = parameter_of(key), x * self._scale(key)
         return float(min(max(np.sign(y) * abs(y) ** q.power, q.low), q.high))
 
-    def values(self, keys: Sequence[Key], x: Array) -> dict[Key, float]:
+    def values(self, keys: Sequence[ParameterId], x: Array) -> dict[ParameterId, float]:
         """Parameter values at the coordinates ``x``."""
         return {k: self._to_value(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
 
-    def _prior_rows(self, keys: Sequence[Key], released: frozenset[Key]) -> tuple[Array, Array]:
+    def _prior_rows(self, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> tuple[Array, Array]:
         """Means and inverse widths of the priors in coordinates; width 0 where nothing is known."""
         mean, inverse = np.zeros(len(keys)), np.zeros(len(keys))
         for i, key in enumerate(keys):
@@ -140,9 +140,9 @@ class Fitter:
     def fit(
         self,
         whitener: Whitener,
-        free: Sequence[Key],
-        start: Mapping[Key, float],
-        slopes: Mapping[Key, Array] | None = None,
+        free: Sequence[ParameterId],
+        start: Mapping[ParameterId, float],
+        slopes: Mapping[ParameterId, Array] | None = None,
     ) -> Fitted:
         """Levenberg-Marquardt on the robust loss from ``start``.
 
@@ -196,8 +196,8 @@ class Fitter:
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
     def linear_step(
-        self, best: Fitted, free: Sequence[Key], shapes: Mapping[Key, float] | None = None
-    ) -> tuple[float, dict[Key, float]]:
+        self, best: Fitted, free: Sequence[ParameterId], shapes: Mapping[ParameterId, float] | None = None
+    ) -> tuple[float, dict[ParameterId, float]]:
         """Where freeing ``free`` would lead, and the loss that it would save, if residuals were linear: nats, values.
 
         What only shapes an effect stays where ``shapes`` puts it.
@@ -212,7 +212,7 @@ class Fitter:
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
         return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
 
-    def detectable(self, best: Fitted, key: Key, nats: float) -> float:
+    def detectable(self, best: Fitted, key: ParameterId, nats: float) -> float:
         """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.
 
         The derivative is taken a typical size away from where the effect is absent; what is known of the parameter
@@ -236,7 +236,9 @@ class Fitter:
 class _State:
     """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""
 
-    def __init__(self, fitter: Fitter, whitener: Whitener, keys: Sequence[Key], mean: Array, inverse: Array) -> None:
+    def __init__(
+        self, fitter: Fitter, whitener: Whitener, keys: Sequence[ParameterId], mean: Array, inverse: Array
+    ) -> None:
         self.fitter, self.whitener, self.keys = fitter, whitener, list(keys)
         self.mean, self.inverse = mean, inverse
         self.step = np.concatenate([whitener.step, fitter.world.evidence.plate.step])
@@ -244,7 +246,7 @@ class _State:
         bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
         self.low, self.high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
 
-    def point(self, x: Array) -> dict[Key, float]:
+    def point(self, x: Array) -> dict[ParameterId, float]:
         return self.fitter.values(self.keys, x)
 
     def raw(self, x: Array) -> Array:
@@ -254,9 +256,9 @@ class _State:
     def loss(self, raw: Array, x: Array) -> float:
         """Robust loss of the training steps, priors included."""
         z = self.whitener.white_all(raw)
-        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.strain(x)
+        return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.prior_penalty(x)
 
-    def strain(self, x: Array) -> float:
+    def prior_penalty(self, x: Array) -> float:
         """What the priors say against ``x``, nats."""
         return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
@@ -303,15 +305,15 @@ class Fitted:
 
     fitter: Fitter
     state: _State
-    free: tuple[Key, ...]
-    keys: list[Key]
+    free: tuple[ParameterId, ...]
+    keys: list[ParameterId]
     x: Array
     raw: Array
     loss: float
     bare: Array
 
     @property
-    def slopes(self) -> dict[Key, Array]:
+    def slopes(self) -> dict[ParameterId, Array]:
         """Derivatives of the bare residuals, by parameter."""
         return {k: self.bare[:, j] for j, k in enumerate(self.keys)}
 
@@ -319,21 +321,21 @@ class Fitted:
         return self.state.normal(self.bare, self.raw, self.x, mask)
 
     @property
-    def values(self) -> dict[Key, float]:
+    def values(self) -> dict[ParameterId, float]:
         """Fitted and fixed values."""
         return self.state.point(self.x)
 
     @property
-    def strain(self) -> float:
+    def prior_penalty(self) -> float:
         """How far calibrations and nuisances had to be bent from what was known of them, nats."""
-        return self.state.strain(self.x)
+        return self.state.prior_penalty(self.x)
 
     def covariance(self) -> Array:
         """Of all coordinates."""
         normal, _ = self._normal(self.state.mask)
         return np.asarray(np.linalg.pinv(normal, rcond=1e-14))
 
-    def sigma(self, key: Key) -> float:
+    def sigma(self, key: ParameterId) -> float:
         """Standard deviation of a fitted value, in its own unit."""
         j = self.keys.index(key)
         q, scale = parameter_of(key), self.fitter._scale(key)
@@ -343,7 +345,7 @@ class Fitted:
         y = abs(self.x[j] * scale)
         return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
 
-    def differs(self, keys: Sequence[Key]) -> bool:
+    def differs(self, keys: Sequence[ParameterId]) -> bool:
         """Whether sizes among ``keys`` together differ from those at which nothing happens, by 95 % (Wald's test).
 
         What only shapes an effect has no such value.

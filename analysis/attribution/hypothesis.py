@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import Compared
+from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted
-from analysis.residuals.forward_model import Key
+from analysis.residuals.forward_model import ParameterId
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Hypothesis:
     """A set of candidates, fitted and judged.
 
     Attributes
@@ -47,7 +47,7 @@ class Explanation:
         return tuple(dict.fromkeys(n for c in self.candidates for n in c.names))
 
     @property
-    def free(self) -> tuple[Key, ...]:
+    def free(self) -> tuple[ParameterId, ...]:
         """Everything the candidates free."""
         return tuple(k for c in self.candidates for k in c.free)
 
@@ -78,7 +78,7 @@ class Rejected:
 
 
 @dataclass(frozen=True)
-class Attribution:
+class SelectionResult:
     """The outcome.
 
     Attributes
@@ -97,10 +97,10 @@ class Attribution:
         What stood before the last cause was added, from the declared model on.
     """
 
-    before: Explanation
-    best: Explanation
-    ties: tuple[Explanation, ...]
-    tried: tuple[tuple[tuple[str, ...], Compared], ...]
+    before: Hypothesis
+    best: Hypothesis
+    ties: tuple[Hypothesis, ...]
+    tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]
     rounds: tuple[str, ...] = field(default=())
     rejected: Rejected | None = None
-    earlier: tuple[Explanation, ...] = ()
+    earlier: tuple[Hypothesis, ...] = ()

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of, unlike
 from analysis.attribution.choice import Judge
-from analysis.attribution.coarse_search import Landscape, Point, joint_points, thinned
-from analysis.attribution.comparison import Compared
+from analysis.attribution.coarse_search import CoarseSearch, Point, joint_points, subsample
+from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter, parameter_of
-from analysis.attribution.hypothesis import Attribution, Explanation, Rejected
-from analysis.residuals.forward_model import Key, World, plate_effects
-from analysis.residuals.lack_of_fit import plate_ratio_of, ratio_of
+from analysis.attribution.hypothesis import Hypothesis, Rejected, SelectionResult
+from analysis.residuals.forward_model import ForwardModel, ParameterId, plate_effects
+from analysis.residuals.lack_of_fit import plate_ratio_of, rms_standardised
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, Thresholds
 
@@ -35,7 +35,7 @@ MOST_DESCENTS, MOST_FITS = 8, 5  # options followed down their landscape, and fr
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # of the best one's gain: an option farther behind it is left
 
 
-class Attributor:
+class StepwiseSelection:
     """Greedy search with a step back.
 
     Parameters
@@ -49,36 +49,39 @@ class Attributor:
     """
 
     def __init__(
-        self, world: World, fitter: Fitter, limits: Thresholds = FROZEN, progress: Progress | None = None
+        self, world: ForwardModel, fitter: Fitter, limits: Thresholds = FROZEN, progress: Progress | None = None
     ) -> None:
         self.world, self.fitter, self.limits = world, fitter, limits
         self.progress = progress or (lambda what, part: None)
         self.train = fitter.train
         self.judge = Judge(fitter.train, limits)
 
-    def explain(self, hints_hz: Sequence[float] = ()) -> Attribution:
+    def explain(self, hints_hz: Sequence[float] = ()) -> SelectionResult:
         """Add effects one after the other while held-out steps gain."""
         nothing = Whitener.of(self.world, {})
         before = self._judged((), self._settled(self.fitter.fit(nothing, (), {})))
         best, rounds, tried = before, [], []
         pool = candidates_of(self.world, hints_hz or self.world.evidence.hints_hz)
-        rivals: list[Explanation] = []
+        rivals: list[Hypothesis] = []
         refused: list[Rejected] = []
         chain = [before]
         for depth in range(self.limits.most_effects):
             if depth and self._quiet(best):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
-            options = pool if depth == 0 else self._promising(pool, best) + trends_of(best.free)
+            options = pool if depth == 0 else self._remaining_candidates(pool, best) + trends_of(best.free)
             found = self._round(best, options, depth)
             if depth == 0:
-                tried = [(x.candidates[-1].names, Compared.of(before.per_step, x.per_step, self.train)) for x in found]
+                tried = [
+                    (x.candidates[-1].names, LogScoreDifference.of(before.per_step, x.per_step, self.train))
+                    for x in found
+                ]
             accepted, best = self._accepted(best, found, depth)
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted)])
             if accepted is None:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
                 break
-            gain = Compared.of(best.per_step, accepted.per_step, self.train)
+            gain = LogScoreDifference.of(best.per_step, accepted.per_step, self.train)
             added = " + ".join(accepted.candidates[-1].names)
             rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
             kept = self._simplified(self._step_back(accepted, rounds), pool, rounds)
@@ -87,21 +90,24 @@ class Attributor:
             chain.append(best)
         ties = self._ties(before, best, rivals)
         if best is not before:
-            best = self._lean(best)
+            best = self._refit_without_excess(best)
             ties = (best, *ties[1:])
         left = [x for x in refused if not set(x.names) <= set(best.names)]
         rejected = max(left, key=lambda x: x.gain, default=None)
-        return Attribution(before, best, ties, tuple(tried), tuple(rounds), rejected, tuple(chain[:-1]))
+        return SelectionResult(before, best, ties, tuple(tried), tuple(rounds), rejected, tuple(chain[:-1]))
 
-    def _quiet(self, best: Explanation) -> bool:
+    def _quiet(self, best: Hypothesis) -> bool:
         """Whether so little is left that a further effect could only fit noise."""
         values = best.fitted.values
-        landings = ratio_of(self.world, values, self.world.uncertainty(values))
-        return landings < self.limits.quiet_ratio and plate_ratio_of(self.world, values) < self.limits.quiet_ratio
+        landings = rms_standardised(self.world, values, self.world.uncertainty(values))
+        return (
+            landings < self.limits.noise_like_ratio
+            and plate_ratio_of(self.world, values) < self.limits.noise_like_ratio
+        )
 
     def _accepted(
-        self, best: Explanation, found: Sequence[Explanation], depth: int
-    ) -> tuple[Explanation | None, Explanation]:
+        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int
+    ) -> tuple[Hypothesis | None, Hypothesis]:
         """What is chosen, and the explanation without it, fitted again from there.
 
         A fit that had stopped short would let any other effect look needed.
@@ -112,33 +118,36 @@ class Attributor:
                 return None, best
             start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
             again = self._judged(best.candidates, self._settled(self.fitter.fit(chosen.whitener, best.free, start)))
-            if not Compared.of(best.per_step, again.per_step, self.train).gain > HOPELESS_NATS:
+            if not LogScoreDifference.of(best.per_step, again.per_step, self.train).gain > HOPELESS_NATS:
                 return chosen, best
             best = again
         return self.judge.choose(best, found, depth), best
 
-    def _refined(self, x: Explanation) -> Explanation:
+    def _refined(self, x: Hypothesis) -> Hypothesis:
         """Fitted once more from where it stands: slopes of calibrations are those of where a fit began.
 
         Where a calibration and an effect trade places, a fit that came from far stops short, sure of itself.
         """
         return self._judged(x.candidates, self._settled(self.fitter.fit(x.whitener, x.free, x.fitted.values)))
 
-    def _lean(self, x: Explanation) -> Explanation:
+    def _refit_without_excess(self, x: Hypothesis) -> Hypothesis:
         """The final explanation fitted as if it left nothing over, where the data like that better.
 
         A fit's own misses count as excess, with which it may be content. Only the last fit is made so: while candidates
         are compared, all are fitted alike.
         """
         lean = self.fitter.fit(Whitener.of(self.world, x.fitted.values, lean=True), x.free, x.fitted.values)
-        better = self._quick(x.whitener, lean.values) < self._quick(x.whitener, x.fitted.values) - HOPELESS_NATS
+        better = (
+            self._profile_loss(x.whitener, lean.values)
+            < self._profile_loss(x.whitener, x.fitted.values) - HOPELESS_NATS
+        )
         return self._judged(x.candidates, lean) if better else x
 
-    def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Explanation:
+    def _judged(self, chosen: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
         whitener = Whitener.of(self.world, fitted.values)
-        return Explanation(chosen, fitted, whitener, fitted.held_out(whitener))
+        return Hypothesis(chosen, fitted, whitener, fitted.held_out(whitener))
 
-    def _round(self, best: Explanation, options: Sequence[Candidate], depth: int) -> list[Explanation]:
+    def _round(self, best: Hypothesis, options: Sequence[Candidate], depth: int) -> list[Hypothesis]:
         """Every option added to the best, those that could not gain left out; the kernel runs free of the lock."""
         done = 0
         far_off = best.whitener.lost
@@ -151,7 +160,7 @@ class Attributor:
             done += 1
             self.progress(" + ".join(candidate.names), (depth + done * share) / self.limits.most_effects)
 
-        def one(candidate: Candidate) -> Explanation | None:
+        def one(candidate: Candidate) -> Hypothesis | None:
             found = self.add(best, candidate)
             told(candidate)
             return found
@@ -162,14 +171,14 @@ class Attributor:
 
     def _searched(
         self,
-        best: Explanation,
+        best: Hypothesis,
         options: Sequence[Candidate],
         pool: ThreadPoolExecutor,
         told: Callable[[Candidate], None],
-    ) -> list[Explanation]:
+    ) -> list[Hypothesis]:
         """The most promising options where landings are missed by far, each from the best place on its landscape."""
         values = best.fitted.values
-        land = Landscape(thinned(self.world, self.train), values, self.train)
+        land = CoarseSearch(subsample(self.world, self.train), values, self.train)
 
         def look(candidate: Candidate) -> tuple[float, Point, Candidate]:
             free = tuple(k for k in candidate.free if k not in best.free)
@@ -188,12 +197,12 @@ class Attributor:
         taken = [x for x in below if x[0] <= enough][:MOST_FITS]
         return list(pool.map(lambda x: self._fitted_from(best, x[1], x[2]), taken))
 
-    def _fitted_from(self, best: Explanation, point: Point, candidate: Candidate) -> Explanation:
+    def _fitted_from(self, best: Hypothesis, point: Point, candidate: Candidate) -> Hypothesis:
         start = {**best.fitted.values, **point}
         fitted = self.fitter.fit(Whitener.of(self.world, start), (*best.free, *candidate.free), start)
         return self._judged((*best.candidates, candidate), self._settled(fitted))
 
-    def add(self, best: Explanation, candidate: Candidate) -> Explanation | None:
+    def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best explanation with one candidate more; None where the candidate could change nothing here."""
         taken = set(best.free)
         free = tuple(k for k in candidate.free if k not in taken)
@@ -202,26 +211,26 @@ class Attributor:
         listed = self._starts(best, candidate, free)
         promised, led = self._promised(best, candidate, free)
         starts = sorted([*listed, *led], key=lambda pair: pair[0])
-        level = self._quick(best.whitener, best.fitted.values)
+        level = self._profile_loss(best.whitener, best.fitted.values)
         ahead = level - starts[0][0]
         added = (*best.candidates, Candidate(candidate.names, free))
         cheap = set(candidate.names) <= plate_effects()  # plate data alone: nothing has to be predicted anew
         if ahead >= HOPELESS_NATS:
             begun = [p for _, p in ((listed[0], starts[0]) if cheap and led else unlike(starts, free, absent=cheap))]
             fits = [self._from(best, (*best.free, *free), p) for p in begun]
-            return self._judged(added, min(fits, key=lambda x: self._quick(best.whitener, x.values)))
+            return self._judged(added, min(fits, key=lambda x: self._profile_loss(best.whitener, x.values)))
         if not cheap and promised < HOPELESS_NATS:
             return None
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
-        gained = max(best.fitted.loss - fitted.loss, level - self._quick(best.whitener, fitted.values))
+        gained = max(best.fitted.loss - fitted.loss, level - self._profile_loss(best.whitener, fitted.values))
         if gained < HOPELESS_NATS:
-            return Explanation(added, fitted, best.whitener, fitted.held_out(best.whitener))
+            return Hypothesis(added, fitted, best.whitener, fitted.held_out(best.whitener))
         return self._judged(added, self._settled(fitted))
 
-    def _from(self, best: Explanation, free: Sequence[Key], start: Mapping[Key, float]) -> Fitted:
+    def _from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
         """Fit from a start, from soft weights to sharp ones."""
         soft = self.fitter.fit(best.whitener, free, start)
-        at_start, after = (self._quick(best.whitener, v) for v in (start, soft.values))
+        at_start, after = (self._profile_loss(best.whitener, v) for v in (start, soft.values))
         return self._settled(self.fitter.fit(Whitener.of(self.world, start), free, start) if at_start < after else soft)
 
     def _settled(self, fitted: Fitted) -> Fitted:
@@ -234,8 +243,8 @@ class Attributor:
         return fitted
 
     def _starts(
-        self, best: Explanation, candidate: Candidate, free: Sequence[Key]
-    ) -> list[tuple[float, dict[Key, float]]]:
+        self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]
+    ) -> list[tuple[float, dict[ParameterId, float]]]:
         """The candidate's starting points with the loss at each, lowest first.
 
         Where predictions have to be made anew and something shapes the effect, linear steps lead farther: see
@@ -246,11 +255,11 @@ class Attributor:
         if any(parameter_of(k).shape for k in free) and not set(candidate.names) <= plate_effects():
             starts = starts[:1]
         points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in starts]
-        return sorted(((self._quick(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
+        return sorted(((self._profile_loss(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
 
     def _promised(
-        self, best: Explanation, candidate: Candidate, free: Sequence[Key]
-    ) -> tuple[float, list[tuple[float, dict[Key, float]]]]:
+        self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]
+    ) -> tuple[float, list[tuple[float, dict[ParameterId, float]]]]:
         """What the candidate would gain if residuals were linear in it, and starts on the way there, with their loss.
 
         An effect that a shape parameter bends is tried in each of its shapes; the most promising ones are followed.
@@ -269,12 +278,12 @@ class Attributor:
             for _, point in steps[:MOST_SHAPES]
             for part in (1.0, 0.5, 0.25)
         ]
-        return steps[0][0], [(self._quick(best.whitener, p), p) for p in points]
+        return steps[0][0], [(self._profile_loss(best.whitener, p), p) for p in points]
 
-    def _quick(self, whitener: Whitener, values: Mapping[Key, float]) -> float:
+    def _profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
         return whitener.profile_loss(self.world.residuals(values), self.world.evidence.plate, self.train)
 
-    def _promising(self, pool: Sequence[Candidate], best: Explanation) -> list[Candidate]:
+    def _remaining_candidates(self, pool: Sequence[Candidate], best: Hypothesis) -> list[Candidate]:
         """What has not been named yet, and fuller forms of what has."""
         taken, names = set(best.free), set(best.names)
         own = {name: {k for k in taken if k[0] == name} for name in names}
@@ -283,20 +292,20 @@ class Attributor:
             if not set(c.names) & names or (len(c.names) == 1 and own[c.names[0]] and own[c.names[0]] < set(c.free))
         ]  # fmt: skip
 
-    def _step_back(self, best: Explanation, rounds: list[str]) -> Explanation:
+    def _step_back(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
         """Leave out an earlier effect that the later ones have made idle."""
         for candidate in best.candidates[:-1]:
             rest = tuple(c for c in best.candidates if c is not candidate)
             free = tuple(k for c in rest for k in c.free)
             start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
             x = self._judged(rest, self.fitter.fit(best.whitener, free, start))
-            loss = Compared.of(x.per_step, best.per_step, self.train)
+            loss = LogScoreDifference.of(x.per_step, best.per_step, self.train)
             if not loss.beyond(self.limits.tie_nats, self.limits.tie_sigmas):
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
         return best
 
-    def _simplified(self, best: Explanation, pool: Sequence[Candidate], rounds: list[str]) -> Explanation:
+    def _simplified(self, best: Hypothesis, pool: Sequence[Candidate], rounds: list[str]) -> Hypothesis:
         """A special case in place of a cause, unless the fuller form is better beyond doubt.
 
         A fit of the special case may have stopped short when it was tried: it begins where the fuller form stands.
@@ -311,23 +320,23 @@ class Attributor:
                     return x
         return best
 
-    def _in_place(self, best: Explanation, i: int, simpler: Candidate) -> Explanation:
+    def _in_place(self, best: Hypothesis, i: int, simpler: Candidate) -> Hypothesis:
         """The explanation with its ``i``-th candidate replaced by a special case of it, fitted."""
         candidate = best.candidates[i]
         chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
         known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
         points = [{**point, **known} for point in (*simpler.starts, _reduced(best.fitted.values, simpler.free))]
-        start = min(points, key=lambda point: self._quick(best.whitener, point))
+        start = min(points, key=lambda point: self._profile_loss(best.whitener, point))
         free = tuple(k for c in chosen for k in c.free)
         return self._judged(chosen, self._settled(self.fitter.fit(best.whitener, free, start)))
 
-    def _as_good(self, fuller: Explanation, x: Explanation) -> bool:
+    def _as_good(self, fuller: Hypothesis, x: Hypothesis) -> bool:
         """Whether a special case may stand in: under the same name where it ties, under another unless beyond doubt."""
         if x.names == fuller.names:
             return self.judge.tied(fuller, x)
         return not self.judge.gain(x, fuller).beyond(self.limits.gain_nats, self.limits.gain_sigmas)
 
-    def _ties(self, before: Explanation, best: Explanation, rivals: Sequence[Explanation]) -> tuple[Explanation, ...]:
+    def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""
         if best is before:
             return ()
@@ -344,7 +353,7 @@ class Attributor:
         return tuple(out)
 
 
-def _reduced(values: Mapping[Key, float], free: Sequence[Key]) -> dict[Key, float]:
+def _reduced(values: Mapping[ParameterId, float], free: Sequence[ParameterId]) -> dict[ParameterId, float]:
     """Where a special case begins: friction of any speed at what remains of it at high speed."""
     kinetic = values.get(("stribeck_friction", "mu_kinetic"), 0.0)
     return {k: kinetic if k[0] == "coulomb_friction" else values.get(k, parameter_of(k).absent) for k in free}

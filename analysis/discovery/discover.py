@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import Compared
+from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.selection import THREADS
 from analysis.discovery.describe import in_words
-from analysis.discovery.search import Polished, TermSearch, known_loss
-from analysis.discovery.terms import Spliced, spoken
+from analysis.discovery.search import RefinedTerm, TermSearch, known_loss
+from analysis.discovery.terms import AugmentedModel, spoken
 from analysis.residuals.covariates import covariates
-from analysis.residuals.forward_model import World, plate_effects
+from analysis.residuals.forward_model import ForwardModel, plate_effects
 from analysis.thresholds import FROZEN
 from model.effects.registry import registry
 from model.integrator.one_step import Predicted
@@ -83,12 +83,12 @@ class Discovery:
     high: Array
     term_unit: str
     seen: Array
-    gain: Compared
-    over_constant: Compared
+    gain: LogScoreDifference
+    over_constant: LogScoreDifference
     resembles: tuple[tuple[str, float], ...]
     rivals: tuple[str, ...]
-    world: Spliced
-    explanation: Explanation
+    world: AugmentedModel
+    explanation: Hypothesis
 
     def as_json(self) -> dict[str, object]:
         """For the report."""
@@ -107,7 +107,9 @@ class Discovery:
         }
 
 
-def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDArray[np.bool_]) -> Discovery | None:
+def discover(
+    world: ForwardModel, fitter: Fitter, explanation: Hypothesis, train: NDArray[np.bool_]
+) -> Discovery | None:
     """Look for a smooth term that explains what the named effects do not.
 
     Parameters
@@ -125,25 +127,25 @@ def discover(world: World, fitter: Fitter, explanation: Explanation, train: NDAr
         None where no term gains on held-out steps over the named effects and its constant; of equals the straightest.
     """
     tables = covariates(world, explanation.fitted.values)
-    found: list[Polished] = []
+    found: list[RefinedTerm] = []
     for kept in _bases(explanation):
         found += _finalists(TermSearch(world, fitter, explanation, kept, train, tables))
         best = _straightest(found, train)
         if _scatter(best, train) < GOOD:
             break
-    gain = Compared.of(known_loss(world, explanation, train), best.per_step, train)
+    gain = LogScoreDifference.of(known_loss(world, explanation, train), best.per_step, train)
     if gain.gain < FROZEN.gain_nats:  # the named effects have been refused already, by what they leave
         return None
     kept = best.explanation.candidates
     flat = TermSearch(world, fitter, explanation, kept, train, tables).polished(best.curve.flat(len(world.evidence)))
-    constant = Compared.of(flat.per_step, best.per_step, train)
+    constant = LogScoreDifference.of(flat.per_step, best.per_step, train)
     if not constant.beyond(FROZEN.gain_nats, FROZEN.gain_sigmas):
         return None
     rivals = [p for p in found if p is not best and _tied(p, best, train)]
     return _told(world, best, gain, constant, rivals, tables)
 
 
-def _straightest(found: Sequence[Polished], train: NDArray[np.bool_]) -> Polished:
+def _straightest(found: Sequence[RefinedTerm], train: NDArray[np.bool_]) -> RefinedTerm:
     """Of what is best on held-out steps, within what could be luck, the straightest term; of it, what fits closest."""
     least = min(p.held_out for p in found) + FROZEN.gain_nats
     term = min((p for p in found if p.held_out < least), key=lambda p: p.curve.bend).curve.term
@@ -151,7 +153,7 @@ def _straightest(found: Sequence[Polished], train: NDArray[np.bool_]) -> Polishe
     return min(same, key=lambda p: _scatter(p, train))  # how stiff, the held-out steps tell only roughly
 
 
-def _finalists(search: TermSearch) -> list[Polished]:
+def _finalists(search: TermSearch) -> list[RefinedTerm]:
     """The best first looks in joint fits; the first of them with finer knots, too, if within the flight it falls short.
 
     A term that bends sharply may lose to one that bends less, so that the second best is given the same chance.
@@ -163,30 +165,30 @@ def _finalists(search: TermSearch) -> list[Polished]:
         return found + list(pool.map(search.polished, again))
 
 
-def _bases(explanation: Explanation) -> list[tuple[Candidate, ...]]:
+def _bases(explanation: Hypothesis) -> list[tuple[Candidate, ...]]:
     """What stays of the named effects: those of the plate and the instruments first, then all of them."""
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
     return [still] if len(still) == len(explanation.candidates) else [still, explanation.candidates]
 
 
-def _scatter(p: Polished, train: NDArray[np.bool_]) -> float:
+def _scatter(p: RefinedTerm, train: NDArray[np.bool_]) -> float:
     """Root mean square of held-out landings over their uncertainty, robust against grazes."""
     r, u = p.world.residuals(p.explanation.fitted.values), p.world.uncertainty(p.explanation.fitted.values)
     z = (r.landing_s / np.hypot(u.landing_total_s, 1e-6))[p.world.evidence.judged]
     return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=6.0), -6.0, 6.0) ** 2)))
 
 
-def _tied(p: Polished, best: Polished, train: NDArray[np.bool_]) -> bool:
-    lead = Compared.of(p.per_step, best.per_step, train)
+def _tied(p: RefinedTerm, best: RefinedTerm, train: NDArray[np.bool_]) -> bool:
+    lead = LogScoreDifference.of(p.per_step, best.per_step, train)
     return not lead.beyond(FROZEN.tie_nats, FROZEN.tie_sigmas)
 
 
 def _told(
-    world: World,
-    best: Polished,
-    gain: Compared,
-    constant: Compared,
-    rivals: Sequence[Polished],
+    world: ForwardModel,
+    best: RefinedTerm,
+    gain: LogScoreDifference,
+    constant: LogScoreDifference,
+    rivals: Sequence[RefinedTerm],
     tables: Mapping[str, Array],
 ) -> Discovery:
     curve = best.curve
@@ -220,7 +222,7 @@ def _told(
     )
 
 
-def _resembling(best: Polished) -> tuple[tuple[str, float], ...]:
+def _resembling(best: RefinedTerm) -> tuple[tuple[str, float], ...]:
     """Named effects whose mark on landings and openings is like the term's, most alike first."""
     values, plain = best.explanation.fitted.values, best.world.without
     base = plain.predict(values)

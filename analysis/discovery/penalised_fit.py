@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from analysis.discovery.spline_basis import basis_of, hats_of
-from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, Curve, Spliced, Term, event_term
-from analysis.residuals.forward_model import FARTHEST_PERIODS, Values, World
-from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_of, log_odds, robust_loss, robust_weight
+from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
+from analysis.residuals.forward_model import FARTHEST_PERIODS, ForwardModel, Values
+from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_noise, log_odds, robust_loss, robust_weight
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ START_SIZES: dict[str, Array] = {
 
 
 @dataclass(frozen=True)
-class Stack:
+class StackedResiduals:
     """Openings, then landings, of the judged flights: arrays (k,).
 
     Attributes
@@ -54,7 +54,7 @@ class Stack:
     train: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, world: World, values: Values, train: NDArray[np.bool_]) -> Stack:
+    def of(cls, world: ForwardModel, values: Values, train: NDArray[np.bool_]) -> StackedResiduals:
         """Of a world; ``train`` by step."""
         ev, u = world.evidence, world.uncertainty(values)
         opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
@@ -63,16 +63,18 @@ class Stack:
         sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
         return cls(event, np.arange(len(event)) < len(opening), sigma, ev.steps.plate.period_s[step], train[step])
 
-    def landings(self) -> Stack:
+    def landings(self) -> StackedResiduals:
         """The landings alone: they know nothing of a contact's gap, which a wrong model bends to late openings."""
         rows = ~self.first
-        return Stack(self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows])
+        return StackedResiduals(
+            self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows]
+        )
 
-    def without(self, rows: NDArray[np.bool_]) -> Stack:
+    def without(self, rows: NDArray[np.bool_]) -> StackedResiduals:
         """The same with a fit that may not look at ``rows`` (k,)."""
         return replace(self, train=self.train & ~rows)
 
-    def residuals(self, world: World, values: Values) -> Array:
+    def residuals(self, world: ForwardModel, values: Values) -> Array:
         """Of this stack, cut at the farthest."""
         p, measured = world.predict(values), world.evidence.measured
         return self.cut(measured.opening_s - p.opening_s, measured.landing_s - p.landing_s)
@@ -93,7 +95,7 @@ class Stack:
         for rows in (self.first, ~self.first):
             look = rows & self.train
             if look.any():
-                excess = excess_of(r[look], self.sigma_s[look], self.period_s[look])[0]
+                excess = excess_noise(r[look], self.sigma_s[look], self.period_s[look])[0]
                 total = np.hypot(self.sigma_s[rows], excess)
                 loss = robust_loss(r[rows] / total, log_odds(total, self.period_s[rows])) + np.log(total)
                 out += np.bincount(step[self.event[rows]], loss, minlength=m)
@@ -109,38 +111,38 @@ class Stack:
         """Loss of what is trained on, each channel's excess at its best."""
         total = 0.0
         for rows in (self.first & self.train, ~self.first & self.train):
-            total += excess_of(r[rows], self.sigma_s[rows], self.period_s[rows])[1]
+            total += excess_noise(r[rows], self.sigma_s[rows], self.period_s[rows])[1]
         return total
 
 
 @dataclass(frozen=True)
-class Tried:
+class ScreenedTerm:
     """A curve and its loss on the steps of the fit."""
 
     curve: Curve
     loss: float
 
 
-def table_of(world: World, values: Values, stack: Stack, name: str) -> Array:
+def table_of(world: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Array:
     """Residuals (g, k) at each constant value of ``EVENT_GRIDS[name]``."""
     n = len(world.evidence)
     one, term = np.ones((n, 1)), event_term(name, "")
     still = np.zeros(n)
     rows = [
-        stack.residuals(Spliced(world, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
+        stack.residuals(AugmentedModel(world, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
         for x in EVENT_GRIDS[name]
     ]
     return np.array(rows)
 
 
-def constant_of(table: Array, stack: Stack, name: str) -> tuple[float, float]:
+def constant_of(table: Array, stack: StackedResiduals, name: str) -> tuple[float, float]:
     """Best constant value and its loss."""
     losses = [stack.loss(r) for r in table]
     best = int(np.argmin(losses))
     return float(EVENT_GRIDS[name][best]), losses[best]
 
 
-def try_covariate(table: Array, stack: Stack, term: Term, x: Array, knots: Array) -> Tried:
+def try_covariate(table: Array, stack: StackedResiduals, term: Term, x: Array, knots: Array) -> ScreenedTerm:
     """Spline of one covariate on the table: the best value near each knot, then Gauss-Newton.
 
     Parameters
@@ -172,7 +174,9 @@ def _looked_up(table: Array, grid: Array, value: Array) -> tuple[Array, Array]:
     return table[i, k] + slope * (value - grid[i]), slope
 
 
-def _descend(curve: Curve, stack: Stack, look: Callable[[Curve], tuple[Array, Array]], near: Array) -> Tried:
+def _descend(
+    curve: Curve, stack: StackedResiduals, look: Callable[[Curve], tuple[Array, Array]], near: Array
+) -> ScreenedTerm:
     """Gauss-Newton on the penalised robust loss; ``look`` gives residuals and their slope along each event's value."""
     r, slope = look(curve)
     for tail in (*TAILS[1:], *SHARP):
@@ -188,35 +192,35 @@ def _descend(curve: Curve, stack: Stack, look: Callable[[Curve], tuple[Array, Ar
                 break
         if gained < ENOUGH_NATS and tail == SHARP[0]:
             break
-    return Tried(curve, stack.loss(r))
+    return ScreenedTerm(curve, stack.loss(r))
 
 
-def stiffness_of(curve: Curve) -> float:
+def penalty_weight(curve: Curve) -> float:
     """Weight of the penalty for a curve of this spread; with more knots than usual each may bend less."""
     values, least = curve.values, 10.0 * curve.term.nudge
     rough = curve.roughness * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
     return 1.0 / (rough * max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)) ** 2
 
 
-def newton_step(curve: Curve, stack: Stack, r: Array, jacobian: Array, tail: float = 0.5) -> Array:
+def newton_step(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Array, tail: float = 0.5) -> Array:
     """Step of the curve's values that lowers the penalised robust loss, to second order."""
     width = stack.widths(r, tail)
     z, j = r / width, jacobian / width[:, None]
     weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
-    pull = stiffness_of(curve) * curve.penalty
+    pull = penalty_weight(curve) * curve.penalty
     normal = (j * weight[:, None]).T @ j + pull
     normal += 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(normal))
     return np.asarray(np.linalg.lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
 
 
-def _penalised(curve: Curve, stack: Stack, r: Array, width: Array) -> float:
+def _penalised(curve: Curve, stack: StackedResiduals, r: Array, width: Array) -> float:
     z, odds = r / width, log_odds(width, stack.period_s)
     bend = curve.values @ curve.penalty @ curve.values
     data = float(np.sum(robust_loss(z, odds)[stack.train]))
-    return data + 0.5 * stiffness_of(curve) * float(bend)
+    return data + 0.5 * penalty_weight(curve) * float(bend)
 
 
-def best_start(world: World, values: Values, stack: Stack, curve: Curve, dwell_s: Array) -> Curve:
+def best_start(world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Array) -> Curve:
     """``curve`` or a plain shape of some size in its place, whichever predicts best.
 
     A strong term sends flights to other landings than a weak one: a descent from nothing ends in between. The shapes
@@ -228,19 +232,19 @@ def best_start(world: World, values: Values, stack: Stack, curve: Curve, dwell_s
     sizes = unit * START_SIZES[curve.term.name]
     shapes = (np.ones_like(x), x, x * np.abs(x), falls)
     starts = [curve, *(curve.moved(size * shape) for shape in shapes for size in sizes)]
-    losses = [stack.loss(stack.residuals(Spliced(world, [c], dwell_s), values)) for c in starts]
+    losses = [stack.loss(stack.residuals(AugmentedModel(world, [c], dwell_s), values)) for c in starts]
     return starts[int(np.argmin(losses))]
 
 
 def try_in_flight(
-    world: World, values: Values, stack: Stack, start: Curve, dwell_s: Array, tails: Sequence[float]
-) -> Tried:
+    world: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Array, tails: Sequence[float]
+) -> ScreenedTerm:
     """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew where a step has led far.
 
     It ends early where a step gains nothing and the tail stays as it is.
     """
     curve, jacobian, gained = start, np.zeros((0, 0)), np.inf
-    r = stack.residuals(Spliced(world, [curve], dwell_s), values)
+    r = stack.residuals(AugmentedModel(world, [curve], dwell_s), values)
     for i, tail in enumerate(tails):
         fresh = gained > FAR_NATS
         if fresh:
@@ -249,7 +253,7 @@ def try_in_flight(
         now, gained = _penalised(curve, stack, r, width), 0.0
         for half in range(HALVINGS):
             moved = curve.moved(curve.values + 0.5**half * step)
-            r_moved = stack.residuals(Spliced(world, [moved], dwell_s), values)
+            r_moved = stack.residuals(AugmentedModel(world, [moved], dwell_s), values)
             gained = now - _penalised(moved, stack, r_moved, width)
             if gained > 0.0:
                 curve, r = moved, r_moved
@@ -258,28 +262,30 @@ def try_in_flight(
             if fresh and set(tails[i:]) == {tail}:
                 break
             gained = np.inf
-    return Tried(curve, stack.loss(r))
+    return ScreenedTerm(curve, stack.loss(r))
 
 
-def slopes_of(world: World, values: Values, stack: Stack, curve: Curve, dwell_s: Array, r: Array) -> Array:
+def slopes_of(
+    world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Array, r: Array
+) -> Array:
     """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction if each flight has one."""
     nudge = curve.term.nudge
     if curve.term.columns:
         moved = replace(curve, values=curve.values + nudge)
-        along = (stack.residuals(Spliced(world, [moved], dwell_s), values) - r) / nudge
+        along = (stack.residuals(AugmentedModel(world, [moved], dwell_s), values) - r) / nudge
         return np.asarray(along[:, None] * curve.basis[stack.event])
     out = np.empty((len(r), len(curve.values)))
     for i in range(len(curve.values)):
         values_moved = curve.values.copy()
         values_moved[i] += nudge
         moved = replace(curve, values=values_moved)
-        out[:, i] = (stack.residuals(Spliced(world, [moved], dwell_s), values) - r) / nudge
+        out[:, i] = (stack.residuals(AugmentedModel(world, [moved], dwell_s), values) - r) / nudge
     return out
 
 
-def covariance_of(curve: Curve, stack: Stack, r: Array, jacobian: Array) -> Array:
+def covariance_of(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Array) -> Array:
     """Covariance of the curve's values at its knots, (k, k)."""
     width = stack.widths(r)
     weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
-    normal = (jacobian * weight[:, None]).T @ jacobian + stiffness_of(curve) * curve.penalty
+    normal = (jacobian * weight[:, None]).T @ jacobian + penalty_weight(curve) * curve.penalty
     return np.asarray(np.linalg.pinv(normal, rcond=1e-14))

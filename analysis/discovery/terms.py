@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.discovery.spline_basis import basis_of, penalty_of
 from analysis.residuals.covariates import COVARIATES
-from analysis.residuals.forward_model import Key, Values, World
+from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
 from model.effects.registry import offsets
 from model.effects.smooth_force import KNOTS
 
@@ -54,7 +54,7 @@ class Term:
     low: float
     high: float
     nudge: float
-    columns: tuple[Key, ...] = ()
+    columns: tuple[ParameterId, ...] = ()
     effect: str = ""
     fixed: tuple[tuple[str, float], ...] = ()
 
@@ -65,7 +65,7 @@ class Term:
 
 
 FRICTION = (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))
-REPLACED: dict[str, tuple[Key, ...]] = {
+REPLACED: dict[str, tuple[ParameterId, ...]] = {
     "friction": FRICTION,
     "restitution": (("restitution", "e0"), ("restitution", "e1_s_per_m")),
     "threshold": (("adhesion", "a_mps2"), ("adhesion", "dwell_s")),
@@ -225,7 +225,7 @@ def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[st
     }
 
 
-class Spliced(World):
+class AugmentedModel(ForwardModel):
     """A world whose predictions hold a term more.
 
     Parameters
@@ -243,7 +243,7 @@ class Spliced(World):
         The world without the terms.
     """
 
-    def __init__(self, world: World, curves: Sequence[Curve], dwell_s: Array) -> None:
+    def __init__(self, world: ForwardModel, curves: Sequence[Curve], dwell_s: Array) -> None:
         base: dict[str, dict[str, float]] = {}
         for (name, key), value in world.base.items():
             base.setdefault(name, {})[key] = value

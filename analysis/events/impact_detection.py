@@ -217,7 +217,7 @@ def _subtract(x, offset, table, fine):  # type: ignore[no-untyped-def]
 
 
 @dataclass(frozen=True)
-class WitnessOffset:
+class SensorOffset:
     """How the accelerometer's times compare with the electrical edges on landings that both saw.
 
     Attributes
@@ -238,13 +238,13 @@ class WitnessOffset:
 
 def calibrate(
     impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, edge_bias_s: float
-) -> tuple[Impacts, WitnessOffset]:
+) -> tuple[Impacts, SensorOffset]:
     """Put impacts on the axis of the electrical edges.
 
     Only flights in which the accelerometer saw a single impact, within `REACH_S` of the edge, can tell; and they must
     agree with each other: an offset of the instrument is the same for all. ``edge_bias_s`` is what all edges may share.
     """
-    unknown = WitnessOffset(0.0, np.inf, 0.0, 0)
+    unknown = SensorOffset(0.0, np.inf, 0.0, 0)
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return _with_bias(impacts, 1.0, ONSET_S), unknown
     begin = np.searchsorted(impacts.time_s, takeoff_s - REACH_S + SHORTEST_MASK_S)
@@ -271,7 +271,7 @@ def calibrate(
     # beyond what both state: a factor where all are understated, found from the middle of the distribution
     factor = max(1.0, 1.4826 * float(np.median(np.abs(left))))
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = WitnessOffset(centre, own_sigma, spread, int(core.sum()))
+    offset = SensorOffset(centre, own_sigma, spread, int(core.sum()))
     moved = Impacts(impacts.time_s - centre, impacts.uncertainty_s, impacts.strength)
     return _with_bias(moved, factor, own_sigma), offset
 
@@ -294,7 +294,7 @@ def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
     return bool(variety < 0.3 or spread_s / abs(offset_s) > 0.25 * variety)
 
 
-def sharpen(edges: Edges, impacts: Impacts, offset: WitnessOffset) -> Edges:
+def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -> Edges:
     """Closings with the accelerometer's impact averaged in, each by its uncertainty: it may know sharp edges better."""
     closing = np.flatnonzero(edges.kind == CLOSES)
     if not closing.size or not impacts.time_s.size:

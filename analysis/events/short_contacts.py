@@ -57,7 +57,7 @@ def brief_contact(
     tau = (max(tau_samples[0], SHARPEST), max(tau_samples[1], SHARPEST))
 
     def misfit(p: Floats) -> Floats:
-        own = (fraction - dent(fraction.size, p[0], p[1], tau)) / noise
+        own = (fraction - rc_pulse(fraction.size, p[0], p[1], tau)) / noise
         return own if prior is None else np.append(own, (p[0] - prior[0]) / prior[1])
 
     close, length = np.meshgrid(np.linspace(*begin, STARTS), np.linspace(0.02, LONGEST, STARTS))
@@ -65,7 +65,7 @@ def brief_contact(
     if prior is not None:
         fine = np.linspace(0.01, LONGEST, 8 * STARTS)
         grid = np.concatenate([grid, np.column_stack([np.full(fine.size, prior[0]), fine])])
-    costs = ((fraction - dent(fraction.size, grid[:, :1], grid[:, 1:], tau)) ** 2).sum(axis=1) / noise**2
+    costs = ((fraction - rc_pulse(fraction.size, grid[:, :1], grid[:, 1:], tau)) ** 2).sum(axis=1) / noise**2
     if prior is not None:
         costs += ((grid[:, 0] - prior[0]) / prior[1]) ** 2
     bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, LONGEST + 1.0])
@@ -89,7 +89,7 @@ def _ridge(
     """The fit, or the spread of all pairs that match the samples to `ALIKE`, where these reach far beyond it."""
     close, length = np.meshgrid(np.linspace(*begin, 4 * STARTS), np.linspace(0.01, LONGEST, 8 * STARTS))
     pairs = np.column_stack([close.ravel(), length.ravel()])
-    model = dent(fraction.size, pairs[:, :1], pairs[:, 1:], tau)
+    model = rc_pulse(fraction.size, pairs[:, :1], pairs[:, 1:], tau)
     weight = np.exp(-0.5 * (((fraction - model) / ALIKE) ** 2).sum(axis=1))
     if weight.sum() < 1e-12:
         return fit
@@ -103,7 +103,7 @@ def _ridge(
     return close_out[0], close_out[1], open_out[0], open_out[1]
 
 
-def dent(n: int, close: npt.ArrayLike, length: npt.ArrayLike, tau: tuple[float, float]) -> Floats:
+def rc_pulse(n: int, close: npt.ArrayLike, length: npt.ArrayLike, tau: tuple[float, float]) -> Floats:
     """Fraction of the swing at samples ``0 ... n - 1`` around a contact of ``length`` from ``close`` (samples)."""
     since = np.arange(n) - np.asarray(close)
     closed = np.clip(since, 0.0, length)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.edges import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
-from analysis.events.impact_detection import NO_IMPACTS, Impacts, calibrate, sharpen
+from analysis.events.impact_detection import NO_IMPACTS, Impacts, calibrate, combine_with_impacts
 from analysis.events.short_contacts import refine_brief
 from analysis.flights.scan import Progress, Scan, scan
 from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
@@ -101,7 +101,7 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
         impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s)
     edges = refine_brief(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
-        edges = sharpen(edges, impacts, offset)
+        edges = combine_with_impacts(edges, impacts, offset)
     table = _split(*_intervals(edges, found.starts_open, end_s), impacts, 3.0 / rate_hz)
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, 4.0 / rate_hz)
@@ -202,7 +202,7 @@ def _gaps(found: Scan, takeoff: Floats, landing: Floats) -> Ints:
     margin_s = 2.0 / found.plate.rate_hz
     at_s = found.plate.gaps[:, 0] / found.plate.rate_hz
     touched = np.zeros(takeoff.size, dtype=np.bool_)
-    for begins, ends in ((at_s, at_s), (found.made_up[:, 0], found.made_up[:, 1])):
+    for begins, ends in ((at_s, at_s), (found.filled_spans_s[:, 0], found.filled_spans_s[:, 1])):
         begun = np.searchsorted(begins, landing + margin_s, side="right")
         touched |= begun > np.searchsorted(ends, takeoff - margin_s)
     return np.where(touched, int(FlightFlag.GAP), 0).astype(np.int64)

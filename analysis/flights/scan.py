@@ -17,7 +17,7 @@ from analysis.events.edges import OPENS, Crossings, CrossingScan, Levels, measur
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
 from analysis.events.impact_template import Waveform, white_noise
 from analysis.events.template_estimate import learn
-from analysis.plate.accumulator import Folder
+from analysis.plate.accumulator import StepAccumulator
 from analysis.plate.motion import PlateMotion
 from analysis.signals.stream import PAD, Piece, pieces, survey_pieces
 from daq.recording import Recording
@@ -51,7 +51,7 @@ class Survey:
 class Scan:
     """Everything one pass found; ``missed`` are samples by which an edge of the contact must have been missed.
 
-    ``made_up``, shape (n, 2), are spans in seconds whose samples, or whose drive, nobody vouches for.
+    ``filled_spans_s``, shape (n, 2), are spans in seconds whose samples, or whose drive, nobody vouches for.
     """
 
     survey: Survey
@@ -61,7 +61,7 @@ class Scan:
     impacts: Impacts
     plate: PlateMotion
     missed: Ints
-    made_up: npt.NDArray[np.float64]
+    filled_spans_s: npt.NDArray[np.float64]
 
 
 def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:
@@ -143,7 +143,7 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
     contact = CrossingScan(known.levels) if known.levels is not None else None
     witness = ImpactScan(known.waveform, recording.rate_hz) if known.waveform is not None else None
     restorer = LevelRestorer(known.coupling, recording.rate_hz) if known.coupling is not None else None
-    folder = Folder(recording, steps, known.mask_s)
+    folder = StepAccumulator(recording, steps, known.mask_s)
     starts_open = False
     for piece in pieces(recording, channels):
         hits = [np.zeros(0, np.int64)]

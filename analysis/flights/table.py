@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.edges import EdgeShape, Levels
-from analysis.events.impact_detection import WitnessOffset
+from analysis.events.impact_detection import SensorOffset
 from analysis.plate.motion import PlateMotion
 
 Floats = npt.NDArray[np.float64]
@@ -114,7 +114,7 @@ class EdgeReport:
     levels: Levels | None
     opening: EdgeShape
     closing: EdgeShape
-    witness: WitnessOffset | None
+    witness: SensorOffset | None
     dips: int
     missed: int = 0
 

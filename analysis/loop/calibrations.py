@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.hypothesis import Hypothesis
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Calibration:
         return change > self.stated_sigma and change > 3.0 * self.sigma
 
 
-def fitted_calibrations(best: Explanation) -> tuple[Calibration, ...]:
+def fitted_calibrations(best: Hypothesis) -> tuple[Calibration, ...]:
     """Every calibration that the fit left free beside the effects of ``best``, in alphabetical order."""
     fitted = best.fitted
     return tuple(

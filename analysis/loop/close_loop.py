@@ -16,17 +16,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.comparison import Compared
+from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitter, priors_of
-from analysis.attribution.hypothesis import Attribution, Explanation, Rejected
-from analysis.attribution.selection import Attributor
+from analysis.attribution.hypothesis import Hypothesis, Rejected, SelectionResult
+from analysis.attribution.selection import StepwiseSelection
 from analysis.discovery.discover import Discovery, discover
 from analysis.loop.calibrations import fitted_calibrations
 from analysis.loop.verdict import Failed, Verdict, failed_tests, verdict_of
-from analysis.residuals.forward_model import DRIFT, World
-from analysis.residuals.lack_of_fit import Remainder, remainder
-from analysis.residuals.observations import Evidence, evidence_of
-from analysis.residuals.prediction_errors import Errors, errors_on, judged_rows, noise_floors_us, noise_quantiles_us
+from analysis.residuals.forward_model import DRIFT, ForwardModel
+from analysis.residuals.lack_of_fit import GoodnessOfFit, remainder
+from analysis.residuals.observations import Observations, observations_from
+from analysis.residuals.prediction_errors import (
+    Errors,
+    held_out_errors,
+    judged_rows,
+    noise_floors_us,
+    noise_quantiles_us,
+)
 from analysis.residuals.whitening import step_losses
 from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
@@ -47,7 +53,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Loop:
+class ClosedLoop:
     """What closing the loop came to.
 
     Attributes
@@ -76,16 +82,16 @@ class Loop:
     verdict: Verdict
     effects: tuple[Found, ...]
     discovered: Discovery | None
-    attribution: Attribution
+    attribution: SelectionResult
     before: Errors
     after: Errors
     noise_floor_us: float
     takeoff_floor_us: float
     held_out: tuple[int, ...]
-    remainder: Remainder
+    remainder: GoodnessOfFit
     detection: Mapping[str, float]
     not_identifiable: tuple[str, ...]
-    world: World
+    world: ForwardModel
     notes: tuple[str, ...]
     failed: tuple[Failed, ...] = ()
 
@@ -99,7 +105,7 @@ class Loop:
         return self.attribution.rejected
 
     @property
-    def best(self) -> Explanation:
+    def best(self) -> Hypothesis:
         """The best set of named effects."""
         return self.attribution.best
 
@@ -110,7 +116,7 @@ def close_loop(
     setup: Setup | None = None,
     limits: Thresholds = FROZEN,
     progress: Progress | None = None,
-) -> Loop:
+) -> ClosedLoop:
     """Close the loop on recordings of one rig.
 
     Parameters
@@ -132,33 +138,38 @@ def close_loop(
         For declared effects that do not exist or are out of bounds.
     """
     say = progress or (lambda what, part: None)
-    evidence = evidence_of(recordings, setup=setup, progress=lambda name, part: say(f"reading {name}", 0.15 * part))
+    evidence = observations_from(
+        recordings, setup=setup, progress=lambda name, part: say(f"reading {name}", 0.15 * part)
+    )
     if len(evidence.steps) < 2 * limits.reserve or not len(evidence.plate):
         raise InputError(
             f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve} steps whose plate motion "
             f"can be measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
         )
-    world = World(evidence, resolve(evidence.setup.declared_values()))
+    world = ForwardModel(evidence, resolve(evidence.setup.declared_values()))
     train = np.arange(len(evidence.steps)) % limits.reserve != limits.reserve // 2
     fitter = Fitter(world, priors_of(evidence.setup), train)
-    attributor = Attributor(world, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
+    attributor = StepwiseSelection(world, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
     attribution = _borne_out(world, attributor.explain(), train, limits)
     best = attribution.best
     say("what remains", 0.87)
     left = remainder(world, best)
     rows, out = judged_rows(world, best.fitted.values, ~train)
-    after, floors = errors_on(world, best.fitted.values, rows, out), noise_floors_us(world, best.fitted.values, rows)
+    after, floors = (
+        held_out_errors(world, best.fitted.values, rows, out),
+        noise_floors_us(world, best.fitted.values, rows),
+    )
     named, chance = best is not attribution.before, noise_quantiles_us(world, best.fitted.values, rows)
     verdict = verdict_of(named, left, after, floors, limits, chance)
     found = discover(world, fitter, best, train) if verdict == "unexplained" else None
     say("detection limits", 0.97)
     detection, blind = detection_limits(attribution, limits)
-    return Loop(
+    return ClosedLoop(
         verdict,
         tuple(_found(best)),
         found,
         attribution,
-        errors_on(world, attribution.before.fitted.values, rows, out),
+        held_out_errors(world, attribution.before.fitted.values, rows, out),
         after,
         *floors,
         tuple(int(n) for n in evidence.steps.number[~train]),
@@ -171,18 +182,20 @@ def close_loop(
     )
 
 
-def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limits: Thresholds) -> Attribution:
+def _borne_out(
+    world: ForwardModel, found: SelectionResult, train: NDArray[np.bool_], limits: Thresholds
+) -> SelectionResult:
     """What was found, less the last causes where the reserved steps speak against a gain that was small."""
     if found.best is found.before:
         return found
     chain = [*(found.earlier or (found.before,)), found.best]
     while len(chain) > 1:
         worse, better = (_all_steps(world, x, train) for x in chain[-2:])
-        gain = Compared.of(worse, better, np.ones_like(train))
-        stands = gain.beyond(limits.again_nats, limits.again_sigmas)
+        gain = LogScoreDifference.of(worse, better, np.ones_like(train))
+        stands = gain.beyond(limits.next_effect_nats, limits.again_sigmas)
         if len(chain) > 2:  # of a further cause more is asked: the best of many gains by chance
-            stands = stands and gain.gain > 2.0 * limits.again_nats
-        if stands or Compared.of(worse, better, ~train).even > 0.0:
+            stands = stands and gain.gain > 2.0 * limits.next_effect_nats
+        if stands or LogScoreDifference.of(worse, better, ~train).even > 0.0:
             break
         last = chain.pop()
         added = " + ".join(n for n in last.names if n not in chain[-1].names) or " + ".join(last.names)
@@ -195,13 +208,13 @@ def _borne_out(world: World, found: Attribution, train: NDArray[np.bool_], limit
     return found
 
 
-def _all_steps(world: World, x: Explanation, train: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _all_steps(world: ForwardModel, x: Hypothesis, train: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Loss of each step that the fit had not seen: held out in turn, or reserved."""
     reserved = np.asarray(sum(step_losses(world, x.whitener, world.residuals(x.fitted.values)).values()))
     return np.where(train, x.per_step, reserved)
 
 
-def _found(best: Explanation) -> list[Found]:
+def _found(best: Hypothesis) -> list[Found]:
     """Each added effect with its parameters and 95 % intervals."""
     tables: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in best.names}
     fitted = best.fitted
@@ -224,7 +237,7 @@ def _found(best: Explanation) -> list[Found]:
     return [Found(name, table) for name, table in tables.items()]
 
 
-def detection_limits(attribution: Attribution, limits: Thresholds) -> tuple[dict[str, float], tuple[str, ...]]:
+def detection_limits(attribution: SelectionResult, limits: Thresholds) -> tuple[dict[str, float], tuple[str, ...]]:
     """By ``effect.parameter``, the size below which this run could not have shown it; and what no size would show.
 
     From the derivatives at the best explanation, calibrations and nuisances free: the size that gains the threshold.
@@ -250,7 +263,7 @@ def detection_limits(attribution: Attribution, limits: Thresholds) -> tuple[dict
     return sizes, tuple(blind)
 
 
-def _notes(evidence: Evidence, attribution: Attribution) -> tuple[str, ...]:
+def _notes(evidence: Observations, attribution: SelectionResult) -> tuple[str, ...]:
     notes = list(evidence.notes)
     values = attribution.best.fitted.values
     for (name, q), value in values.items():
@@ -265,7 +278,7 @@ def _notes(evidence: Evidence, attribution: Attribution) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, Any]:
+def as_json(loop: ClosedLoop, next_run: dict[str, object] | None = None) -> dict[str, Any]:
     """The verdict for a machine; what does not exist is null. ``next_run``: see `analysis.loop.design.as_json`."""
 
     def plain(errors: Errors) -> dict[str, Any]:
@@ -294,7 +307,7 @@ def as_json(loop: Loop, next_run: dict[str, object] | None = None) -> dict[str, 
             "p_lack_of_fit": _finite(loop.remainder.p_lack_of_fit),
             "covariate": loop.remainder.covariate,
             "ratio": _finite(loop.remainder.ratio),
-            "plate_ratio": _finite(loop.remainder.plate_ratio),
+            "plate_rms_z": _finite(loop.remainder.plate_rms_z),
         },
         "next_run": next_run,
         "detection_limits": {k: _finite(v) for k, v in loop.detection.items()},
@@ -332,7 +345,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def declared_after(loop: Loop) -> dict[str, dict[str, float]]:
+def declared_after(loop: ClosedLoop) -> dict[str, dict[str, float]]:
     """Declared and added effects together, for the next prediction."""
     out = {name: dict(table) for name, table in resolve(loop.world.evidence.setup.declared_values()).items()}
     for name, q in loop.best.free:

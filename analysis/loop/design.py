@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter, Prior, priors_of
-from analysis.attribution.hypothesis import Explanation
-from analysis.loop.close_loop import Loop
-from analysis.residuals.forward_model import DRIFT, Key, World
-from analysis.residuals.observations import Evidence, Steps
+from analysis.attribution.hypothesis import Hypothesis
+from analysis.loop.close_loop import ClosedLoop
+from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
+from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
@@ -50,7 +50,7 @@ class Design:
     ratio: int
     gammas: tuple[float, ...]
     order: str = "up"
-    priors: Mapping[Key, float] = field(default_factory=dict)
+    priors: Mapping[ParameterId, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ class Ranked:
 
     design: Design
     nats: float
-    hardest: tuple[str, ...]
+    closest_rival: tuple[str, ...]
 
 
-def designs_for(evidence: Evidence) -> list[Design]:
+def designs_for(evidence: Observations) -> list[Design]:
     """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations beside."""
     gamma, ratio = evidence.steps.gamma, int(evidence.steps.ratio[0])
     low, high = float(np.min(gamma)), float(np.max(gamma))
@@ -88,14 +88,14 @@ def designs_for(evidence: Evidence) -> list[Design]:
     return out
 
 
-def rank(loop: Loop, designs: Sequence[Design] | None = None) -> list[Ranked]:
+def rank(loop: ClosedLoop, designs: Sequence[Design] | None = None) -> list[Ranked]:
     """Designs by what they would tell, best first; empty when there is nothing to separate."""
     best, rivals = loop.best, loop.attribution.ties[1 : 1 + RIVALS]
     if not rivals:
         return []
     out = []
     for design in designs or designs_for(loop.world.evidence):
-        world = World(rehearse(design, loop.world, best), _base(loop.world))
+        world = ForwardModel(rehearse(design, loop.world, best), _base(loop.world))
         priors = _priors(loop.world.evidence.setup, design, best)
         fitter = Fitter(world, priors, np.ones(len(world.evidence.steps), dtype=bool))
         whitener = Whitener.of(world, best.fitted.values)
@@ -105,19 +105,19 @@ def rank(loop: Loop, designs: Sequence[Design] | None = None) -> list[Ranked]:
     return sorted(out, key=lambda r: -r.nats)
 
 
-def _loss(fitter: Fitter, whitener: Whitener, rival: Explanation) -> float:
+def _loss(fitter: Fitter, whitener: Whitener, rival: Hypothesis) -> float:
     """Loss that the rival cannot get rid of on the rehearsed run."""
     return float(fitter.fit(whitener, rival.free, rival.fitted.values).loss)
 
 
-def _base(world: World) -> dict[str, dict[str, float]]:
+def _base(world: ForwardModel) -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
     for (name, q), value in world.base.items():
         out.setdefault(name, {})[q] = value
     return out
 
 
-def _priors(setup: Setup, design: Design, best: Explanation) -> dict[Key, Prior]:
+def _priors(setup: Setup, design: Design, best: Hypothesis) -> dict[ParameterId, Prior]:
     """Priors of the next run: the profile's, and what the calibration beside it would find if the best one is true."""
     priors = priors_of(setup)
     for key, sigma in design.priors.items():
@@ -125,7 +125,7 @@ def _priors(setup: Setup, design: Design, best: Explanation) -> dict[Key, Prior]
     return priors
 
 
-def rehearse(design: Design, world: World, best: Explanation) -> Evidence:
+def rehearse(design: Design, world: ForwardModel, best: Hypothesis) -> Observations:
     """The evidence that the design would give, without noise, if the best explanation were true."""
     ev = world.evidence
     values = world.start(best.fitted.values)
@@ -167,7 +167,7 @@ def rehearse(design: Design, world: World, best: Explanation) -> Evidence:
         plate=data,
         swells=None,
     )
-    truth = World(made, _base(world))
+    truth = ForwardModel(made, _base(world))
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(best.fitted.values))))
 
 
@@ -176,7 +176,7 @@ def replace_ratio(setup: Setup, ratio: int) -> Setup:
     return setup.model_copy(update={"forcing": setup.forcing.model_copy(update={"ratio": ratio})})
 
 
-def _flights(values: Mapping[Key, float], plate: PlateSteps, part: Array, g_mps2: float) -> Measured:
+def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array, g_mps2: float) -> Measured:
     """Flights of every step, flown by the model with drifting parameters at their value in the step."""
     columns: list[list[Array]] = [[], [], [], [], [], []]
     for i in range(len(part)):
@@ -246,5 +246,5 @@ def as_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:
         "ratio": ranked[0].design.ratio,
         "gammas": list(ranked[0].design.gammas),
         "order": ranked[0].design.order,
-        "ranked": [{"run": r.design.words, "nats": r.nats, "hardest_rival": list(r.hardest)} for r in ranked],
+        "ranked": [{"run": r.design.words, "nats": r.nats, "hardest_rival": list(r.closest_rival)} for r in ranked],
     }

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from analysis.residuals.lack_of_fit import Remainder
+from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.noise_model import SHARED_S
 from analysis.residuals.prediction_errors import Errors
 from analysis.thresholds import Thresholds
@@ -37,7 +37,7 @@ class Failed:
 
 def failed_tests(
     named: bool,
-    left: Remainder,
+    left: GoodnessOfFit,
     after: Errors,
     floors_us: tuple[float, float],
     limits: Thresholds,
@@ -68,16 +68,16 @@ def failed_tests(
     out = []
     if left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio:
         out.append(Failed("flights", left.ratio, limits.lack_ratio))
-    if left.plate_ratio > limits.plate_ratio:
-        out.append(Failed("plate", left.plate_ratio, limits.plate_ratio))
+    if left.plate_rms_z > limits.plate_rms_z:
+        out.append(Failed("plate", left.plate_rms_z, limits.plate_rms_z))
     if named:
         landing, takeoff = (
-            max(limits.clean_bill * math.hypot(floor, 1e6 * SHARED_S), chance)
+            max(limits.max_rms_over_floor * math.hypot(floor, 1e6 * SHARED_S), chance)
             for floor, chance in zip(floors_us, chance_us, strict=True)
         )
         if after.landing_rms_us > landing:
             out.append(Failed("landings", after.landing_rms_us, landing))
-        missed = min(after.takeoff_robust_us, after.takeoff_rms_us)
+        missed = min(after.takeoff_nmad_us, after.takeoff_rms_us)
         if missed > takeoff:
             out.append(Failed("takeoffs", missed, takeoff))
     return tuple(out)
@@ -85,7 +85,7 @@ def failed_tests(
 
 def verdict_of(
     named: bool,
-    left: Remainder,
+    left: GoodnessOfFit,
     after: Errors,
     floors_us: tuple[float, float],
     limits: Thresholds,

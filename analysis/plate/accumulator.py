@@ -28,7 +28,7 @@ LEAD_S = 2e-4  # masked before an impact
 SURELY_CLEAR = 0.85  # of a step, above which no mask can do harm
 MOST_INFLATED = 1.6  # of a tone's uncertainty, by the mask
 PARTS = (0.25, 0.35, 0.5, 0.7, 1.0)  # of the mask's length, tried from the longest down
-BANDS = len(PARTS) + 1  # by how many of the masks a block is clear of
+N_MASK_LEVELS = len(PARTS) + 1  # by how many of the masks a block is clear of
 CONTACT, NEITHER, FLIGHT = range(3)
 CHAPTER = 1 << 17  # means kept in memory before they are folded in
 
@@ -38,7 +38,7 @@ class Span:
     """Consecutive block means: block ``first`` (counted from sample 0, lost samples included) and on.
 
     ``values`` (n, 2) are accelerometer and drive in volts; ``sort`` is the block's place (contact, neither, flight)
-    times `BANDS` plus how many of the masks it is clear of.
+    times `N_MASK_LEVELS` plus how many of the masks it is clear of.
     """
 
     first: int
@@ -47,7 +47,7 @@ class Span:
 
 
 @dataclass
-class StepFold:
+class StepState:
     """What one step has gathered so far."""
 
     step: int
@@ -63,8 +63,8 @@ class StepFold:
     multiples: tuple[int, ...] = ()
     mains: tuple[MainsLine, ...] = ()
     folded: LockIn | None = None
-    least_band: int = BANDS
-    looks: list[step_fit.Look] = field(default_factory=list)
+    mask_level: int = N_MASK_LEVELS
+    looks: list[step_fit.ChunkFit] = field(default_factory=list)
 
     @property
     def rows(self) -> list[int]:
@@ -73,7 +73,9 @@ class StepFold:
 
     def clear_sorts(self, places: tuple[int, ...] = (CONTACT, NEITHER, FLIGHT)) -> Ints:
         """Sorts of the given places that are clear of the chosen mask."""
-        return np.array([p * BANDS + b for p in places for b in range(self.least_band, BANDS)], dtype=np.int64)
+        return np.array(
+            [p * N_MASK_LEVELS + b for p in places for b in range(self.mask_level, N_MASK_LEVELS)], dtype=np.int64
+        )
 
 
 def multiples_of(ratio: int) -> tuple[int, ...]:
@@ -87,7 +89,7 @@ def block_width(rate_hz: float, steps: npt.NDArray[np.void]) -> int:
     return max(1, min(int(rate_hz * BLOCK_S), int(rate_hz / (3.0 * highest))))
 
 
-class Folder:
+class StepAccumulator:
     """Folds pieces of a recording into one `StepPlate` a step.
 
     Parameters
@@ -108,7 +110,7 @@ class Folder:
         self.starts = steps["first_sample"] + steps["settle_samples"]
         self.stops = steps["first_sample"] + steps["n_samples"]
         self.done: list[StepPlate | None] = []
-        self.fold: StepFold | None = None
+        self.fold: StepState | None = None
         self.mains = [line_of(hz) for hz in MAINS_HZ]
         self.hits: list[Ints] = []
 
@@ -126,12 +128,12 @@ class Folder:
                 nominal, ratio = float(self.steps["frequency_hz"][k]), int(self.steps["ratio"][k])
                 middle_s = 0.5 * (start + stop) / self.rate_hz
                 lines = tuple(line.later(middle_s) for line in self.mains)
-                self.fold = StepFold(k, nominal, ratio, start, start, hold_s, mains=lines)
+                self.fold = StepState(k, nominal, ratio, start, start, hold_s, mains=lines)
             self._take(self.fold, piece, means, max(start, piece.first), min(stop, piece.last), begins)
             if stop <= piece.last:
                 self._close_step()
             elif self.fold.blocks > CHAPTER:
-                self._close_chapter(self.fold)
+                self.flush_chunk(self.fold)
 
     def finish(self) -> tuple[StepPlate | None, ...]:
         """Close what is open (a recording cut within a step) and return all steps."""
@@ -141,7 +143,13 @@ class Folder:
         return tuple(self.done)
 
     def _take(
-        self, fold: StepFold, piece: Piece, means: dict[str, npt.NDArray[np.float32]], start: int, stop: int, hits: Ints
+        self,
+        fold: StepState,
+        piece: Piece,
+        means: dict[str, npt.NDArray[np.float32]],
+        start: int,
+        stop: int,
+        hits: Ints,
     ) -> None:
         """Keep the means of ``[start, stop)`` as spans, broken at gaps."""
         gaps = self.recording.gaps
@@ -169,13 +177,13 @@ class Folder:
         blocks = np.arange(block, end)
         place = np.where(fraction > 0.9, FLIGHT, np.where(fraction < 0.1, CONTACT, NEITHER))
         if not hits.size:
-            return (place * BANDS + BANDS - 1).astype(np.int8)
+            return (place * N_MASK_LEVELS + N_MASK_LEVELS - 1).astype(np.int8)
         begins = (hits - int(LEAD_S * self.rate_hz)) // self.width
         last = np.searchsorted(begins, blocks, side="right") - 1
         since = np.where(last >= 0, blocks - (hits // self.width)[np.maximum(last, 0)], np.iinfo(np.int32).max)
-        return (place * BANDS + np.searchsorted(self.masks, since, side="left")).astype(np.int8)
+        return (place * N_MASK_LEVELS + np.searchsorted(self.masks, since, side="left")).astype(np.int8)
 
-    def _close_chapter(self, fold: StepFold) -> None:
+    def flush_chunk(self, fold: StepState) -> None:
         """Turn the gathered spans into normal equations and a second look, and forget them."""
         if not fold.spans:
             return
@@ -201,18 +209,18 @@ class Folder:
         fold.spans.clear()
         fold.blocks = 0
 
-    def _accumulate(self, fold: StepFold, rate_hz: float) -> None:
+    def _accumulate(self, fold: StepState, rate_hz: float) -> None:
         """Fold the spans in; the first chapter sets the tones, and the mask by how much it leaves of them."""
         fold.multiples, frequencies = self._frequencies(fold)
         if fold.folded is None or not np.array_equal(fold.folded.frequencies_hz, frequencies):
-            fold.folded = LockIn(rate_hz, frequencies, 2, self.width, sorts=3 * BANDS)
-            fold.least_band = BANDS
+            fold.folded = LockIn(rate_hz, frequencies, 2, self.width, sorts=3 * N_MASK_LEVELS)
+            fold.mask_level = N_MASK_LEVELS
         for span in fold.spans:
             fold.folded.add(span.values, span.first, span.sort)
-        if fold.least_band == BANDS:
-            fold.least_band = _least_band(fold, fold.folded)
+        if fold.mask_level == N_MASK_LEVELS:
+            fold.mask_level = _least_band(fold, fold.folded)
 
-    def _frequencies(self, fold: StepFold) -> tuple[tuple[int, ...], Floats]:
+    def _frequencies(self, fold: StepState) -> tuple[tuple[int, ...], Floats]:
         """Tones of the step: what fits under the blocks' rate, and mains lines that the step can tell apart."""
         limit = 0.45 * self.rate_hz / self.width
         multiples = tuple(m for m in multiples_of(fold.ratio) if m == 1 or m * fold.frequency_hz < limit)
@@ -220,7 +228,7 @@ class Folder:
         lines = lines_apart([m.hz for m in fold.mains if m.hz < limit], tones, fold.hold_s)
         return multiples, np.concatenate([tones, lines])
 
-    def _follow_mains(self, fold: StepFold, look: step_fit.Look, rate_hz: float) -> bool:
+    def _follow_mains(self, fold: StepState, look: step_fit.ChunkFit, rate_hz: float) -> bool:
         """Move the step's mains lines to where they are heard; whether any was."""
         length_s, fit = fold.blocks / rate_hz, look.fits[0]
         tones = len(fold.multiples)
@@ -233,7 +241,7 @@ class Folder:
             def fit_at(hz: float, place: int = place) -> ToneFit:
                 trial = LockIn(rate_hz, np.concatenate([every_hz[:place], [hz], every_hz[place + 1 :]]), 1, self.width)
                 for span in fold.spans:
-                    trial.add(span.values[:, :1], span.first, span.sort % BANDS >= fold.least_band)
+                    trial.add(span.values[:, :1], span.first, span.sort % N_MASK_LEVELS >= fold.mask_level)
                 return trial.solve()
 
             begin_hz = line.hz
@@ -250,18 +258,18 @@ class Folder:
         fold, self.fold = self.fold, None
         if fold is None:
             return
-        self._close_chapter(fold)
+        self.flush_chunk(fold)
         self.done.append(None if fold.folded is None else step_fit.step_plate(self.recording, fold))
 
 
-def _left_by(fold: StepFold, fit: ToneFit, kept: int, rate_hz: float) -> tuple[Floats, Floats]:
+def _left_by(fold: StepState, fit: ToneFit, kept: int, rate_hz: float) -> tuple[Floats, Floats]:
     """What the fit leaves of the accelerometer's clear blocks, its tone ``kept`` left in; and when, in seconds."""
     own = LockIn(rate_hz, fit.frequencies_hz, 1, 1 if fold.folded is None else fold.folded.boxcar)
     z = np.delete(fit.amplitudes * own.response(), kept)
     turns = 2j * np.pi * np.delete(fit.frequencies_hz, kept)
     left, when = [], []
     for span in fold.spans:
-        clear = span.sort % BANDS >= fold.least_band
+        clear = span.sort % N_MASK_LEVELS >= fold.mask_level
         time_s = (span.first + np.flatnonzero(clear)) / rate_hz
         model = sum(((a * np.exp(w * time_s)).real for a, w in zip(z, turns, strict=True)), np.zeros(len(time_s)))
         left.append(span.values[clear, 0] - fit.offset - model)
@@ -269,22 +277,22 @@ def _left_by(fold: StepFold, fit: ToneFit, kept: int, rate_hz: float) -> tuple[F
     return np.concatenate(left), np.concatenate(when)
 
 
-def _least_band(fold: StepFold, folded: LockIn) -> int:
+def _least_band(fold: StepState, folded: LockIn) -> int:
     """The longest mask that leaves enough of the step to hold the forcing's tones.
 
     Impacts at the same phases of every cycle may leave holes that tones and harmonics fill at will; then the mask is
     shortened (the learnt waveform has been subtracted anyway) until no tone's uncertainty is more than `MOST_INFLATED`
     times that of an unmasked step.
     """
-    counts = folded.counts.reshape(3, BANDS).sum(axis=0)
+    counts = folded.counts.reshape(3, N_MASK_LEVELS).sum(axis=0)
     whole = int(counts.sum())
-    for band in range(BANDS - 1, 1, -1):
+    for band in range(N_MASK_LEVELS - 1, 1, -1):
         kept = int(counts[band:].sum())
         if kept > SURELY_CLEAR * whole:
             return band
         if kept < 8 * folded.frequencies_hz.size:
             continue
-        fold.least_band = band
+        fold.mask_level = band
         try:
             spread = np.diag(folded.part(fold.clear_sorts()).inverse())
         except ValueError:

@@ -16,7 +16,7 @@ LEAST_APART = 60  # block means on each side that contact and flight are told ap
 
 
 @dataclass(frozen=True)
-class Sides:
+class ContactFlightFit:
     """Normal equations of contact and of everything (volts), which tones are the forcing's, and the scale to m/s^2."""
 
     contact: LockIn

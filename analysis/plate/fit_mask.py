@@ -25,7 +25,7 @@ SLIGHT = 1e-9  # added to normal equations whose diagonal is 1
 
 
 @dataclass(frozen=True)
-class Kept:
+class FitIntervals:
     """Stretches that fits have seen, none of them across the bounds of a window or of a contact; arrays (r,).
 
     Attributes

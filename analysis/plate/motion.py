@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate.contact_flight_fit import Sides
-from analysis.plate.fit_mask import Kept
+from analysis.plate.contact_flight_fit import ContactFlightFit
+from analysis.plate.fit_mask import FitIntervals
 from daq.lock_in import ToneFit
 from model.tones import Plate
 
@@ -153,7 +153,7 @@ class StepPlate:
     multiples: tuple[int, ...]
     acceleration: ToneFit
     drive: ToneFit | None
-    sides: Sides
+    sides: ContactFlightFit
     gamma: float
     gamma_uncertainty: float
     gamma_peak: float
@@ -162,7 +162,7 @@ class StepPlate:
     masked: float
     windows: Windows
     slow: SlowMotion
-    kept: Kept
+    kept: FitIntervals
 
     @cached_property
     def _apart(self) -> tuple[ToneFit | None, ToneFit | None]:

@@ -17,18 +17,18 @@ def turns(omega: Array) -> Array:
     return np.column_stack([np.zeros(len(omega)), omega, -omega])
 
 
-def swollen(up: Complex, down: Complex, phase: Array) -> Complex:
+def modulated_projection(up: Complex, down: Complex, phase: Array) -> Complex:
     """Projections of tones times ``sin(w t + phase)``, from those shifted up and down by w, (n, a, b)."""
     turn = np.exp(1j * phase)[:, None, None]
     return np.asarray((turn * up - np.conj(turn) * down) / 2j)
 
 
-def both_senses(z: Complex) -> Complex:
+def two_sided(z: Complex) -> Complex:
     """Real tones (n, 2) as amplitudes of turns in both senses, (n, 4)."""
     return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)
 
 
-def mean_turn(span_s: Array, w: Array) -> Complex:
+def mean_phasor(span_s: Array, w: Array) -> Complex:
     """Mean of ``exp(i w t)`` over spans (n, 2) at each of ``w`` (f,), (f, n)."""
     middle, half = span_s.mean(axis=1), 0.5 * np.diff(span_s, axis=1)[:, 0]
     return np.asarray(np.exp(1j * w[:, None] * middle) * np.sinc(w[:, None] * half / np.pi))

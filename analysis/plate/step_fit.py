@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate.contact_flight_fit import Sides, scaled
-from analysis.plate.fit_mask import Kept
+from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
+from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import doubted
 from analysis.plate.motion import SlowMotion, StepPlate, Windows
 from analysis.plate.windows import second_look as fit_windows
@@ -23,7 +23,7 @@ from daq.setup.setup import Setup
 from model.tones import Plate
 
 if TYPE_CHECKING:
-    from analysis.plate.accumulator import StepFold
+    from analysis.plate.accumulator import StepState
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -35,7 +35,7 @@ SLOW_PER_CYCLE = 4.0  # values of the slow series per period of the forcing
 
 
 @dataclass(frozen=True)
-class Look:
+class ChunkFit:
     """What a second look at a chapter gave, in volts.
 
     ``slow`` at ``slow_s``; per window of a few cycles its middle ``time_s``, amplitudes (w, tones, channels) and the
@@ -51,10 +51,10 @@ class Look:
     spread: Floats
     noise: Floats
     fits: tuple[ToneFit, ToneFit]
-    kept: Kept
+    kept: FitIntervals
 
 
-def second_look(fold: StepFold, rate_hz: float) -> Look | None:
+def second_look(fold: StepState, rate_hz: float) -> ChunkFit | None:
     """Slow motion, and the forcing's tones a few cycles at a time; None where the tones cannot be fitted."""
     folded = fold.folded
     if folded is None:
@@ -72,7 +72,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
     bands = folding_bands(folded)
     parts, kept, counted = [], [], 0
     for span in fold.spans:
-        n, keep = span.sort.size, span.sort % bands >= fold.least_band
+        n, keep = span.sort.size, span.sort % bands >= fold.mask_level
         slow, seen = np.zeros(n // group), np.zeros(n // group, dtype=np.int64)
         windows = n // length
         gram, side, power = np.zeros((windows, q, q)), np.zeros((windows, q, 2)), np.zeros((windows, 2))
@@ -100,7 +100,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
         enough = used >= max(0.4 * length, 2 * q)
         of = np.append(np.where(enough, counted + np.cumsum(enough) - 1, -1), -1)
         within = of[np.minimum(np.arange(n) // length, windows)]
-        kept.append(Kept.of_blocks(span.first, keep, within, span.sort // bands == 0, 1.0 / rate_hz))
+        kept.append(FitIntervals.of_blocks(span.first, keep, within, span.sort // bands == 0, 1.0 / rate_hz))
         counted += int(enough.sum())
         slow = np.where(seen > 0, slow / np.maximum(seen, 1), np.nan)
         parts.append((slow_s, slow, *(column[enough] for column in (time_s, gram, side, power, used))))
@@ -114,7 +114,7 @@ def second_look(fold: StepFold, rate_hz: float) -> Look | None:
     freedom = float(count.sum()) - q * count.size
     noise = np.sqrt(left / freedom) if freedom > 0.0 else np.array([f.rms for f in fits])
     none = np.zeros(len(kept), dtype=np.int64)
-    return Look(slow_s, slow, time_s, z, spread, noise, fits, Kept.join(kept, none, none))
+    return ChunkFit(slow_s, slow, time_s, z, spread, noise, fits, FitIntervals.join(kept, none, none))
 
 
 def folding_bands(folded: LockIn) -> int:
@@ -122,7 +122,7 @@ def folding_bands(folded: LockIn) -> int:
     return folded.counts.size // 3
 
 
-def refined_hz(fold: StepFold, look: Look, has_drive: bool) -> tuple[float, float, bool] | None:
+def refined_hz(fold: StepState, look: ChunkFit, has_drive: bool) -> tuple[float, float, bool] | None:
     """Frequency, its uncertainty, and whether it differs from the step table's by more than chance.
 
     The phase of the strongest forcing tone is followed from window to window, in the drive where it was recorded (it
@@ -165,7 +165,7 @@ def gamma_peak_of(plate: Plate, frequency_hz: float, g_mps2: float) -> float:
     return float(np.max(-plate.acceleration_at(t))) / g_mps2
 
 
-def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
+def step_plate(recording: Recording, fold: StepState) -> StepPlate | None:
     """Everything about one step, in SI; None where the step is too short for its tones."""
     if fold.folded is None:
         return None
@@ -186,7 +186,7 @@ def step_plate(recording: Recording, fold: StepFold) -> StepPlate | None:
     quiet = min((float(k.noise[0]) for k in fold.looks), default=volts.rms) * abs(factor)
     acceleration = _without_swell(acceleration, windows, acceleration.amplitudes[rows], quiet)
     acceleration = doubted(acceleration, fold.mains, factor)
-    sides = Sides(fold.folded.part(fold.clear_sorts((0,))), total, tuple(rows), volts.rms, factor, zero_v)
+    sides = ContactFlightFit(fold.folded.part(fold.clear_sorts((0,))), total, tuple(rows), volts.rms, factor, zero_v)
     gamma = gamma_of(acceleration.amplitudes, multiples, setup, fold.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
     forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], acceleration.amplitudes[rows])
@@ -234,7 +234,7 @@ def _without_swell(fit: ToneFit, windows: Windows, tones: Complexes, quiet: floa
     return replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2)
 
 
-def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
+def _windows(fold: StepState, factor: float, tones: int) -> Windows:
     """All chapters' windows in one, in m/s^2."""
     if not fold.looks:
         none, nothing = np.zeros((0, tones), np.complex128), np.zeros((0, tones))
@@ -251,13 +251,13 @@ def _windows(fold: StepFold, factor: float, tones: int) -> Windows:
     )
 
 
-def _kept(fold: StepFold) -> Kept:
+def _kept(fold: StepState) -> FitIntervals:
     """All chapters' stretches in one, their windows counted on."""
     windows = np.cumsum([0] + [k.time_s.size for k in fold.looks[:-1]])
-    return Kept.join([k.kept for k in fold.looks], np.zeros(len(fold.looks), dtype=np.int64), windows)
+    return FitIntervals.join([k.kept for k in fold.looks], np.zeros(len(fold.looks), dtype=np.int64), windows)
 
 
-def _slow(fold: StepFold, factor: float) -> SlowMotion:
+def _slow(fold: StepState, factor: float) -> SlowMotion:
     """All chapters' slow motion in one, in m/s^2."""
     if not fold.looks:
         return SlowMotion(np.zeros(0), np.zeros(0))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.loop.close_loop import Loop
+from analysis.loop.close_loop import ClosedLoop
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
 from analysis.report.style import AFTER, BEFORE, FLOOR, figure
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 RULED = "#adb5bd"
 
 
-def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
+def draw_errors(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
     world = loop.world
     ev = world.evidence
@@ -62,11 +62,11 @@ def draw_errors(loop: Loop, folder: Path, badge: str) -> None:
         ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def _held(loop: Loop) -> NDArray[np.bool_]:
+def _held(loop: ClosedLoop) -> NDArray[np.bool_]:
     return ~loop.best.fitted.fitter.train
 
 
-def draw_candidates(loop: Loop, folder: Path, badge: str, limits: Any) -> None:
+def draw_candidates(loop: ClosedLoop, folder: Path, badge: str, limits: Any) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and what a gain must exceed."""
     rows = list(gains(loop).items())[:16][::-1]
     if not rows:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.loop.close_loop import Loop
+from analysis.loop.close_loop import ClosedLoop
 from analysis.report.gamma import gamma_scale
 from analysis.report.style import AFTER, BEFORE, FLOOR, clipped_dots, figure
 from analysis.residuals.covariates import COVARIATES, covariates
@@ -35,30 +35,30 @@ STILL = 1e-6  # relative spread of a covariate below which it has nothing to say
 TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
 
 
-def draw_landings(loop: Loop, folder: Path, badge: str) -> None:
+def draw_landings(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """Landing residuals, before and after, against nine covariates."""
     ev = loop.world.evidence
     before, after = (_of(loop, v, "landing_s") for v in _points(loop))
     _draw(loop, folder, badge, "residuals", "landing", LANDINGS, ev.judged, before, after, loop.noise_floor_us)
 
 
-def draw_takeoffs(loop: Loop, folder: Path, badge: str) -> None:
+def draw_takeoffs(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """Take-off residuals, before and after, against six covariates; nothing where no take-off was seen."""
     before, after = (_of(loop, v, "opening_s") for v in _points(loop))
     rows, floor = loop.world.opens, loop.takeoff_floor_us
     _draw(loop, folder, badge, "takeoffs", "take-off", TAKEOFFS, rows, before, after, floor)
 
 
-def _points(loop: Loop) -> tuple[Values, Values]:
+def _points(loop: ClosedLoop) -> tuple[Values, Values]:
     return loop.attribution.before.fitted.values, loop.best.fitted.values
 
 
-def _of(loop: Loop, values: Values, which: str) -> Array:
+def _of(loop: ClosedLoop, values: Values, which: str) -> Array:
     return np.asarray(1e6 * getattr(loop.world.residuals(values), which))
 
 
 def _draw(
-    loop: Loop,
+    loop: ClosedLoop,
     folder: Path,
     badge: str,
     name: str,
@@ -132,7 +132,7 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
     return middle, np.array([np.median(y[c]) for c in chosen])
 
 
-def draw_plate(loop: Loop, folder: Path, badge: str) -> None:
+def draw_plate(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """The plate against the drive: gain and phase over gamma, and every datum in standard deviations."""
     ev = loop.world.evidence
     data = ev.plate

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.loop.close_loop import Loop
+from analysis.loop.close_loop import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.wording import microseconds, plain, probability, rejected_in_words
 from analysis.residuals.covariates import COVARIATES
@@ -20,12 +20,12 @@ from model.effects.registry import effect
 LISTED = 3
 
 
-def reasoning(loop: Loop, limits: Thresholds = FROZEN) -> list[str]:
+def reasoning(loop: ClosedLoop, limits: Thresholds = FROZEN) -> list[str]:
     """Sentences in the order of the argument."""
     return [*_what_was_off(loop, limits), *_what_was_tried(loop), *why_this_verdict(loop)]
 
 
-def gains(loop: Loop) -> Mapping[str, tuple[float, float]]:
+def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
     """Held-out gain and standard error of every candidate added alone, in nats: of each set its best, largest first."""
     best: dict[str, tuple[float, float]] = {}
     for names, compared in loop.attribution.tried:
@@ -35,7 +35,7 @@ def gains(loop: Loop) -> Mapping[str, tuple[float, float]]:
     return dict(sorted(best.items(), key=lambda item: -item[1][0]))
 
 
-def _what_was_off(loop: Loop, limits: Thresholds) -> list[str]:
+def _what_was_off(loop: ClosedLoop, limits: Thresholds) -> list[str]:
     """The residuals of the declared model, channel by channel."""
     values = loop.attribution.before.fitted.values
     world = loop.world
@@ -60,7 +60,7 @@ def _what_was_off(loop: Loop, limits: Thresholds) -> list[str]:
     data = world.evidence.plate
     far = {KINDS[k]: float(np.sqrt(np.mean(z**2))) for k in np.unique(data.kind)
            if len(z := (residuals.plate / data.sigma)[data.kind == k])}  # fmt: skip
-    odd = sorted((n for n, z in far.items() if z > limits.plate_ratio), key=lambda n: -far[n])
+    odd = sorted((n for n, z in far.items() if z > limits.plate_rms_z), key=lambda n: -far[n])
     if odd:
         out.append("the plate differs from what the drive asks: " + ", ".join(
             f"{n} by {far[n]:.1f} standard deviations (rms)" for n in odd[:LISTED]) + ".")  # fmt: skip
@@ -69,7 +69,7 @@ def _what_was_off(loop: Loop, limits: Thresholds) -> list[str]:
     return out
 
 
-def _what_was_tried(loop: Loop) -> list[str]:
+def _what_was_tried(loop: ClosedLoop) -> list[str]:
     """The candidates of the first round, and what each further one brought."""
     ranked = gains(loop)
     out = []
@@ -91,7 +91,7 @@ def _what_was_tried(loop: Loop) -> list[str]:
     return out
 
 
-def why_this_verdict(loop: Loop) -> list[str]:
+def why_this_verdict(loop: ClosedLoop) -> list[str]:
     """The tests that the verdict rests on."""
     left, floor = loop.remainder, loop.noise_floor_us
     if loop.failed:
@@ -100,7 +100,7 @@ def why_this_verdict(loop: Loop) -> list[str]:
     return [f"{held}{microseconds(floor)} us; what is left looks like noise ({probability(left.p_lack_of_fit)})."]
 
 
-def _failure(loop: Loop, failed: Failed) -> str:
+def _failure(loop: ClosedLoop, failed: Failed) -> str:
     """A failed test in words."""
     left = loop.remainder
     if failed.test == "flights":

@@ -20,7 +20,7 @@ import numpy as np
 from analysis.flights.assemble import flights_of
 from analysis.flights.classify import Change
 from analysis.flights.compare import FirstBifurcation, compare
-from analysis.loop.close_loop import Loop, as_json, declared_after
+from analysis.loop.close_loop import ClosedLoop, as_json, declared_after
 from analysis.report.figures_loop import draw_candidates, draw_errors
 from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
 from analysis.report.figures_terms import draw_discovery
@@ -61,7 +61,9 @@ COLOURS = {"explained": "#2d6a4f", "unexplained": "#a4161a", "nothing_missing": 
 Progress = Callable[[str, float], None]
 
 
-def write_report(loop: Loop, recordings: Sequence[Path], folder: Path, *, progress: Progress | None = None) -> Path:
+def write_report(
+    loop: ClosedLoop, recordings: Sequence[Path], folder: Path, *, progress: Progress | None = None
+) -> Path:
     """Write ``report.html``, ``report.json`` and the pictures into ``folder``; returns the page's path.
 
     Parameters
@@ -127,7 +129,7 @@ def _rig(opened: Recording) -> str:
     return f"{setup.name} ({setup.description})" if setup.description else setup.name
 
 
-def _bifurcations(loop: Loop, recording: Path) -> dict[str, object] | None:
+def _bifurcations(loop: ClosedLoop, recording: Path) -> dict[str, object] | None:
     """First bifurcation in the data, by the declared model and by the improved one; None without enough flights."""
     setup = loop.world.evidence.setup
     with open_recording(recording) as opened:
@@ -168,7 +170,11 @@ def _picture(folder: Path, name: str) -> str:
 
 
 def _page(
-    loop: Loop, made: Sequence[dict[str, Any]], report: dict[str, str], folder: Path, first: dict[str, object] | None
+    loop: ClosedLoop,
+    made: Sequence[dict[str, Any]],
+    report: dict[str, str],
+    folder: Path,
+    first: dict[str, object] | None,
 ) -> str:
     scale = gamma_scale(loop.world.evidence.setup.forcing, loop.world.evidence.steps.ratio)
     simulated = any(m["simulated"] for m in made)
@@ -225,7 +231,7 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _definition(loop: Loop, scale: GammaScale) -> str:
+def _definition(loop: ClosedLoop, scale: GammaScale) -> str:
     """What the page means by gamma, once."""
     also = loop.discovered is not None and loop.discovered.of == "gamma" and scale.factor != 1.0
     return scale.definition + (" The discovered curve alone is over gamma = A w^2/g." if also else "")
@@ -249,7 +255,7 @@ def _provenance_table(made: Sequence[dict[str, Any]], report: dict[str, str]) ->
     return f"<table class='meta'>{body}</table>"
 
 
-def _errors_table(loop: Loop) -> str:
+def _errors_table(loop: ClosedLoop) -> str:
     b, a, floor = loop.before, loop.after, loop.noise_floor_us
 
     def us(value: float, low: float | None = None, high: float | None = None) -> str:
@@ -259,8 +265,8 @@ def _errors_table(loop: Loop) -> str:
     rms = [us(e.landing_rms_us, e.landing_rms_us_low, e.landing_rms_us_high) for e in (b, a)]
     rows = [
         ("landing times, rms", *rms, us(floor)),
-        ("landing times, robust", us(b.landing_robust_us), us(a.landing_robust_us), ""),
-        ("take-off times, robust", us(b.takeoff_robust_us), us(a.takeoff_robust_us), us(loop.takeoff_floor_us)),
+        ("landing times, robust", us(b.landing_nmad_us), us(a.landing_nmad_us), ""),
+        ("take-off times, robust", us(b.takeoff_nmad_us), us(a.takeoff_nmad_us), us(loop.takeoff_floor_us)),
         (
             "flight times, relative", f"{100 * b.flight_time_relative:.3f} %", f"{100 * a.flight_time_relative:.3f} %",
             "",
@@ -274,7 +280,7 @@ def _errors_table(loop: Loop) -> str:
     )
 
 
-def _effects_table(loop: Loop) -> str:
+def _effects_table(loop: ClosedLoop) -> str:
     if not loop.effects:
         return ""
     rows = "".join(
@@ -302,7 +308,7 @@ def _bifurcation_words(first: dict[str, object] | None, scale: GammaScale) -> st
     return _html(f"First bifurcation: in the data {measured}; before: {before}; after: {after}.").join(("<p>", "</p>"))
 
 
-def _reasoning(loop: Loop) -> str:
+def _reasoning(loop: ClosedLoop) -> str:
     summaries = [
         f"<li><b>{plain(f.name)}</b>: {html.escape(effect(f.name).effect.summary)}.</li>" for f in loop.effects
     ]
@@ -310,7 +316,7 @@ def _reasoning(loop: Loop) -> str:
     return f"<ol>{''.join(lines)}</ol>" + (f"<ul>{''.join(summaries)}</ul>" if summaries else "")
 
 
-def _alternatives(loop: Loop) -> str:
+def _alternatives(loop: ClosedLoop) -> str:
     others = others_in_words(loop)
     if not others:
         return "<p>No other named set of effects predicts the held-out steps as well.</p>"
@@ -326,10 +332,10 @@ def _alternatives(loop: Loop) -> str:
     )
 
 
-def _remains(loop: Loop) -> str:
+def _remains(loop: ClosedLoop) -> str:
     left = loop.remainder
     words = (
-        f"<p>Excess over the noise floor: {left.ratio:.2f} times (flights), {left.plate_ratio:.2f} times (plate); "
+        f"<p>Excess over the noise floor: {left.ratio:.2f} times (flights), {left.plate_rms_z:.2f} times (plate); "
         f"so much lack of fit by chance: {html.escape(probability(left.p_lack_of_fit))}.</p>"
     )
     if left.covariate:
@@ -340,7 +346,7 @@ def _remains(loop: Loop) -> str:
     return words + (f"<ul>{notes}</ul>" if notes else "")
 
 
-def _hidden(loop: Loop) -> str:
+def _hidden(loop: ClosedLoop) -> str:
     """Detection limits of effects that were not added, and what no size would have shown."""
     rows = "".join(
         f"<tr><td>{plain(name.partition('.')[0])}</td><td><code>{name.partition('.')[2]}</code></td>"

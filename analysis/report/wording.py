@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from analysis.loop.calibrations import fitted_calibrations
-from analysis.loop.close_loop import Found, Loop
+from analysis.loop.close_loop import ClosedLoop, Found
 from analysis.residuals.forward_model import DRIFT
 from model.effects.registry import effect
 
@@ -66,7 +66,7 @@ def size_of(found: Found) -> str:
     )
 
 
-def verdict_line(loop: Loop) -> str:
+def verdict_line(loop: ClosedLoop) -> str:
     """The verdict in one line, with the size of every added effect and its 95 % interval."""
     words = VERDICTS[loop.verdict]
     if not loop.effects:
@@ -75,12 +75,12 @@ def verdict_line(loop: Loop) -> str:
     return f"{words}; best so far, not believed: {added}" if loop.verdict == "unexplained" else f"{words} by {added}"
 
 
-def others_in_words(loop: Loop) -> list[str]:
+def others_in_words(loop: ClosedLoop) -> list[str]:
     """Sets of effects that the data cannot tell from the best one."""
     return [" + ".join(plain(n) for n in x.names) for x in loop.attribution.ties[1:]]
 
 
-def rejected_in_words(loop: Loop) -> str:
+def rejected_in_words(loop: ClosedLoop) -> str:
     """The best candidate that was refused, with its gain and the reason; empty where none gained anything."""
     x = loop.rejected
     if x is None:
@@ -89,7 +89,7 @@ def rejected_in_words(loop: Loop) -> str:
     return f"best rejected candidate: {names}, {x.gain:.0f} +- {x.error:.0f} nats; rejected because {x.reason}"
 
 
-def moved_calibrations(loop: Loop) -> list[str]:
+def moved_calibrations(loop: ClosedLoop) -> list[str]:
     """Calibrations that the fit has moved by more than their stated uncertainty, a line each."""
     return [
         f"calibration {plain(c.effect)}, {c.parameter}: fitted {plus_minus(c.value, c.sigma)}, stated "

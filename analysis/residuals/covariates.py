@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.residuals.forward_model import Values, World
+from analysis.residuals.forward_model import ForwardModel, Values
 from model.integrator.one_step import PlateSteps
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ COVARIATES: Mapping[str, Covariate] = {
 }
 
 
-def covariates(world: World, values: Values) -> dict[str, Array]:
+def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     """Covariates of every flight of the evidence.
 
     Parameters

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.residuals.modulation import Swells
-from analysis.residuals.observations import Evidence
+from analysis.residuals.modulation import AmplitudeModulation
+from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import INEXACT, Ringing
-from analysis.residuals.plate_observables import doubt_of_squares, expected
+from analysis.residuals.plate_observables import expected, power_uncertainty
 from model.effects.registry import effect, offsets, registry, row
 from model.integrator.one_step import Predicted, one_ahead
 
 Array = NDArray[np.float64]
-Key = tuple[str, str]
-Values = Mapping[Key, float]
+ParameterId = tuple[str, str]
+Values = Mapping[ParameterId, float]
 
 DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
 FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
@@ -65,7 +65,7 @@ class Residuals:
     predicted: Predicted
 
 
-class World:
+class ForwardModel:
     """The evidence with everything that turns parameter values into residuals.
 
     Parameters
@@ -76,7 +76,7 @@ class World:
         Declared effects, by effect and parameter: the model before anything is added.
     """
 
-    def __init__(self, evidence: Evidence, base: Mapping[str, Mapping[str, float]]) -> None:
+    def __init__(self, evidence: Observations, base: Mapping[str, Mapping[str, float]]) -> None:
         self.evidence, self.declared = evidence, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
         self.gravity = evidence.setup.g_mps2.value
@@ -88,7 +88,7 @@ class World:
         self._cache: dict[tuple[object, ...], Predicted] = {}
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
-    def start(self, values: Values) -> dict[Key, float]:
+    def start(self, values: Values) -> dict[ParameterId, float]:
         """All non-absent parameters: the base, overridden by ``values``."""
         return {**self.base, **values}
 
@@ -182,7 +182,7 @@ class World:
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
-    def _swell(self, values: Values) -> tuple[Swells, Array, float] | None:
+    def _swell(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
         """A swell of the plate's amplitude: what steps and windows say of it, its depth in each step, its frequency."""
         if self.evidence.swells is None:
             return None
@@ -230,7 +230,7 @@ class World:
         if (swell := self._swell(values)) is not None:
             swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
             said, vague = said + swelling, np.hypot(vague, leaking)
-        vague = np.hypot(vague, doubt_of_squares(ev.plate, said))
+        vague = np.hypot(vague, power_uncertainty(ev.plate, said))
         plate = ev.plate.sigma / np.hypot(ev.plate.sigma, vague) * (ev.plate.value - said)
         return Residuals(opening, landing, plate, p)
 

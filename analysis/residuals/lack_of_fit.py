@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.covariates import covariates
-from analysis.residuals.forward_model import EDGE_STEP_S, Uncertainty, Values, World
+from analysis.residuals.forward_model import EDGE_STEP_S, ForwardModel, Uncertainty, Values
 from analysis.residuals.noise_model import LEAST_EXCESS_S, SHARED_S
 from analysis.residuals.prediction_errors import fragile
 from analysis.thresholds import FROZEN
@@ -35,7 +35,7 @@ LEAST_OF_KIND = 6
 
 
 @dataclass(frozen=True)
-class Remainder:
+class GoodnessOfFit:
     """What an explanation leaves.
 
     Attributes
@@ -44,7 +44,7 @@ class Remainder:
         Probability of so much structure or scatter from noise alone, all tests together (Bonferroni).
     ratio
         Root mean square of the residuals over their uncertainty, of openings or of landings, whichever is more.
-    plate_ratio
+    plate_rms_z
         The same of the plate data, of the worst kind.
     covariate
         Name of the covariate (see `analysis.residuals.covariates.COVARIATES`) that carries the remainder; None for
@@ -57,7 +57,7 @@ class Remainder:
 
     p_lack_of_fit: float
     ratio: float
-    plate_ratio: float
+    plate_rms_z: float
     covariate: str | None
     p_covariates: Mapping[str, float]
     p_between: float
@@ -75,7 +75,7 @@ class Innovations:
     step: NDArray[np.int64]
 
 
-def remainder(world: World, explanation: Explanation) -> Remainder:
+def remainder(world: ForwardModel, explanation: Hypothesis) -> GoodnessOfFit:
     """Test what ``explanation`` leaves, on all steps.
 
     Parameters
@@ -96,9 +96,9 @@ def remainder(world: World, explanation: Explanation) -> Remainder:
     first = min(logs, key=lambda name: logs[name])
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
     between, scatter, serial = _p_between(found), _p_scatter(found.z), _p_serial(found)
-    return Remainder(
+    return GoodnessOfFit(
         min(1.0, 4.0 * min(p_first, between, scatter, serial)),
-        ratio_of(world, values, u),
+        rms_standardised(world, values, u),
         plate_ratio_of(world, values),
         first if p_first < FROZEN.lack_p else None,
         {k: math.exp(v) for k, v in logs.items()},
@@ -108,7 +108,7 @@ def remainder(world: World, explanation: Explanation) -> Remainder:
     )
 
 
-def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
+def rms_standardised(world: ForwardModel, values: Values, u: Uncertainty) -> float:
     """Root mean square of residuals over uncertainty, cut at `FARTHEST`; of openings or landings, the greater."""
     r = world.residuals(values)
     out, firm = [0.0], ~fragile(world, values)  # whether the others happen at all hangs on less than is known
@@ -121,7 +121,7 @@ def ratio_of(world: World, values: Values, u: Uncertainty) -> float:
     return max(out)
 
 
-def plate_ratio_of(world: World, values: Values) -> float:
+def plate_ratio_of(world: ForwardModel, values: Values) -> float:
     """Root mean square of normalised plate residuals of the kind that fits worst, drawn to 1 where few."""
     data = world.evidence.plate
     z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST, FARTHEST)
@@ -137,7 +137,7 @@ def _unit(residual: Array, sigma: Array) -> Array:
     return np.clip(np.where(np.isfinite(residual), residual / sigma, FARTHEST), -FARTHEST, FARTHEST)
 
 
-def innovations(world: World, values: Values, u: Uncertainty) -> Innovations:
+def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovations:
     """Residuals of each step, each less what the earlier ones say of it, over what then remains uncertain."""
     ev = world.evidence
     r = world.residuals(values)
@@ -164,7 +164,7 @@ def innovations(world: World, values: Values, u: Uncertainty) -> Innovations:
     return Innovations(np.clip(z, -CLIPPED, CLIPPED), event, landing, step)
 
 
-def _carried(world: World, values: Values) -> tuple[Array, Array]:
+def _carried(world: ForwardModel, values: Values) -> tuple[Array, Array]:
     """Change of predicted openings and landings with the landing one and two flights before, (n, 2) each."""
     base, n = world.predict(values), len(world.evidence)
     index = np.arange(n)
@@ -180,7 +180,11 @@ def _carried(world: World, values: Values) -> tuple[Array, Array]:
 
 
 def _noise(
-    world: World, u: Uncertainty, carried: tuple[Array, Array], event: NDArray[np.int64], landing: NDArray[np.bool_]
+    world: ForwardModel,
+    u: Uncertainty,
+    carried: tuple[Array, Array],
+    event: NDArray[np.int64],
+    landing: NDArray[np.bool_],
 ) -> Array:
     """Covariance of one step's residuals, (k, k), s^2."""
     ev = world.evidence

@@ -15,9 +15,9 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.plate.fit_mask import Kept
+from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
-from analysis.plate.phasors import both_senses, mean_turn, swollen, turns
+from analysis.plate.phasors import mean_phasor, modulated_projection, turns, two_sided
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from model.integrator.one_step import PlateSteps
 
@@ -43,7 +43,7 @@ PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gain
 
 
 @dataclass(frozen=True)
-class Swells:
+class AmplitudeModulation:
     """What windows within steps, and the steps' gains, say of a swell.
 
     Attributes
@@ -76,7 +76,7 @@ class Swells:
     window_span_s: Array
     value: Array
     sigma: Array
-    kept: Kept
+    kept: FitIntervals
 
     @classmethod
     def of(cls, fitted: Sequence[StepPlate], spans_s: Array, data: PlateData) -> Self:
@@ -108,7 +108,7 @@ class Swells:
         runs = np.cumsum([0] + [int(p.recording.max(initial=-1)) + 1 for p in parts[:-1]])
         columns["window_step"] = np.concatenate([p.window_step + s for p, s in zip(parts, steps, strict=True)])
         windows = np.cumsum([0] + [len(p.value) for p in parts[:-1]])
-        columns["kept"] = Kept.join([p.kept for p in parts], steps, windows)
+        columns["kept"] = FitIntervals.join([p.kept for p in parts], steps, windows)
         columns["recording"] = np.concatenate([p.recording + r for p, r in zip(parts, runs, strict=True)])
         return cls(**columns)
 
@@ -167,8 +167,8 @@ class Swells:
         out = np.zeros(len(hz))
         for first in range(0, len(hz), CHUNK):
             some = slice(first, first + CHUNK)
-            steps = mean_turn(self.span_s, 2.0 * np.pi * hz[some])
-            windows = mean_turn(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
+            steps = mean_phasor(self.span_s, 2.0 * np.pi * hz[some])
+            windows = mean_phasor(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
             rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
             for r in self._runs:
                 normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
@@ -190,10 +190,10 @@ class Swells:
         return np.asarray(0.5 * len(gain) * np.log((total + least) / np.maximum(total - gained + least, TINY)))
 
     @cached_property
-    def _pitches(self) -> dict[float, _Pitch]:
+    def _pitches(self) -> dict[float, ModulationFit]:
         return {}
 
-    def _pitch(self, hz: float) -> _Pitch:
+    def _pitch(self, hz: float) -> ModulationFit:
         """Projections at a frequency and the swell of each recording that fits windows and gains best."""
         found = self._pitches.get(hz)
         if found is None:
@@ -205,11 +205,11 @@ class Swells:
             every, forced = _in_both_senses(self.seen_mps2 != 0.0), _in_both_senses(self._forced)
             up, down = (self.kept.projected(e, every, own[:, 1:], x)[:, 1:] for x in (w, -w))
             in_up, in_down = (windows.projected(own[of], forced[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
-            pitch = _Pitch(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
+            pitch = ModulationFit(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
             found = self._pitches[hz] = replace(pitch, swell=self._fitted(pitch))
         return found
 
-    def _fitted(self, pitch: _Pitch) -> Complex:
+    def _fitted(self, pitch: ModulationFit) -> Complex:
         """Depth and phase, ``depth exp(i phase)``, of each recording's swell, by least squares, (recordings,)."""
         swell = pitch.swell
         slopes = [
@@ -227,7 +227,7 @@ class Swells:
             swell = swell * np.minimum(1.0, DEEPEST / np.maximum(np.abs(swell), DEEPEST))
         return swell
 
-    def _model(self, pitch: _Pitch, swell: Complex) -> tuple[Array, Array]:
+    def _model(self, pitch: ModulationFit, swell: Complex) -> tuple[Array, Array]:
         """What a swell of each recording makes of the windows, (w,), and of the steps' gains, (m,)."""
         depth, phase = np.abs(swell)[self.recording], np.angle(swell)[self.recording]
         true = self._true(self.seen_mps2, pitch, depth, phase)
@@ -303,15 +303,15 @@ class Swells:
 
     def _means(self, hz: float) -> Array:
         """Mean of the swell of depth 1 over each step, (m,)."""
-        turned = mean_turn(self.span_s, np.array([2.0 * np.pi * hz]))[0]
+        turned = mean_phasor(self.span_s, np.array([2.0 * np.pi * hz]))[0]
         return np.asarray((np.exp(1j * self.phases(hz)) * turned).imag)
 
-    def _in_windows(self, seen: Complex, true: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Array:
+    def _in_windows(self, seen: Complex, true: Complex, pitch: ModulationFit, depth: Array, phase: Array) -> Array:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
         of, forced = self.window_step, self._forced
-        z = both_senses(np.where(forced, true[:, :2], 0.0))[of]
-        false = both_senses((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
-        swelling = swollen(pitch.window_up, pitch.window_down, phase[of])
+        z = two_sided(np.where(forced, true[:, :2], 0.0))[of]
+        false = two_sided((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
+        swelling = modulated_projection(pitch.window_up, pitch.window_down, phase[of])
         found = z + depth[of, None] * (swelling @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
         own = np.where(forced, seen[:, :2], 0.0)[of]
         power = np.sum(np.abs(own) ** 2, axis=1)
@@ -336,17 +336,17 @@ class Swells:
         out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
         return out
 
-    def _true(self, seen: Complex, pitch: _Pitch, depth: Array, phase: Array) -> Complex:
+    def _true(self, seen: Complex, pitch: ModulationFit, depth: Array, phase: Array) -> Complex:
         """The tones without the share that the swell has in the fits ``seen``, (m, k)."""
         k = self.omega_radps.shape[1]
-        swelling = swollen(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
+        swelling = modulated_projection(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
         change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
         change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * swelling
-        return np.asarray(2.0 * np.linalg.solve(change, both_senses(seen)[..., None])[:, :k, 0])
+        return np.asarray(2.0 * np.linalg.solve(change, two_sided(seen)[..., None])[:, :k, 0])
 
 
 @dataclass(frozen=True)
-class _Pitch:
+class ModulationFit:
     """Projections at one frequency: of the forcing's two tones in both senses, shifted up and down by it, on the tones
     of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the swell of each recording."""
 
@@ -370,11 +370,11 @@ def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
     return omega, z
 
 
-def _kept(fitted: Sequence[StepPlate]) -> Kept:
+def _kept(fitted: Sequence[StepPlate]) -> FitIntervals:
     """What the fits of all steps have seen; windows of steps that have too few of them are none."""
     count = [len(s.windows.time_s) if len(s.windows.time_s) >= LEAST_WINDOWS else 0 for s in fitted]
     parts = [replace(s.kept, window=np.where(n > 0, s.kept.window, -1)) for s, n in zip(fitted, count, strict=True)]
-    return Kept.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
+    return FitIntervals.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
 
 
 def _in_both_senses(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
-ASTRAY = 0.03  # share of events that may be another one than predicted: anywhere within a period
+OUTLIER_FRACTION = 0.03  # share of events that may be another one than predicted: anywhere within a period
 T_PEAK = 0.3796  # density of that t at its centre
 LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
 SHARED_S = 1e-6  # by which all edges of one kind in a step may be off together: the circuit's own physics
@@ -22,7 +22,7 @@ NEVER = -np.inf
 
 def log_odds(sigma_s: Array, period_s: Array) -> Array:
     """Density of "another event" relative to that of a perfect hit of width ``sigma_s``, as a logarithm."""
-    return np.asarray(np.log(ASTRAY / (1.0 - ASTRAY) / T_PEAK * sigma_s / period_s))
+    return np.asarray(np.log(OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK * sigma_s / period_s))
 
 
 def robust_loss(z: Array, odds: Array | float = NEVER) -> Array:
@@ -37,7 +37,7 @@ def robust_weight(z: Array, odds: Array | float = NEVER) -> Array:
     return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z) * np.exp(inlier - np.logaddexp(inlier, odds)))
 
 
-def excess_of(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[float, float]:
+def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[float, float]:
     """Scatter beyond the uncertainty, by maximum likelihood on a grid; and the loss with it."""
     if len(residual_s) == 0:
         return LEAST_EXCESS_S, 0.0

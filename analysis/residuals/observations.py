@@ -18,7 +18,7 @@ from analysis.events.edge_jitter import with_jitter
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.measure import StepPlate
-from analysis.residuals.modulation import Swells
+from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
@@ -81,7 +81,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Observations:
     """Events, steps and plate data of one or several recordings of one rig.
 
     Attributes
@@ -124,16 +124,16 @@ class Evidence:
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     hints_hz: tuple[float, ...] = ()
-    swells: Swells | None = None
+    swells: AmplitudeModulation | None = None
     closure_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.judged)
 
 
-def evidence_of(
+def observations_from(
     paths: Sequence[Path], *, setup: Setup | None = None, progress: Callable[[str, float], None] | None = None
-) -> Evidence:
+) -> Observations:
     """Reduce recordings to evidence.
 
     Parameters
@@ -177,7 +177,7 @@ def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float
     return lambda part: progress(name, part)
 
 
-def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
+def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
     """Evidence of a single recording."""
     fitted = [s for s in flights.plate.steps if s is not None]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
@@ -218,7 +218,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
-    return Evidence(
+    return Observations(
         measured,
         sigmas_open,
         sigmas_land,
@@ -233,7 +233,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Evidence:
         notes=notes,
         hints_hz=hints,
         closure_s=_closure_s(measured),
-        swells=Swells.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+        swells=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
 
@@ -329,11 +329,11 @@ def _events(
     return Measured(opening, landing, at_once, linked, step.astype(np.int64), judged), judged, keep
 
 
-def join(parts: Sequence[Evidence]) -> Evidence:
+def join(parts: Sequence[Observations]) -> Observations:
     """One table of several recordings' evidence."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
 
-    def column(of: Callable[[Evidence], NDArray[Any]]) -> NDArray[Any]:
+    def column(of: Callable[[Observations], NDArray[Any]]) -> NDArray[Any]:
         return np.concatenate([of(p) for p in parts])
 
     measured = Measured(
@@ -358,7 +358,7 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         spread_mps2=column(lambda p: p.steps.spread_mps2),
         forcing=column(lambda p: p.steps.forcing),
     )
-    return Evidence(
+    return Observations(
         measured=measured,
         opening_sigma_s=column(lambda p: p.opening_sigma_s),
         landing_sigma_s=column(lambda p: p.landing_sigma_s),
@@ -373,5 +373,7 @@ def join(parts: Sequence[Evidence]) -> Evidence:
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
-        swells=Swells.join(swells) if (swells := [p.swells for p in parts if p.swells is not None]) else None,
+        swells=AmplitudeModulation.join(swells)
+        if (swells := [p.swells for p in parts if p.swells is not None])
+        else None,
     )

@@ -13,9 +13,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.plate.fit_mask import Kept, solved
+from analysis.plate.fit_mask import FitIntervals, solved
 from analysis.plate.phasors import turns
-from analysis.residuals.modulation import Swells
+from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
 from model.integrator.one_step import PlateSteps, Predicted
 
@@ -60,7 +60,7 @@ class Loading:
 
 @dataclass(frozen=True)
 class Ringing:
-    """Fits that hear a plate mode; an `model.integrator.one_step.Ear`.
+    """Fits that hear a plate mode; an `model.integrator.one_step.ToneProbe`.
 
     Attributes
     ----------
@@ -76,14 +76,14 @@ class Ringing:
         Which of the fitted tones each of the plate's is, (m, j).
     """
 
-    kept: Kept
+    kept: FitIntervals
     omega_radps: Array
     seen_mps2: Complex
     tones: Ints
     place: Ints
 
     @classmethod
-    def of(cls, swells: Swells, plate: PlateSteps) -> Self:
+    def of(cls, swells: AmplitudeModulation, plate: PlateSteps) -> Self:
         """From the fits of the steps and the plate made of them."""
         apart = np.abs(plate.omega_radps[:, :, None] - swells.omega_radps[:, None, :])
         omega = np.column_stack([np.zeros(len(swells.omega_radps)), swells.omega_radps])

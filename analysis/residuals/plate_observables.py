@@ -208,7 +208,7 @@ def _square_sigma(square: float, noise: float) -> float:
     return float(np.sqrt(4.0 * square * noise**2 + 4.0 * noise**4))
 
 
-def doubt_of_squares(data: PlateData, said: Array) -> Array:
+def power_uncertainty(data: PlateData, said: Array) -> Array:
     """What an amplitude that is said to be larger than it was measured adds to the uncertainty of its square, (r,).
 
     Noise times the amplitude is what a square errs by, and chance may have made the measured one small.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.residuals.forward_model import Key, World
+from analysis.residuals.forward_model import ForwardModel, ParameterId
 from model.integrator.one_step import Predicted
 
 Array = NDArray[np.float64]
@@ -29,11 +29,11 @@ class Errors:
 
     Attributes
     ----------
-    landing_rms_us, landing_robust_us
+    landing_rms_us, landing_nmad_us
         Root mean square, and 1.48 times the median absolute deviation, of the landing times.
     landing_rms_us_low, landing_rms_us_high
         95 % interval of the rms, by resampling whole steps.
-    takeoff_robust_us, takeoff_rms_us
+    takeoff_nmad_us, takeoff_rms_us
         The same of the take-off times that were seen; NaN where no flight began from rest.
     flight_time_relative
         Median absolute error of the flight times over the measured flight time.
@@ -44,15 +44,17 @@ class Errors:
     landing_rms_us: float
     landing_rms_us_low: float
     landing_rms_us_high: float
-    landing_robust_us: float
-    takeoff_robust_us: float
+    landing_nmad_us: float
+    takeoff_nmad_us: float
     takeoff_rms_us: float
     flight_time_relative: float
     flights: int
     left_out: float
 
 
-def judged_rows(world: World, values: Mapping[Key, float], steps: NDArray[np.bool_]) -> tuple[NDArray[np.int64], float]:
+def judged_rows(
+    world: ForwardModel, values: Mapping[ParameterId, float], steps: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], float]:
     """Flights of ``steps`` (m,) that count at ``values``, and the fraction left out for grazing."""
     ev = world.evidence
     rows = np.flatnonzero(ev.judged & steps[ev.measured.step])
@@ -62,7 +64,7 @@ def judged_rows(world: World, values: Mapping[Key, float], steps: NDArray[np.boo
     return rows[keep], 1.0 - float(keep.mean())
 
 
-def fragile(world: World, values: Mapping[Key, float]) -> NDArray[np.bool_]:
+def fragile(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:
     """Flights whose landing cannot be predicted from what was measured, (n,): no residual is looked at.
 
     Either its uncertainty is `GRAZING` times the usual one, or the prediction leaps by as much as that would mean when
@@ -93,8 +95,8 @@ def _leaps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]
     return np.asarray(lost | (np.abs(moved.landing_s - base.landing_s) > far_s))
 
 
-def errors_on(
-    world: World, values: Mapping[Key, float], rows: NDArray[np.int64], left_out: float, seed: int = 0
+def held_out_errors(
+    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64], left_out: float, seed: int = 0
 ) -> Errors:
     """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
     ev = world.evidence
@@ -132,7 +134,9 @@ def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator
     return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
 
 
-def noise_floors_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> tuple[float, float]:
+def noise_floors_us(
+    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64]
+) -> tuple[float, float]:
     """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
 
     Returns
@@ -146,7 +150,7 @@ def noise_floors_us(world: World, values: Mapping[Key, float], rows: NDArray[np.
 
 
 def noise_quantiles_us(
-    world: World, values: Mapping[Key, float], rows: NDArray[np.int64], seed: int = 0
+    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64], seed: int = 0
 ) -> tuple[float, float]:
     """Root mean squares that noise alone exceeds in one of a thousand such sets of flights.
 
@@ -177,7 +181,7 @@ def noise_quantiles_us(
     )
 
 
-def noise_floor_us(world: World, values: Mapping[Key, float], rows: NDArray[np.int64]) -> float:
+def noise_floor_us(world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64]) -> float:
     """That of the landings alone."""
     return noise_floors_us(world, values, rows)[0]
 

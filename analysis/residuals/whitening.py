@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from analysis.residuals.forward_model import FARTHEST_PERIODS, Residuals, Values, World
+from analysis.residuals.forward_model import FARTHEST_PERIODS, ForwardModel, Residuals, Values
 from analysis.residuals.noise_model import (
     LEAST_EXCESS_S,
     NEVER,
     SHARED_S,
-    excess_of,
+    excess_noise,
     log_odds,
     plate_scale,
     robust_loss,
@@ -70,7 +70,7 @@ class Whitener:
     lost: bool  # whether landings miss by so much that a fit may begin on the wrong branch
 
     @classmethod
-    def of(cls, world: World, values: Values, *, lean: bool = False) -> Whitener:
+    def of(cls, world: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
         """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
         ev = world.evidence
         u, r = world.uncertainty(values), world.residuals(values)
@@ -81,8 +81,8 @@ class Whitener:
         bare = _capped(np.concatenate([r.opening_s[opening], r.landing_s[landing]]), FARTHEST_PERIODS * period)
         total = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
         excess = (
-            excess_of(bare[first], total[first], period[first])[0],
-            excess_of(bare[~first], total[~first], period[~first])[0],
+            excess_noise(bare[first], total[first], period[first])[0],
+            excess_noise(bare[~first], total[~first], period[~first])[0],
         )
         if lean:
             excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
@@ -133,7 +133,7 @@ class Whitener:
         channel = np.arange(len(events)) < len(self.opening)
         total = 0.0
         for rows in (channel & train[step], ~channel & train[step]):
-            total += excess_of(events[rows], self.total_s[rows], self.period_s[rows])[1]
+            total += excess_noise(events[rows], self.total_s[rows], self.period_s[rows])[1]
         rows = train[plate.step]
         sigma, log = plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
         return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
@@ -276,7 +276,7 @@ def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, s
                     y[j, c] += total * shared[j, q]
 
 
-def step_losses(world: World, whitener: Whitener, r: Residuals) -> dict[str, Array]:
+def step_losses(world: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Array]:
     """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
     m, n = len(world.evidence.steps), len(whitener.step)
     events, plate = whitener.white(r)

@@ -11,7 +11,7 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from analysis.loop.close_loop import Loop
+    from analysis.loop.close_loop import ClosedLoop
     from analysis.loop.design import Ranked
 
 
@@ -79,7 +79,7 @@ def command(
 
 
 def _outputs(
-    loop: Loop,
+    loop: ClosedLoop,
     recordings: list[Path],
     json: str | None,
     report: Path | None,

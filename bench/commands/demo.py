@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from analysis.loop.close_loop import Loop
+    from analysis.loop.close_loop import ClosedLoop
     from rig.profile import Profile
     from rig.sim.scenario import Scenario
 
@@ -179,7 +179,7 @@ def _reprocess(recording: Path, folder: Path) -> None:
             typer.echo(f"       {line}")
 
 
-def _close(recording: Path, folder: Path) -> tuple[Loop, bool]:
+def _close(recording: Path, folder: Path) -> tuple[ClosedLoop, bool]:
     """Close the loop, show the verdict, then write it; whether everything could be written."""
     from analysis.loop.close_loop import as_json, close_loop
     from analysis.report.page import write_report

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from analysis.loop.close_loop import Loop, close_loop
+from analysis.loop.close_loop import ClosedLoop, close_loop
 from analysis.thresholds import FROZEN
 from daq.setup.errors import InputError
 
@@ -17,7 +17,7 @@ MOST_RUNS = 4
 
 def until_clear(
     recordings: list[Path], scenario: Path | None, seed: int, *, say: Callable[[str], None], quiet: bool
-) -> tuple[Loop, list[Path], str]:
+) -> tuple[ClosedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would tell them apart.
 
     Parameters

@@ -10,13 +10,13 @@ import datetime
 from pathlib import Path
 
 from analysis.drop.declare import Measured, declare
-from analysis.loop.close_loop import Loop
+from analysis.loop.close_loop import ClosedLoop
 from analysis.residuals.forward_model import DRIFT
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 
 
-def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = None) -> list[str]:
+def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | None = None) -> list[str]:
     """Write the profile of ``recording`` with the effects of ``loop`` declared in it to the new file ``path``.
 
     A loop whose verdict is "unexplained" declares nothing; its effects are written as comments, ready to be declared by
@@ -74,7 +74,7 @@ def write_improved(loop: Loop, recording: Path, path: Path, text: str | None = N
     return [f"improved profile: {path}", *(f"  not declared in it: {words}" for words in (*refused, *left))]
 
 
-def not_declared(loop: Loop) -> list[str]:
+def not_declared(loop: ClosedLoop) -> list[str]:
     """What was found and no profile can hold: a trend during the run, and a term without a name."""
     left = []
     for name, q in loop.best.free:

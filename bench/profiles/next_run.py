@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.loop.close_loop import Loop
+from analysis.loop.close_loop import ClosedLoop
 from analysis.loop.design import Design, Ranked, designs_for, rank
 from daq.recording import open_recording
 from daq.setup.errors import InputError
@@ -68,7 +68,7 @@ def _put(lines: list[str], section: str, key: str, value: str) -> None:
         lines[at] = f"{key} = {value}"
 
 
-def possible_runs(loop: Loop, recording: Path) -> list[Ranked]:
+def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
     """Ranked next runs that the rig's limits allow; every design where the recording's profile has no ramp."""
     from bench.commands.plan import planned
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 
-from analysis.loop.close_loop import Loop
+from analysis.loop.close_loop import ClosedLoop
 from analysis.report.narrative import why_this_verdict
 from analysis.report.wording import microseconds, moved_calibrations, others_in_words, rejected_in_words, verdict_line
 from daq.setup.errors import InputError
 
 
-def show(loop: Loop) -> None:
+def show(loop: ClosedLoop) -> None:
     """Print verdict, errors before and after, and the course of the search."""
     from rich.console import Console
     from rich.table import Table
@@ -31,8 +31,8 @@ def show(loop: Loop) -> None:
     table = Table("held-out steps", "before", "after", "noise floor")
     for name, before, after, floor in (
         ("landing, rms (us)", b.landing_rms_us, a.landing_rms_us, microseconds(loop.noise_floor_us)),
-        ("landing, robust (us)", b.landing_robust_us, a.landing_robust_us, ""),
-        ("take-off, robust (us)", b.takeoff_robust_us, a.takeoff_robust_us, microseconds(loop.takeoff_floor_us)),
+        ("landing, robust (us)", b.landing_nmad_us, a.landing_nmad_us, ""),
+        ("take-off, robust (us)", b.takeoff_nmad_us, a.takeoff_nmad_us, microseconds(loop.takeoff_floor_us)),
     ):
         table.add_row(name, microseconds(before), microseconds(after), floor)
     table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")

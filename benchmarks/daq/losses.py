@@ -12,7 +12,7 @@ import argparse
 
 import numpy as np
 
-from daq.clocks.sample_loss import LossFinder
+from daq.clocks.sample_loss import LossDetector
 from daq.recording.tables import Block
 
 RATE_HZ = 20_000.0
@@ -42,7 +42,7 @@ def run(rng: np.random.Generator, lost: int, ratio: int, seconds: float = 6.0) -
     codes = np.rint(heard / 10 * 32768).astype(np.int16)
     at = int(rng.integers(20_000, n - 30_000))
     kept = np.r_[0:at, at + lost : n]
-    finder = LossFinder(RATE_HZ)
+    finder = LossDetector(RATE_HZ)
     found: list[tuple[int, int, int]] = [(at, lost, 0)]
     blocks: list[Block] = []
     start = 0

@@ -23,8 +23,8 @@ import numpy as np
 import daq.clocks.sample_loss
 import daq.clocks.slip
 from daq.clocks.loss_search import Beside
-from daq.clocks.sample_loss import LossFinder
-from daq.clocks.slip import Played, SlipFit
+from daq.clocks.sample_loss import LossDetector
+from daq.clocks.slip import PlayedBuffer, SlipFit
 from daq.recording.tables import Block, BlockFlag
 
 RATE_HZ, FREQUENCY_HZ, BLOCK = 48_000.0, 25.37, 1024
@@ -82,10 +82,10 @@ def counted(counter: Counter) -> Iterator[None]:
         setattr(owner, name, call)
 
     wrap(SlipFit, "add", lambda fit, played, heard, first: (FIT_SUMS + 8) * len(heard))
-    wrap(Played, "piece", lambda played, start, stop: 2 * abs(stop - start))
-    wrap(Played, "add", lambda played, drive_v: 2 * len(drive_v))
-    wrap(LossFinder, "_volts", lambda finder: 4 * finder._n_waiting)  # concatenated, its mean, spread and extremes
-    wrap(LossFinder, "_settled", lambda finder, *found: finder._n_waiting + 2 * finder._chunk)
+    wrap(PlayedBuffer, "piece", lambda played, start, stop: 2 * abs(stop - start))
+    wrap(PlayedBuffer, "add", lambda played, drive_v: 2 * len(drive_v))
+    wrap(LossDetector, "_volts", lambda finder: 4 * finder._n_waiting)  # concatenated, its mean, spread and extremes
+    wrap(LossDetector, "_settled", lambda finder, *found: finder._n_waiting + 2 * finder._chunk)
     wrap(daq.clocks.slip, "candidates", lambda played, heard, first, low, high, gain: 60 * (high - low + len(heard)))
     try:
         yield
@@ -128,7 +128,7 @@ def follow(case: str, seconds: float = 12.0, seed: int = 1, *, count: bool = Tru
     played, heard, kept, flags = loop_back(case, seconds, seed)
     counter = Counter()
     searcher = Caught()
-    finder = LossFinder(RATE_HZ, CHUNK, searcher)
+    finder = LossDetector(RATE_HZ, CHUNK, searcher)
     finder.expect(LAG)
     parts, blocks, spent_s = [], [], 0.0
     with counted(counter):

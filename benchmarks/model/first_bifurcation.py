@@ -15,7 +15,7 @@ import numpy as np
 
 from model.bifurcations.sweep import key
 from model.orbits.attractor import AT_REST, Attractor, attractor, sweep
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.tones import Forcing
 
 FORCING = Forcing.superposition(1)
@@ -25,7 +25,7 @@ STEPS = 100
 MOST_FLIGHTS = 400
 
 
-def first(ball: RoughBall, direction: int) -> float:
+def first(ball: FrictionBall, direction: int) -> float:
     """gamma_peak of the first change of the 1-cycle, stepping up, or of the last change, stepping down."""
     grid = np.linspace(0.5 * (1.0 + ball.mu_up) + 0.01, 0.5 * (4.7 + 1.2 * ball.mu_up), STEPS)
     if direction > 0:
@@ -45,7 +45,7 @@ def first(ball: RoughBall, direction: int) -> float:
     return changed(ball, float(grid[::-1][at - 1]), float(grid[::-1][at]), found[at - 1])
 
 
-def changed(ball: RoughBall, a: float, b: float, at: Attractor) -> float:
+def changed(ball: FrictionBall, a: float, b: float, at: Attractor) -> float:
     """The first change from gamma ``a`` towards ``b``, bisected with the state carried: its gamma_peak."""
     while abs(b - a) > 1e-10:
         middle = 0.5 * (a + b)
@@ -63,7 +63,7 @@ def table(folder: Path) -> None:
     down = np.empty_like(up)
     for i, mu in enumerate(FRICTIONS):
         for j, e in enumerate(RESTITUTIONS):
-            ball = RoughBall(FORCING, float(mu), float(mu), float(e))
+            ball = FrictionBall(FORCING, float(mu), float(mu), float(e))
             up[i, j], down[i, j] = first(ball, +1), first(ball, -1)
     print("| mu \\ e | " + " | ".join(f"{e:g}" for e in RESTITUTIONS) + " |")
     print("|---" * (RESTITUTIONS.size + 1) + "|")
@@ -102,7 +102,7 @@ def ramps(path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    ball = RoughBall(FORCING, e0=0.3)
+    ball = FrictionBall(FORCING, e0=0.3)
     gammas = np.linspace(0.45, 1.3, 800)
     figure, axes = pyplot.subplots(2, 1, figsize=(7.0, 5.4), sharex=True, sharey=True, constrained_layout=True)
     for ax, order, name in zip(axes, (gammas, gammas[::-1]), ("up", "down"), strict=True):

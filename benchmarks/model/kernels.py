@@ -28,7 +28,7 @@ from model.flight.first_landing import (
     turning_points,
 )
 from model.series import batched_ideal
-from model.series.friction_orbit import Rough, run_rough_diagram
+from model.series.friction_orbit import FrictionRestitution, run_rough_diagram
 from model.tones import Forcing
 
 GRIDS = {1: np.linspace(0.55, 6, 2000), 2: np.linspace(0.25, 6, 2000), 3: np.linspace(0.12, 6, 2000)}
@@ -127,7 +127,7 @@ def march_rate(seconds: float) -> float:
     return flown / (time.process_time() - start)
 
 
-def rough_solve_ivp(c: int, gamma: float, rough: Rough, phi0: float) -> tuple[float, float]:
+def rough_solve_ivp(c: int, gamma: float, rough: FrictionRestitution, phi0: float) -> tuple[float, float]:
     """One rough flight from rest at a threshold by solve_ivp with events: ``(tau, impact speed)``."""
     phi, h, rising = phi0, 0.0, True
     for _ in range(100):
@@ -162,11 +162,11 @@ def rough_part(n: int, seconds: float) -> None:
     for c, gammas in GRIDS.items():
         forcing = Forcing.superposition(c)
         line = [f"c = {c}:"]
-        for rough in (Rough(0.3, 0.3), Rough(0.3, 0.3, 0.514)):
+        for rough in (FrictionRestitution(0.3, 0.3), FrictionRestitution(0.3, 0.3, 0.514)):
             run_rough_diagram(forcing, gammas[:2], rough, 1, 1)
             spent = best_of(n, lambda f=forcing, g=gammas, r=rough: run_rough_diagram(f, g[::4], r, TRANSIENT, KEPT))
             line.append(f"e = {rough.e0}: {500 * (TRANSIENT + KEPT) / spent / 1e6:.2f} M flights/s")
-        rough, rng, errors = Rough(0.3, 0.3), np.random.default_rng(2), []
+        rough, rng, errors = FrictionRestitution(0.3, 0.3), np.random.default_rng(2), []
         start = time.process_time()
         while time.process_time() - start < seconds:
             gamma = float(rng.choice(gammas[500:]))

@@ -23,8 +23,8 @@ from model.bifurcations.find import sequence
 from model.bifurcations.sweep import key, observed
 from model.contact_sensor import Instrument, observe
 from model.orbits.attractor import AT_REST, attractor
-from model.orbits.friction_ball import RoughBall
-from model.series.friction_orbit import Rough, RoughFlag, RoughOrbit, run_rough_diagram
+from model.orbits.friction_ball import FrictionBall
+from model.series.friction_orbit import FrictionRestitution, RoughFlag, RoughOrbit, run_rough_diagram
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]
@@ -35,11 +35,11 @@ SEEN = Instrument(rate_hz=20000.0, closure_s=2e-4)
 MERGED = Instrument(rate_hz=20000.0)
 MU, E, E_SIGMA = 0.3, 0.514, 0.02
 SHARE, SHARE_FRICTION, ROUNDED = 0.58, 0.83, 0.005
-MODELS: Mapping[str, Rough] = {
-    "ideal": Rough(),
-    f"friction {MU:g}": Rough(MU, MU),
-    f"restitution {E:g}": Rough(e0=E),
-    "both": Rough(MU, MU, E),
+MODELS: Mapping[str, FrictionRestitution] = {
+    "ideal": FrictionRestitution(),
+    f"friction {MU:g}": FrictionRestitution(MU, MU),
+    f"restitution {E:g}": FrictionRestitution(e0=E),
+    "both": FrictionRestitution(MU, MU, E),
 }
 PEAK = {1: 2.0, 2: 1.0 / 0.2117715, 3: 1.0 / 0.1052122}  # gamma_peak of gamma = 1
 SETTLE, KEEP = 500, 2000
@@ -50,27 +50,27 @@ class Reading:
     """One way to read "friction 0.3 g": the ball, and by how much the plate's gamma is divided (another gravity)."""
 
     words: str
-    rough: Rough
+    rough: FrictionRestitution
     weight: float = 1.0
 
 
 READINGS = (
-    Reading("none (ideal)", Rough()),
-    Reading("0.3 of the weight, against the motion, static too", Rough(MU, MU)),
-    Reading("the same, while rising only", Rough(MU, 0.0)),
-    Reading("the same, while falling only", Rough(0.0, MU)),
-    Reading("0.3 g added to gravity", Rough(), 1.0 + MU),
-    Reading("0.3 g taken from gravity", Rough(), 1.0 - MU),
-    Reading("0.3 grams-force on 249.2 g", Rough(MU / 249.2, MU / 249.2)),
+    Reading("none (ideal)", FrictionRestitution()),
+    Reading("0.3 of the weight, against the motion, static too", FrictionRestitution(MU, MU)),
+    Reading("the same, while rising only", FrictionRestitution(MU, 0.0)),
+    Reading("the same, while falling only", FrictionRestitution(0.0, MU)),
+    Reading("0.3 g added to gravity", FrictionRestitution(), 1.0 + MU),
+    Reading("0.3 g taken from gravity", FrictionRestitution(), 1.0 - MU),
+    Reading("0.3 grams-force on 249.2 g", FrictionRestitution(MU / 249.2, MU / 249.2)),
 )
 
 
-def ball(rough: Rough, c: int = 1) -> RoughBall:
+def ball(rough: FrictionRestitution, c: int = 1) -> FrictionBall:
     """The ball of a model."""
-    return RoughBall(Forcing.superposition(c), *rough.packed)
+    return FrictionBall(Forcing.superposition(c), *rough.packed)
 
 
-def first_change(rough: Rough, c: int, low: float, high: float, steps: int = 120) -> Bifurcation | None:
+def first_change(rough: FrictionRestitution, c: int, low: float, high: float, steps: int = 120) -> Bifurcation | None:
     """The first change of the motion after take-off that a bench meets, gamma stepped up with the state carried."""
     own, state, before = ball(rough, c), AT_REST, None
     for a, b in pairwise(np.linspace(low, high, steps + 1)):
@@ -92,7 +92,7 @@ def levels(reading: Reading) -> dict[str, float]:
     return {k: reading.weight * found[k] if k in found else math.nan for k in wanted}
 
 
-def flown(rough: Rough, gammas: Floats, c: int = 1, keep: int = KEEP) -> RoughOrbit:
+def flown(rough: FrictionRestitution, gammas: Floats, c: int = 1, keep: int = KEEP) -> RoughOrbit:
     """Flights in the long run at each gamma."""
     return run_rough_diagram(Forcing.superposition(c), gammas, rough, SETTLE, keep)
 
@@ -143,9 +143,9 @@ def bifurcations() -> None:
     head("model", "take-off", "first change", "type", "over lock", "over period doubling", "over 2-cycle sticks")
     cases = dict(MODELS)
     for e in (E - E_SIGMA, E + E_SIGMA):
-        cases[f"both, e = {e:.3f}"] = Rough(MU, MU, e)
+        cases[f"both, e = {e:.3f}"] = FrictionRestitution(MU, MU, e)
     for mu in (0.25, 0.35):
-        cases[f"both, mu = {mu:g}"] = Rough(mu, mu, E)
+        cases[f"both, mu = {mu:g}"] = FrictionRestitution(mu, mu, E)
     for name, rough in cases.items():
         found = first_change(rough, 1, 0.5 * (1.0 + rough.mu_up) + 0.01, 2.3)
         at = math.nan if found is None else 2.0 * found.gamma
@@ -159,7 +159,7 @@ def readings() -> None:
     ideal = levels(READINGS[0])
     low, high = ((SHARE + s * ROUNDED) / (SHARE_FRICTION - s * ROUNDED) for s in (-1, 1))
     gammas = np.array([0.75, 1.0, 1.125])
-    base = flown(Rough(), gammas)
+    base = flown(FrictionRestitution(), gammas)
     head("friction 0.3 g is", "take-off", "lock", "period doubling", "over the ideal doubling",
          "flights at 1.5", "at 2", "at 2.25")  # fmt: skip
     for reading in READINGS:
@@ -175,7 +175,7 @@ def flights() -> None:
     """Flight times over the ideal ball's at the same gamma, by what is counted as a flight."""
     peaks = np.arange(1.05, 4.0, 0.01)
     bands = ((1.05, 1.3), (1.3, 1.6), (1.6, 2.05), (2.05, 3.2), (3.2, 4.0))
-    base = flown(Rough(), peaks / 2.0, keep=400)
+    base = flown(FrictionRestitution(), peaks / 2.0, keep=400)
     ideal = np.array([mean(base.tau[i]) for i in range(peaks.size)])
     head("model", "flights counted", *(f"{a:g} to {b:g}" for a, b in bands), "1.3 to 4")
     for name, rough in list(MODELS.items())[1:]:
@@ -230,7 +230,7 @@ def two_tones() -> None:
             at = math.nan if found is None else found.gamma
             first = at if name == "ideal" else first
             gammas = np.array([1.02 * at])
-            ratio = mean(shown(flown(rough, gammas, c), 0, SEEN)) / mean(flown(Rough(), gammas, c).tau[0])
+            ratio = mean(shown(flown(rough, gammas, c), 0, SEEN)) / mean(flown(FrictionRestitution(), gammas, c).tau[0])
             row(c, name, low, at, found.type if found else "-", at / first, ratio)
 
 
@@ -243,7 +243,7 @@ def picture(path: Path) -> None:
     peaks = np.arange(0.9, 4.2, 0.004)
     drawn = pyplot.figure(figsize=(9.6, 8.6), constrained_layout=True)
     axes = drawn.subplot_mosaic([["ideal", "f"], ["e", "both"], ["two", "three"]], height_ratios=(1, 1, 1.15))
-    base = flown(Rough(), peaks / 2.0, keep=400)
+    base = flown(FrictionRestitution(), peaks / 2.0, keep=400)
     once = np.array([mean(base.tau[i]) / (2.0 * math.pi) for i in range(peaks.size)])
     once[(peaks <= 1.0) | (peaks > 3.72)] = np.nan
     for panel, (name, rough) in zip(("ideal", "f", "e", "both"), MODELS.items(), strict=True):
@@ -274,7 +274,7 @@ def picture(path: Path) -> None:
     pyplot.close(drawn)
 
 
-def _diagram(ax: object, peaks: Floats, rough: Rough) -> None:
+def _diagram(ax: object, peaks: Floats, rough: FrictionRestitution) -> None:
     orbit = flown(rough, peaks / 2.0, keep=120)
     dots = [shown(orbit, i, SEEN) / (2.0 * math.pi) for i in range(peaks.size)]
     at = np.concatenate([np.full(d.size, p) for p, d in zip(peaks, dots, strict=True)])

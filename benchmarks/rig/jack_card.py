@@ -7,7 +7,7 @@ missing, and where, as it declares.
     python -m benchmarks.rig.jack_card run --hold 280  # the same for five minutes
     python -m benchmarks.rig.jack_card xruns  # xruns provoked by stopping the run's process now and then
     python -m benchmarks.rig.jack_card unplug  # the driver killed in the middle of a run
-    python -m benchmarks.rig.jack_card rehearse --times 20  # the rehearsal of docs/how-to/devices.md, every core busy beside it
+    python -m benchmarks.rig.jack_card rehearse --times 20  # the rehearsal of the how-to, every core busy
 
 Needs jackd and libportaudio2. On a machine that is busy with other work, ``--first`` runs all of it before that work
 (Linux, with the rights for it).

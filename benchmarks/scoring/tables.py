@@ -124,7 +124,7 @@ def _rates(rows: Sequence[Row], named: Sequence[Row], plant: str) -> None:
     print(f"| pairs: the exact set | {rate(pairs, lambda r: set(names_of(r)) == truth_of(r))} |")
     right = [r for r in strong if first(r) and set(names_of(r)) == truth_of(r)]
     print(f"| after: landing rms <= 1.3 floors | {rate(right, within('landing_rms_us', 1.3))} |")
-    print(f"| after: robust value <= 1.2 floors | {rate(right, within('landing_robust_us', 1.2))} |")
+    print(f"| after: robust value <= 1.2 floors | {rate(right, within('landing_nmad_us', 1.2))} |")
     if plant == "other":
         single = [r for r in named if set(names_of(r)) == truth_of(r)]
         checks = [x for r in single for x in parameters(r)]

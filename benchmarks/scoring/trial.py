@@ -40,7 +40,7 @@ class Job:
 def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
     from analysis.loop.close_loop import as_json, close_loop
-    from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
+    from analysis.residuals.prediction_errors import held_out_errors, judged_rows, noise_floor_us
     from model.effects.registry import effect
 
     with tempfile.TemporaryDirectory() as name:
@@ -58,10 +58,10 @@ def run(job: Job) -> dict[str, Any]:
         d = loop.discovered
         values = d.explanation.fitted.values
         seen, out = judged_rows(d.world, values, steps)
-        after = errors_on(d.world, values, seen, out)
+        after = held_out_errors(d.world, values, seen, out)
         discovered = {
             "term": d.term, "of": d.of, "in_words": d.in_words, "rivals": list(d.rivals),
-            "rms_us": after.landing_rms_us, "robust_us": after.landing_robust_us,
+            "rms_us": after.landing_rms_us, "robust_us": after.landing_nmad_us,
             "floor_us": noise_floor_us(d.world, values, seen),
         }  # fmt: skip
     declared = loop.attribution.before.fitted.values

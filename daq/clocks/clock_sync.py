@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from daq.clocks.sample_loss import SMALLEST_MISFIT
-from daq.clocks.slip import LATENCY, Played, slip_at
+from daq.clocks.slip import LATENCY, PlayedBuffer, slip_at
 from daq.recording.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
 
@@ -85,7 +85,7 @@ class ClockTracker:
     def __init__(self, marker_slip: float, at: int, window: int, rate_hz: float) -> None:
         self.readings: list[NDArray[np.void]] = []
         self.origin = at
-        self._played = Played(LATENCY + 8 * window)
+        self._played = PlayedBuffer(LATENCY + 8 * window)
         self._window = window
         self._wander = (1e-7) ** 2 / rate_hz  # a quartz in a room: a tenth of a ppm in a second, at most
         self._at, self._state = float(at), (marker_slip, 0.0, 1.0, 0.0, START_RATE**2)

@@ -28,7 +28,7 @@ from daq.clocks.loss_search import (
     WhichLatency,
     WhichLoss,
 )
-from daq.clocks.slip import LARGEST, LATENCY, Floats, Played, Slip, SlipFit, slip_at
+from daq.clocks.slip import LARGEST, LATENCY, Floats, PlayedBuffer, Slip, SlipFit, slip_at
 from daq.recording.tables import Block, BlockFlag
 
 CHUNK = 1024  # frames looked at together, at least
@@ -69,7 +69,7 @@ class BlockClock:
             self._delays.append(clock_ns * 1e-9 - counted / self._rate_hz)
 
 
-class LossFinder:
+class LossDetector:
     """Follow the looped-back drive block by block and declare what is missing.
 
     Parameters
@@ -88,7 +88,7 @@ class LossFinder:
     """
 
     def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: Searcher | None = None) -> None:
-        self._played = Played(LARGEST + 2 * LATENCY + 8 * chunk + round(2.0 * HELD_S * rate_hz))
+        self._played = PlayedBuffer(LARGEST + 2 * LATENCY + 8 * chunk + round(2.0 * HELD_S * rate_hz))
         self._clock, self._adc = BlockClock(rate_hz), BlockClock(rate_hz)
         self._rate_hz, self._chunk = rate_hz, chunk
         self._searcher = searcher or AtOnce()

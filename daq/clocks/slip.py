@@ -62,7 +62,7 @@ class Stretch:
         return self.held[index]
 
 
-class Played:
+class PlayedBuffer:
     """The last played samples, by their index since the start; zero before it.
 
     Parameters
@@ -114,7 +114,7 @@ class SlipFit:
         self.guess = guess
         self._sums = np.zeros((4, 4))
 
-    def add(self, played: Played | Stretch, heard: Floats, first: int) -> None:
+    def add(self, played: PlayedBuffer | Stretch, heard: Floats, first: int) -> None:
         """Take in ``heard`` (n,), whose first frame is number ``first``."""
         around = played.piece(first + self.guess - 1, first + self.guess + len(heard) + 1)
         rows = np.empty((4, len(heard)))
@@ -154,7 +154,9 @@ class SlipFit:
         return Slip(self.guess + float(turned / gain), sigma, rms_v, float(gain))
 
 
-def slip_at(played: Played | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS) -> Slip:
+def slip_at(
+    played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS
+) -> Slip:
     """Slip of ``heard`` (its first frame is number ``first``) near ``guess``."""
     best = Slip(float(guess), np.inf, float(np.std(heard)), 0.0)
     for _ in range(iterations):
@@ -170,7 +172,9 @@ def slip_at(played: Played | Stretch, heard: Floats, first: int, guess: int, ite
     return best
 
 
-def candidates(played: Played | Stretch, heard: Floats, first: int, low: int, high: int, gain: float) -> list[Slip]:
+def candidates(
+    played: PlayedBuffer | Stretch, heard: Floats, first: int, low: int, high: int, gain: float
+) -> list[Slip]:
     """Slips between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
 
     Parameters

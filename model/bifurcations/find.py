@@ -8,7 +8,7 @@ from __future__ import annotations
 from model.bifurcations.events import NARROWEST, Bifurcation, bifurcations
 from model.bifurcations.sweep import observed
 from model.orbits.attractor import Ball
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 
 BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
@@ -30,7 +30,7 @@ def sequence(
     ValueError
         If the range is empty, negative or not finite.
     """
-    if isinstance(ball, IdealBall | RoughBall) and sweep is None:
+    if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
         finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
         return bifurcations(ball, low, high, narrowest=finest)
     return observed(ball, low, high, sweep=sweep)

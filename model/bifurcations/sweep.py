@@ -15,7 +15,7 @@ import numpy as np
 from model.bifurcations.continuation import doubling_near
 from model.bifurcations.events import LONGEST, Bifurcation, Side
 from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
-from model.orbits.integrated_ball import RolledBall
+from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
 CHANGES_A_STEP = 8  # bisected in one step at most
@@ -58,7 +58,7 @@ def observed(
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
         raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
     ends = (high, low) if sweep == "down" else (low, high)
-    exact = not isinstance(ball, RolledBall)
+    exact = not isinstance(ball, IntegratedBall)
     walk = _Sweep(ball, sweep is not None, exact)
     grid = np.linspace(*ends, (steps if exact else steps // COARSER) + 1)
     here = walk.look(float(grid[0]), AT_REST)

@@ -13,7 +13,7 @@ import numpy as np
 from model.flight.branches import crossing, q_and_slope, turning_points
 from model.flight.ideal import RESET, RESTS
 from model.flight.numerics import Flags, Floats, compiled
-from model.flight.segment import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape
+from model.flight.segment import UNDECIDED, Segment, motion, root_in_concave, root_in_convex, shape
 
 STRETCH = 20.0  # phase searched at a time for the next take-off
 LONGEST_WAIT = 1e4  # phase after which a ball that was not lifted is said to rest; sin and cos are exact far beyond
@@ -43,7 +43,7 @@ def edges_between(tones: Floats, gamma: float, start: float, stop: float) -> tup
 def land_aperiodic(tones: Floats, gamma: float, phi0: float, v0: float, at_threshold: bool) -> tuple[float, float, int]:
     """``(tau, impact speed, flag)`` of the flight from ``phi0``; with ``v0 = 0`` the phase must be inside a window."""
     s0, slope0, q0 = shape(tones, phi0)
-    stage: Stage = (phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - 1.0, v0, 0.0, 1.0)
+    stage: Segment = (phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - 1.0, v0, 0.0, 1.0)
     v = gamma * slope0 + v0
     longest = v + math.sqrt(v * v + 2.0 * gamma * (s0 + tones[:, 1].sum())) + 1.0
     edge, convex = edges_between(tones, gamma, phi0, phi0 + longest)

@@ -18,7 +18,7 @@ from model.flight.ideal import RESET, RESTS
 from model.flight.numerics import Flags, Floats, compiled
 from model.flight.segment import (
     UNDECIDED,
-    Stage,
+    Segment,
     motion,
     root_in_concave,
     root_in_convex,
@@ -33,12 +33,12 @@ HUNG = 8
 CHATTERED = 16
 MOST_STAGES = 100_000  # ups, hangs and falls in one flight; beyond it the ball is said to stay on the rod
 
-Rough = tuple[float, float, float, float]  # mu_up, mu_down, e0, e1
+FrictionRestitution = tuple[float, float, float, float]  # mu_up, mu_down, e0, e1
 
 
 @compiled
 def fill_rough_edges(
-    tones: Floats, turning: Floats, gamma: float, rough: Rough, up: Floats, down: Floats
+    tones: Floats, turning: Floats, gamma: float, rough: FrictionRestitution, up: Floats, down: Floats
 ) -> tuple[int, int]:
     """Fill the tables of both levels (each ``(len(turning) + 2,)``) and return their numbers of windows."""
     n_up = fill_edges(tones, turning, gamma / (1.0 + rough[0]), up)
@@ -47,7 +47,7 @@ def fill_rough_edges(
 
 
 @compiled
-def rise(tones: Floats, gamma: float, up: Floats, n_up: int, stage: Stage) -> tuple[float, float]:
+def rise(tones: Floats, gamma: float, up: Floats, n_up: int, stage: Segment) -> tuple[float, float]:
     """Time and phase at which a rising ball first stands still relative to the plate."""
     phi0, _, slope0, a0, v0, _, level = stage
     fastest = total_speed(tones)
@@ -73,7 +73,7 @@ def rise(tones: Floats, gamma: float, up: Floats, n_up: int, stage: Stage) -> tu
 
 
 @compiled
-def _fall_for_ever(tones: Floats, gamma: float, stage: Stage) -> tuple[bool, float, float, float, int]:
+def _fall_for_ever(tones: Floats, gamma: float, stage: Segment) -> tuple[bool, float, float, float, int]:
     """`fall` where the plate never stops a falling ball: one concave branch, any point below ends the bracket."""
     reach = 1.0
     while motion(tones, gamma, stage, stage[0] + reach, reach)[0] > 0.0:
@@ -84,7 +84,9 @@ def _fall_for_ever(tones: Floats, gamma: float, stage: Stage) -> tuple[bool, flo
 
 
 @compiled
-def fall(tones: Floats, gamma: float, down: Floats, n_down: int, stage: Stage) -> tuple[bool, float, float, float, int]:
+def fall(
+    tones: Floats, gamma: float, down: Floats, n_down: int, stage: Segment
+) -> tuple[bool, float, float, float, int]:
     """A fall from a standstill: ``(landed, time, phase, impact speed, flag)``; not landed means that it stood still."""
     phi0 = stage[0]
     if n_down == 0:
@@ -148,7 +150,7 @@ def rough_land(
     n_up: int,
     down: Floats,
     n_down: int,
-    rough: Rough,
+    rough: FrictionRestitution,
     phi0: float,
     v0: float,
     at_threshold: bool,
@@ -191,7 +193,7 @@ def rough_land(
 
 
 @compiled
-def rebound(rough: Rough, speed: float) -> float:
+def rebound(rough: FrictionRestitution, speed: float) -> float:
     """Speed after an impact at ``speed``: ``e0 - e1 speed`` of it, at least none and at most all."""
     return speed * min(max(rough[2] - rough[3] * speed, 0.0), 1.0)
 
@@ -216,7 +218,7 @@ def rough_orbit(
     n_up: int,
     down: Floats,
     n_down: int,
-    rough: Rough,
+    rough: FrictionRestitution,
     phi: float,
     v: float,
     n_transient: int,

@@ -10,7 +10,7 @@ import math
 
 from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
 from model.flight.numerics import Floats, compiled
-from model.flight.segment import UNDECIDED, Stage, motion, root_in_concave, root_in_convex, shape, surely_above
+from model.flight.segment import UNDECIDED, Segment, motion, root_in_concave, root_in_convex, shape, surely_above
 
 RESET = 1  # this flight started from rest at a threshold
 RESTS = 4  # the ball does not leave at this phase
@@ -18,7 +18,7 @@ TINY = 1e-7  # a window left sooner than this may have lifted the ball by less t
 
 
 @compiled
-def _guess_in_concave(stage: Stage, lo: float, hi: float, h_hi: float, h1_hi: float) -> float:
+def _guess_in_concave(stage: Segment, lo: float, hi: float, h_hi: float, h1_hi: float) -> float:
     """Where a parabola through the branch's end, with the slope there and the full pull, crosses zero."""
     pull = -0.5 * stage[6]
     root = math.sqrt(max(h1_hi * h1_hi - 4.0 * pull * h_hi, 0.0))
@@ -26,7 +26,7 @@ def _guess_in_concave(stage: Stage, lo: float, hi: float, h_hi: float, h1_hi: fl
 
 
 @compiled
-def _land_below_threshold(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float, float, int]:
+def _land_below_threshold(tones: Floats, gamma: float, stage: Segment) -> tuple[float, float, float, int]:
     """`land` where the plate never lifts a ball: the flight is concave for ever, any point below ends the bracket."""
     phi0 = stage[0]
     reach = 1.0

@@ -43,7 +43,7 @@ UNDECIDED = 2  # a graze closer than double precision can tell
 SHORT = 0.125  # over shorter times the height is computed as tau^2 times a series: the plain sum is rounding noise
 ROUNDING = 32 * 2.2e-16  # bound on the relative rounding of a height
 
-Stage = tuple[float, float, float, float, float, float, float]  # phi0, s0, s0', a0 = h''(0), v0, h0, level
+Segment = tuple[float, float, float, float, float, float, float]  # phi0, s0, s0', a0 = h''(0), v0, h0, level
 
 
 @compiled
@@ -65,7 +65,7 @@ def shape(tones: Floats, phi: float) -> tuple[float, float, float]:
 @compiled
 def stage_from(
     tones: Floats, gamma: float, phi0: float, v0: float, h0: float, level: float, at_threshold: bool
-) -> Stage:
+) -> Segment:
     """The stage that starts at ``phi0``; ``at_threshold`` says that ``gamma q = level`` there exactly."""
     s0, slope0, q0 = shape(tones, phi0)
     return phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - level, v0, h0, level
@@ -87,7 +87,7 @@ def _remainders(x: float) -> tuple[float, float, float, float]:
 
 
 @compiled
-def _motion_short(tones: Floats, gamma: float, stage: Stage, tau: float) -> tuple[float, float, float]:
+def _motion_short(tones: Floats, gamma: float, stage: Segment, tau: float) -> tuple[float, float, float]:
     """`motion` at a small ``tau`` with a small *relative* error of ``h - h0`` and ``h'``."""
     g = 0.5 * stage[3]
     g_slope = stage[3]
@@ -107,7 +107,7 @@ def _motion_short(tones: Floats, gamma: float, stage: Stage, tau: float) -> tupl
 
 
 @compiled
-def motion(tones: Floats, gamma: float, stage: Stage, phi: float, tau: float) -> tuple[float, float, float]:
+def motion(tones: Floats, gamma: float, stage: Segment, phi: float, tau: float) -> tuple[float, float, float]:
     """``h, h', h''`` at the phase ``phi`` (any turn), ``tau`` after the start of ``stage``."""
     if tau < SHORT:
         return _motion_short(tones, gamma, stage, tau)
@@ -118,7 +118,7 @@ def motion(tones: Floats, gamma: float, stage: Stage, phi: float, tau: float) ->
 
 
 @compiled
-def rounding_of_height(tones: Floats, gamma: float, stage: Stage, tau: float) -> float:
+def rounding_of_height(tones: Floats, gamma: float, stage: Segment, tau: float) -> float:
     """Bound on the rounding error of the height from `motion` at ``tau``."""
     size = 0.0
     if tau < SHORT:
@@ -132,7 +132,7 @@ def rounding_of_height(tones: Floats, gamma: float, stage: Stage, tau: float) ->
 
 @compiled
 def root_in_concave(
-    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float, guess: float
+    tones: Floats, gamma: float, stage: Segment, turns: float, lo: float, hi: float, guess: float
 ) -> tuple[float, float]:
     """The one root in ``(lo, hi]`` of a branch with ``h(lo) >= 0 >= h(hi)``, and ``-h'`` there: Halley in a bracket.
 
@@ -168,7 +168,7 @@ def root_in_concave(
 
 @compiled
 def root_in_convex(
-    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float
+    tones: Floats, gamma: float, stage: Segment, turns: float, lo: float, hi: float
 ) -> tuple[bool, float, float, int]:
     """First root in ``(lo, hi]`` of a branch entered with ``h > 0 > h'``: ``(found, phase, -h', flag)``.
 
@@ -197,7 +197,7 @@ def root_in_convex(
 
 @compiled
 def standstill(
-    tones: Floats, gamma: float, stage: Stage, turns: float, lo: float, hi: float, guess: float, rising: bool
+    tones: Floats, gamma: float, stage: Segment, turns: float, lo: float, hi: float, guess: float, rising: bool
 ) -> float:
     """The one phase in ``(lo, hi]`` where ``h' = 0``; ``rising`` says that it enters the branch below zero.
 
@@ -235,7 +235,7 @@ def total_speed(tones: Floats) -> float:
 
 
 @compiled
-def surely_above(tones: Floats, gamma: float, stage: Stage) -> tuple[float, float]:
+def surely_above(tones: Floats, gamma: float, stage: Segment) -> tuple[float, float]:
     """Times between which the plate at its highest stays below the ball's path; (1, 0) when there are none."""
     _, s0, slope0, _, v0, h0, level = stage
     highest = 0.0

@@ -157,7 +157,7 @@ class Predicted:
     ``impact_mps`` are those of the measured flight itself, ``predicted_*`` those of the predicted one. ``doubt_s`` is
     by how much later the landing may be seen, where bounces that no instrument resolves follow it. ``rung`` (m, k) is
     what a plate mode puts into each of the plate's tones, m/s^2; ``heard`` (r, l) and ``heard_s`` (r,) are what it does
-    in the stretches of an `Ear`, and for how much of their time that is known.
+    in the stretches of an `ToneProbe`, and for how much of their time that is known.
     """
 
     takeoff_s: Array
@@ -175,7 +175,7 @@ class Predicted:
     heard_s: Array
 
 
-class Ear(Protocol):
+class ToneProbe(Protocol):
     """How the plate's tones were measured, and what that makes of the motion of a plate mode.
 
     Attributes
@@ -201,7 +201,7 @@ class Ear(Protocol):
 
 
 @dataclass(frozen=True)
-class _Throughout:
+class ContinuousProbe:
     """Tones measured all the time, far apart from one another."""
 
     omega_radps: Array
@@ -229,7 +229,7 @@ def one_ahead(
     closure_s: float = 0.0,
     weak_mps: Array | float = 0.0,
     kick: tuple[float, float] = (0.0, 0.0),
-    ear: Ear | None = None,
+    ear: ToneProbe | None = None,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -263,7 +263,7 @@ def one_ahead(
     elastic = np.any(rows[:, _columns("rebound")] > 0.0, axis=1)
     gap, weak = (_of_each(x, n) for x in (gap_m, weak_mps))
 
-    ear = _Throughout(plate.omega_radps[:, : plate.omega_radps.shape[1] - plate.derived]) if ear is None else ear
+    ear = ContinuousProbe(plate.omega_radps[:, : plate.omega_radps.shape[1] - plate.derived]) if ear is None else ear
     span_s, heard, heard_s = ear.span_s, np.zeros((0, 0), dtype=np.complex128), np.zeros(len(ear.span_s))
 
     def told(tones: NDArray[np.complex128], wanted: NDArray[np.bool_], listen: Array) -> Array:

@@ -43,7 +43,7 @@ class _Flown:
 
 
 @dataclass(frozen=True)
-class RoughBall:
+class FrictionBall:
     """A ball with friction ``mu_up``, ``mu_down`` and restitution ``e0 - e1 v`` (v in g/w) on ``forcing``."""
 
     forcing: Forcing

@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from model.flight.branches import TWO_PI, branch_of, fold
 from model.flight.chatter import tail_of_chatter
-from model.flight.friction import Rough, fall, fill_rough_edges, hang, rebound, rise, rough_land, rough_take_off
+from model.flight.friction import (
+    FrictionRestitution,
+    fall,
+    fill_rough_edges,
+    hang,
+    rebound,
+    rise,
+    rough_land,
+    rough_take_off,
+)
 from model.flight.ideal import RESTS
 from model.flight.numerics import Floats, compiled
 from model.flight.segment import motion, stage_from
@@ -27,7 +36,9 @@ SMALL = 2  # a bounce that lands in the branch in which it began
 
 
 @compiled
-def _rebound_or_rest(tones: Floats, gamma: float, rough: Rough, phi: float, speed: float) -> tuple[float, float]:
+def _rebound_or_rest(
+    tones: Floats, gamma: float, rough: FrictionRestitution, phi: float, speed: float
+) -> tuple[float, float]:
     """Speed after an impact, and 0; where a chatter begins that can be summed, 0 and the time to its end."""
     v = rebound(rough, speed)
     if v > 0.0:
@@ -45,7 +56,7 @@ def fly_rough_until_closed(
     n_up: int,
     down: Floats,
     n_down: int,
-    rough: Rough,
+    rough: FrictionRestitution,
     phi: float,
     v: float,
     tau: Floats,
@@ -129,7 +140,7 @@ def rough_hash(
 
 @compiled
 def rough_signatures(
-    tones: Floats, turning: Floats, gammas: Floats, rough: Rough, max_flights: int, out: Integers
+    tones: Floats, turning: Floats, gammas: Floats, rough: FrictionRestitution, max_flights: int, out: Integers
 ) -> None:
     """Fill ``out`` with signatures as `model.orbits.ideal_cycles.signatures` does."""
     up = np.empty(turning.shape[0] + 2)
@@ -170,7 +181,7 @@ def rough_flight(
     n_up: int,
     down: Floats,
     n_down: int,
-    rough: Rough,
+    rough: FrictionRestitution,
     phi0: float,
     v0: float,
     at_threshold: bool,
@@ -218,7 +229,7 @@ def rough_flight(
 
 @compiled
 def rough_locked_family(
-    tones: Floats, turning: Floats, gamma: float, rough: Rough, window: int, after: float, n: int
+    tones: Floats, turning: Floats, gamma: float, rough: FrictionRestitution, window: int, after: float, n: int
 ) -> tuple[bool, float, float, float, int]:
     """`model.orbits.ideal_cycles.locked_family` of a rough ball that does not rebound."""
     up = np.empty(turning.shape[0] + 2)
@@ -255,7 +266,7 @@ def close_rough_cycle(
     tones: Floats,
     turning: Floats,
     gamma: float,
-    rough: Rough,
+    rough: FrictionRestitution,
     phi: float,
     v: float,
     n: int,

@@ -26,7 +26,7 @@ NEWTON = 12
 
 
 @dataclass(frozen=True)
-class RolledBall:
+class IntegratedBall:
     """A ball on ``forcing`` at ``frequency_hz`` with ``effects`` by name and parameter."""
 
     forcing: Forcing

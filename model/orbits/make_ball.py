@@ -53,14 +53,14 @@ def ball_of(
     if scaled and frequency_hz is None:
         raise ValueError(f"{', '.join(scaled)} needs --frequency-hz, because it has a scale of its own")
     if active.keys() <= EXACT:
-        from model.orbits.friction_ball import RoughBall
+        from model.orbits.friction_ball import FrictionBall
 
-        return RoughBall(forcing, *rough_of(active, frequency_hz, g_mps2))
-    from model.orbits.integrated_ball import RolledBall
+        return FrictionBall(forcing, *rough_of(active, frequency_hz, g_mps2))
+    from model.orbits.integrated_ball import IntegratedBall
 
     if frequency_hz is None:
         raise ValueError("effects in SI units need --frequency-hz")
-    return RolledBall(forcing, active, frequency_hz, g_mps2)
+    return IntegratedBall(forcing, active, frequency_hz, g_mps2)
 
 
 def rough_of(

@@ -18,7 +18,7 @@ from model.flight.chatter import tail_of_chatter
 from model.flight.friction import (
     CHATTERED,
     HUNG,
-    Rough,
+    FrictionRestitution,
     fall,
     fill_rough_edges,
     hang,
@@ -89,7 +89,7 @@ def _store(
 def _land_and_leave(
     tones: Floats,
     gamma: float,
-    rough: Rough,
+    rough: FrictionRestitution,
     up: Floats,
     whole: Rows,
     flights: Floats,
@@ -126,7 +126,7 @@ def _land_and_leave(
 
 
 @compiled
-def _begin_flight(rough: Rough, whole: Rows, flights: Floats, work: Floats, lane: int) -> None:
+def _begin_flight(rough: FrictionRestitution, whole: Rows, flights: Floats, work: Floats, lane: int) -> None:
     """The rising stage at a take-off."""
     work[PHI, lane], work[V0, lane] = flights[TAKE_OFF, lane], flights[SPEED, lane]
     work[H0, lane], work[LEVEL, lane] = 0.0, 1.0 + rough[0]
@@ -136,7 +136,14 @@ def _begin_flight(rough: Rough, whole: Rows, flights: Floats, work: Floats, lane
 
 @compiled
 def _turn(
-    rough: Rough, up: Floats, down: Floats, whole: Rows, flights: Floats, work: Floats, lane: int, tau: float
+    rough: FrictionRestitution,
+    up: Floats,
+    down: Floats,
+    whole: Rows,
+    flights: Floats,
+    work: Floats,
+    lane: int,
+    tau: float,
 ) -> None:
     """From a standstill in mid-air: hang, then rise or fall."""
     n_up, n_down = whole[N_UP, lane], whole[N_DOWN, lane]
@@ -177,7 +184,7 @@ def _take_row(
     tones: Floats,
     turning: Floats,
     gammas: Floats,
-    rough: Rough,
+    rough: FrictionRestitution,
     start: tuple[float, float],
     row: int,
     up: Floats,
@@ -205,7 +212,7 @@ def _lanes(
     turning: Floats,
     gammas: Floats,
     rows: Rows,
-    rough: Rough,
+    rough: FrictionRestitution,
     start: tuple[float, float],
     n_transient: int,
     out: Floats,
@@ -255,7 +262,7 @@ def rough_lockstep_diagram(
     tones: Floats,
     turning: Floats,
     gammas: Floats,
-    rough: Rough,
+    rough: FrictionRestitution,
     start: tuple[float, float],
     n_transient: int,
     out: Floats,

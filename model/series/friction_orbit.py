@@ -39,7 +39,7 @@ class RoughFlag(enum.IntFlag):
 
 
 @dataclass(frozen=True)
-class Rough:
+class FrictionRestitution:
     """Friction and restitution, dimensionless.
 
     Parameters
@@ -80,7 +80,7 @@ class Rough:
         e1_s_per_m: float = 0.0,
         omega_radps: float,
         g_mps2: float = STANDARD_GRAVITY_MPS2,
-    ) -> Rough:
+    ) -> FrictionRestitution:
         """The same with ``e1`` in s/m: the unit of speed is ``g/w``."""
         return cls(mu_up, mu_down, e0, e1_s_per_m * g_mps2 / omega_radps)
 
@@ -106,7 +106,13 @@ class RoughOrbit:
 
 
 def run_rough_orbit(
-    forcing: Forcing, gamma: float, rough: Rough, n_transient: int, n_keep: int, phi0: float = 0.0, v0: float = 0.0
+    forcing: Forcing,
+    gamma: float,
+    rough: FrictionRestitution,
+    n_transient: int,
+    n_keep: int,
+    phi0: float = 0.0,
+    v0: float = 0.0,
 ) -> RoughOrbit:
     """`run_rough_diagram` at one gamma: arrays of shape ``(n_keep,)``."""
     batch = run_rough_diagram(forcing, np.array([gamma]), rough, n_transient, n_keep, phi0, v0)
@@ -116,7 +122,7 @@ def run_rough_orbit(
 def run_rough_diagram(
     forcing: Forcing,
     gammas: ArrayLike,
-    rough: Rough,
+    rough: FrictionRestitution,
     n_transient: int,
     n_keep: int,
     phi0: float = 0.0,

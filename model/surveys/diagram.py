@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.flight import first_landing
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.orbits.ideal_cycles import FLIGHTS, PERIOD, RESETS
 from model.precision import check_gamma, lengthened
@@ -85,7 +85,7 @@ def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
         raise ValueError("every gamma must be finite and not negative")
     if isinstance(ball, IdealBall):
         rough = None
-    elif isinstance(ball, RoughBall):
+    elif isinstance(ball, FrictionBall):
         rough = np.tile(ball.rough, (grid.size, 1))
     else:
         rows = empty_rows(grid, keep)

@@ -96,7 +96,7 @@ class Lagging(Protocol):
 
 
 @runtime_checkable
-class Turnable(Protocol):
+class FlipsSensor(Protocol):
     """A back end that can lay its accelerometer upside down by itself; on a real rig a person does it."""
 
     def turn(self, over: bool) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.setup.setup import ACCELEROMETER_UNITS_V_PER_MPS2
-from rig.backends.base import Backend, Running, Turnable
+from rig.backends.base import Backend, FlipsSensor, Running
 from rig.profile import Profile
 
 SETTLE_S = 0.5  # after the sensor was touched
@@ -58,7 +58,7 @@ def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
     profile
         Scale, unit and sign as believed so far, and the local g.
     backend
-        Not yet started. One that is `Turnable` turns its sensor by itself.
+        Not yet started. One that is `FlipsSensor` turns its sensor by itself.
     ask
         Has a person lay the sensor upside down (True) or as mounted (False), and returns once it lies still.
 
@@ -102,7 +102,7 @@ def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
 
 def _readings(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[Reading]:
     """One reading an orientation; while a person turns the sensor, the device is let go."""
-    if isinstance(backend, Turnable):
+    if isinstance(backend, FlipsSensor):
         with Running(backend):
             readings = []
             for over in ORIENTATIONS:

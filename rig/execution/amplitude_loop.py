@@ -41,7 +41,7 @@ class Amplitudes:
 
 
 @dataclass(frozen=True)
-class Heard:
+class MeterBlock:
     """A block as the meter takes it: acceleration in m/s^2, where no impact rings, where the ball touches the plate.
 
     ``touching`` is None where no contact circuit tells.
@@ -57,11 +57,11 @@ class Heard:
         """The sample after its last."""
         return self.first_sample + len(self.acceleration_mps2)
 
-    def cut(self, start: int, end: int) -> Heard:
+    def cut(self, start: int, end: int) -> MeterBlock:
         """What of it lies in ``start <= sample < end``."""
         piece = slice(max(0, start - self.first_sample), max(0, end - self.first_sample))
         touching = None if self.touching is None else self.touching[piece]
-        return Heard(max(start, self.first_sample), self.acceleration_mps2[piece], self.quiet[piece], touching)
+        return MeterBlock(max(start, self.first_sample), self.acceleration_mps2[piece], self.quiet[piece], touching)
 
 
 class ToneMeter:
@@ -106,9 +106,9 @@ class ToneMeter:
         cycle = self._clock.cycle_after(self._start)
         self._opened = self._start
         self._stop = self._clock.cycle_start(cycle + self._window_cycles)
-        self._pieces: list[Heard] = []
+        self._pieces: list[MeterBlock] = []
 
-    def add(self, heard: Heard) -> None:
+    def add(self, heard: MeterBlock) -> None:
         """Take in a block."""
         end = heard.end_sample if self._end is None else min(heard.end_sample, self._end)
         while self._start < end and heard.end_sample > self._start:
@@ -295,7 +295,7 @@ class AmplitudeLoop:
         """Drive volts that should give ``gamma`` with the response as last measured."""
         return tuple((target_acceleration(self._profile, gamma) / self._response).tolist())
 
-    def observe(self, heard: Heard, sequencer: Sequencer) -> str | None:
+    def observe(self, heard: MeterBlock, sequencer: Sequencer) -> str | None:
         """Take in a block; while settling, retarget or settle ``sequencer``. Returns why it cannot, or None."""
         if sequencer.state is not State.SETTLING:
             return None

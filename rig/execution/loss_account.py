@@ -1,8 +1,8 @@
 """Where every frame of a run belongs among the samples that were played, losses counted.
 
 The rule kept here: a count that came short is believed at once, and the looped-back drive is asked about the rest
-(`daq.clocks.sample_loss.LossFinder`). What is recorded and what is declared as lost add up to what the device must have
-given. A device that knows where its blocks belong among the played samples, and says so, is believed.
+(`daq.clocks.sample_loss.LossDetector`). What is recorded and what is declared as lost add up to what the device must
+have given. A device that knows where its blocks belong among the played samples, and says so, is believed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from operator import itemgetter
 import numpy as np
 
 from daq.clocks.loss_search import AtOnce, Beside
-from daq.clocks.sample_loss import LossFinder
+from daq.clocks.sample_loss import LossDetector
 from daq.recording.tables import Block
 from rig.execution.high_pass import HighPass
 from rig.profile import Profile
@@ -49,7 +49,7 @@ class LossAccount:
     ) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
-        self._finder = LossFinder(rate_hz, chunk, Beside() if beside else AtOnce())
+        self._finder = LossDetector(rate_hz, chunk, Beside() if beside else AtOnce())
         self._column = drive_column
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0

@@ -19,7 +19,7 @@ from daq.recording import RecordingWriter
 from daq.recording.recorder_process import RecorderProcess
 from daq.recording.tables import Block
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
-from rig.execution.amplitude_loop import AmplitudeLoop, Heard, ToneMeter, achieved_gamma
+from rig.execution.amplitude_loop import AmplitudeLoop, MeterBlock, ToneMeter, achieved_gamma
 from rig.execution.clock_log import ClockLog
 from rig.execution.interlock import Interlock
 from rig.execution.loss_account import LossAccount
@@ -255,7 +255,7 @@ class _Run:
             self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
         first = self.account.next_sample - len(block.codes)
         acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
-        heard = Heard(first, acceleration, self._motion.quiet, self._touching)
+        heard = MeterBlock(first, acceleration, self._motion.quiet, self._touching)
         self._meter.add(heard)
         if self._loop is not None:
             fault = self._loop.observe(heard, sequencer)

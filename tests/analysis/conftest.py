@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter, priors_of
 from analysis.loop.design import Design, rehearse
-from analysis.residuals.forward_model import Key, World
-from analysis.residuals.observations import Evidence, Steps
+from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
 from daq.recording import RecordingWriter
 from daq.recording.tables import Block, step_row
@@ -139,10 +139,10 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
 GAMMAS = tuple(np.random.default_rng(2).permutation(np.linspace(0.3, 1.4, 14)).tolist())
 EDGE_S, TONE_MPS2, PLATE = 8e-6, 0.004, 4e-4  # one sigma of edges, of each quadrature of a tone, of gain and phase
 
-RampFlyer = Callable[..., World]
+RampFlyer = Callable[..., ForwardModel]
 
 
-def bare_evidence() -> Evidence:
+def bare_evidence() -> Observations:
     """A run of a single step: what its instruments are worth, to be copied by `rehearse`."""
     setup = Setup(
         name="t",
@@ -167,10 +167,10 @@ def bare_evidence() -> Evidence:
     plate = PlateData(kinds, 0 * ints, 0 * two, PLATE * two, omega * two, two, two, ints, 2 * ints, 4 * two)
     edges, yes = np.full(3, EDGE_S), np.ones(3, dtype=bool)
     flights = Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes)
-    return Evidence(flights, edges, edges, yes, np.ones(3), np.full(3, 0.03), steps, plate, setup, 2e-4)
+    return Observations(flights, edges, edges, yes, np.ones(3), np.full(3, 0.03), steps, plate, setup, 2e-4)
 
 
-def blurred(evidence: Evidence, rng: np.random.Generator) -> Evidence:
+def blurred(evidence: Observations, rng: np.random.Generator) -> Observations:
     """The same with errors of the size that the evidence itself claims."""
     m, plate, steps = evidence.measured, evidence.plate, evidence.steps
     z = steps.plate.acceleration_mps2
@@ -191,29 +191,29 @@ def fly_ramp() -> RampFlyer:
     """``fly_ramp(truth, seed, gammas=..., declared=...)``: the world of a c = 2 ramp flown under ``truth``."""
 
     def made(
-        truth: Mapping[Key, float],
+        truth: Mapping[ParameterId, float],
         seed: int,
         gammas: tuple[float, ...] = GAMMAS,
         declared: Mapping[str, Mapping[str, float]] | None = None,
-    ) -> World:
-        world = World(bare_evidence(), declared or {})
+    ) -> ForwardModel:
+        world = ForwardModel(bare_evidence(), declared or {})
         best = SimpleNamespace(fitted=SimpleNamespace(values=dict(truth)))
         exact = rehearse(Design("a ramp", 2, gammas), world, best)  # type: ignore[arg-type]
         run = exact.measured.step * 2.0 + exact.measured.landing_s
-        read = World(exact, {}).per_step(truth, "reading", 1.0)[:, None] * exact.steps.plate.acceleration_mps2
+        read = ForwardModel(exact, {}).per_step(truth, "reading", 1.0)[:, None] * exact.steps.plate.acceleration_mps2
         steps = replace(exact.steps, plate=replace(exact.steps.plate, acceleration_mps2=read))
         shown = replace(exact, time_s=run, steps=steps)
-        return World(blurred(shown, np.random.default_rng(seed)), declared or {})
+        return ForwardModel(blurred(shown, np.random.default_rng(seed)), declared or {})
 
     return made
 
 
 @pytest.fixture(scope="session")
-def fitter_of() -> Callable[[World], Fitter]:
+def fitter_of() -> Callable[[ForwardModel], Fitter]:
     """The fits of a world, every fourth step held back as in the loop itself."""
     return lambda world: Fitter(world, priors_of(world.evidence.setup), trained(world))
 
 
-def trained(world: World) -> NDArray[np.bool_]:
+def trained(world: ForwardModel) -> NDArray[np.bool_]:
     """Steps that a fit may see."""
     return np.asarray(np.arange(len(world.evidence.steps)) % 4 != 2)

@@ -29,4 +29,4 @@ def test_recordings_of_unlike_c_are_not_judged_together(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(observations, "open_recording", opened)
     with pytest.raises(InputError, match=r"recordings of one c .* one\.h5: 3, three\.h5: 5"):
-        observations.evidence_of([Path("one.h5"), Path("three.h5")])
+        observations.observations_from([Path("one.h5"), Path("three.h5")])

@@ -44,8 +44,8 @@ def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
         sigma = (found["high"] - found["low"]) / (2 * 1.96)
         assert abs(found["value"] - true) < 3.0 * sigma
         assert found["value"] == pytest.approx(true, rel=0.05)
-    assert verdict["after"]["landing_robust_us"] < 1.4 * verdict["noise_floor_us"]
-    assert verdict["before"]["landing_robust_us"] > 10.0 * verdict["after"]["landing_robust_us"]
+    assert verdict["after"]["landing_nmad_us"] < 1.4 * verdict["noise_floor_us"]
+    assert verdict["before"]["landing_nmad_us"] > 10.0 * verdict["after"]["landing_nmad_us"]
 
 
 def test_what_has_no_name_is_not_called_explained(tmp_path: Path) -> None:

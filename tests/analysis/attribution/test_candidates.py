@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from analysis.attribution.candidates import unlike
-from analysis.residuals.forward_model import Key
+from analysis.residuals.forward_model import ParameterId
 
 RATIO, HZ, DAMPING = keys = tuple(("table_resonance", q) for q in ("mass_ratio", "frequency_hz", "damping"))
 
 
-def start(loss: float, hz: float, ratio: float = 0.02) -> tuple[float, dict[Key, float]]:
+def start(loss: float, hz: float, ratio: float = 0.02) -> tuple[float, dict[ParameterId, float]]:
     """A start at a pitch."""
     return loss, {RATIO: ratio, HZ: hz, DAMPING: 0.05}
 

@@ -12,19 +12,21 @@ from numpy.typing import NDArray
 from analysis.attribution import choice
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.choice import Judge
-from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.hypothesis import Hypothesis
 
 STEPS = 16
 
 
 def explanation(
     name: str, events: NDArray[np.float64], plate: NDArray[np.float64] | None = None, *, sized: bool = True
-) -> Explanation:
+) -> Hypothesis:
     """Losses of a candidate by step, without the fit behind them; ``sized``: its parameters differ from nothing."""
     losses = {"events": events, "plate": np.zeros(STEPS) if plate is None else plate}
     whitener: Any = SimpleNamespace(excess_s=(1e-6, 1e-6), total_s=np.ones(3), lost=False)
-    fitted: Any = SimpleNamespace(differs=lambda keys: sized, fitter=SimpleNamespace(world=None), values={}, strain=0.0)
-    return Explanation((Candidate((name,), ((name, "size"),)),), fitted, whitener, losses)
+    fitted: Any = SimpleNamespace(
+        differs=lambda keys: sized, fitter=SimpleNamespace(world=None), values={}, prior_penalty=0.0
+    )
+    return Hypothesis((Candidate((name,), ((name, "size"),)),), fitted, whitener, losses)
 
 
 @pytest.fixture

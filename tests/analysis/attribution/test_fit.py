@@ -10,14 +10,14 @@ import pytest
 from scipy import stats
 
 from analysis.attribution.fit import FARTHEST_SIGMAS, Fitter, Prior, priors_of
-from analysis.residuals.forward_model import World
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener
 
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
 TRUTH = {UP: 0.12, DOWN: 0.18}
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., World]) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Sixteen runs, both frictions, begun a good way off and fitted again from there, as an explanation is.
 
     The sum of squared pulls is a chi-square's, on either side. The accelerometer's scale is as wrong as its prior
@@ -36,7 +36,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., W
     assert abs(np.mean(pulls)) < 3.5 / np.sqrt(len(pulls))
 
 
-def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Callable[..., World]) -> None:
+def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Gravity 3 % off where 0.1 % is claimed: it stays within bounds, and the loss says that something is wrong."""
     gravity = ("local_gravity", "excess_mps2")
     world = fly_ramp({gravity: 0.3}, 0)
@@ -48,7 +48,7 @@ def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Ca
     assert bound.loss > free.loss + 100.0
 
 
-def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., World]) -> None:
+def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Flights of the other steps may be anything: the values stay, their held-out loss does not."""
     world = fly_ramp(TRUTH, 1)
     m = len(world.evidence.steps)
@@ -58,13 +58,13 @@ def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., World]) -> N
     spoilt = {UP: 0.0, DOWN: 0.0}
     other = ~train[world.evidence.measured.step]
     landing = world.evidence.measured.landing_s + np.where(other, 1e-3, 0.0)
-    shifted = World(replace(world.evidence, measured=replace(world.evidence.measured, landing_s=landing)), {})
+    shifted = ForwardModel(replace(world.evidence, measured=replace(world.evidence.measured, landing_s=landing)), {})
     again = Fitter(shifted, {}, train).fit(whitener, (UP, DOWN), TRUTH)
     assert again.values == pytest.approx(fitted.values, rel=1e-6)
     assert spoilt.keys() == fitted.values.keys()
 
 
-def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., World]) -> None:
+def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., ForwardModel]) -> None:
     """The gain that `linear_step` foretells for a weak damping is what the fit then finds, within a third."""
     world = fly_ramp({RATE: 0.05}, 2)
     fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
@@ -77,7 +77,7 @@ def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., Wo
 
 @pytest.mark.parametrize(("part", "seen"), [(0.4, False), (2.5, True)])
 def test_what_lies_beyond_the_detection_limit_gains_the_threshold(
-    fly_ramp: Callable[..., World], part: float, seen: bool
+    fly_ramp: Callable[..., ForwardModel], part: float, seen: bool
 ) -> None:
     """A damping of 2.5 times the limit is worth the 12 nats that a name needs, one of 0.4 times it is not."""
     clean = fly_ramp({}, 5)
@@ -93,7 +93,7 @@ def test_what_lies_beyond_the_detection_limit_gains_the_threshold(
     assert (gain > 12.0) == seen
 
 
-def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable[..., World]) -> None:
+def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Friction of 0.12 differs from none, a damping that is not there does not, and a shape never counts."""
     world = fly_ramp(TRUTH, 3)
     fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))

@@ -11,32 +11,32 @@ import pytest
 
 from analysis.attribution import selection
 from analysis.attribution.candidates import Candidate, candidates_of
-from analysis.attribution.comparison import MOST_OF_A_STEP, Compared, thriftiest
+from analysis.attribution.comparison import MOST_OF_A_STEP, LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Attribution
-from analysis.attribution.selection import Attributor
-from analysis.residuals.forward_model import Key, World
+from analysis.attribution.hypothesis import SelectionResult
+from analysis.attribution.selection import StepwiseSelection
+from analysis.residuals.forward_model import ForwardModel, ParameterId
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
 SOME = ("coulomb_friction", "viscous_damping", "quadratic_drag", "local_gravity", "adhesion", "contact_latency")
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
-Explain = Callable[..., Attribution]
+Explain = Callable[..., SelectionResult]
 
 
 @pytest.fixture
 def explain(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter], monkeypatch: pytest.MonkeyPatch
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
 ) -> Explain:
     """Explanation of a short run by a library of six."""
 
-    def few(world: World, hints_hz: object = ()) -> list[Candidate]:
+    def few(world: ForwardModel, hints_hz: object = ()) -> list[Candidate]:
         return [c for c in candidates_of(world) if set(c.names) <= set(SOME)]
 
     monkeypatch.setattr(selection, "candidates_of", few)
 
-    def explained(truth: dict[Key, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> Attribution:
+    def explained(truth: dict[ParameterId, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> SelectionResult:
         world = fly_ramp(truth, seed, gammas=gammas)
-        return Attributor(world, fitter_of(world)).explain()
+        return StepwiseSelection(world, fitter_of(world)).explain()
 
     return explained
 
@@ -66,11 +66,11 @@ def test_two_causes_are_both_named(explain: Explain) -> None:
 
 
 def test_an_idle_companion_is_left_out_again(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Drag that was added before friction explained everything goes when it is looked at again."""
     world = fly_ramp({UP: 0.05, DOWN: 0.05}, 4, gammas=GAMMAS)
-    attributor = Attributor(world, fitter_of(world))
+    attributor = StepwiseSelection(world, fitter_of(world))
     drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),), ({("quadratic_drag", "k_per_m"): 0.5},))
     friction = Candidate(("coulomb_friction",), (UP, DOWN), ({UP: 0.05, DOWN: 0.05},))
     before = _nothing(attributor)
@@ -83,11 +83,11 @@ def test_an_idle_companion_is_left_out_again(
 
 
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Stribeck friction chosen first, for what adhesion did: beside adhesion plain friction does as well."""
     world = fly_ramp({UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}, 6, gammas=tuple(np.linspace(0.35, 1.35, 14)))
-    attributor = Attributor(world, fitter_of(world))
+    attributor = StepwiseSelection(world, fitter_of(world))
     pool = candidates_of(world)
     stribeck, adhesion = (next(c for c in pool if c.names == (name,)) for name in ("stribeck_friction", "adhesion"))
     both = attributor.add(attributor.add(_nothing(attributor), stribeck) or _nothing(attributor), adhesion)
@@ -98,11 +98,11 @@ def test_a_special_case_takes_the_place_of_what_it_is_one_of(
 
 
 def test_a_richer_form_gives_way_to_its_special_case(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Stribeck friction is chosen although plain friction is all there is: the name is that of plain friction."""
     world = fly_ramp({UP: 0.15, DOWN: 0.15}, 6, gammas=GAMMAS)
-    attributor = Attributor(world, fitter_of(world))
+    attributor = StepwiseSelection(world, fitter_of(world))
     pool = candidates_of(world)
     stribeck = attributor.add(_nothing(attributor), next(c for c in pool if c.names == ("stribeck_friction",)))
     assert stribeck is not None
@@ -112,24 +112,24 @@ def test_a_richer_form_gives_way_to_its_special_case(
 
 
 def test_a_fuller_form_of_what_is_named_stays_on_offer(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Restitution without its slope is named: the slope may follow, what else is named may not again."""
     world = fly_ramp({}, 2, gammas=GAMMAS)
-    attributor = Attributor(world, fitter_of(world))
+    attributor = StepwiseSelection(world, fitter_of(world))
     pool = candidates_of(world)
     bare = min((c for c in pool if c.names == ("restitution",)), key=lambda c: len(c.free))
     drag = next(c for c in pool if c.names == ("quadratic_drag",))
     named: Any = SimpleNamespace(names=("quadratic_drag", "restitution"), free=(*drag.free, *bare.free))
-    offered = attributor._promising(pool, named)
+    offered = attributor._remaining_candidates(pool, named)
     assert any(c.names == ("restitution",) and set(bare.free) < set(c.free) for c in offered)
     assert bare not in offered and drag not in offered
 
 
-def _nothing(attributor: Attributor) -> selection.Explanation:
+def _nothing(attributor: StepwiseSelection) -> selection.Hypothesis:
     whitener = selection.Whitener.of(attributor.world, {})
     fitted = attributor.fitter.fit(whitener, (), {})
-    return selection.Explanation((), fitted, whitener, fitted.held_out(whitener))
+    return selection.Hypothesis((), fitted, whitener, fitted.held_out(whitener))
 
 
 def test_a_few_steps_that_gain_much_do_not_hide_the_many_that_gain_little() -> None:
@@ -137,7 +137,7 @@ def test_a_few_steps_that_gain_much_do_not_hide_the_many_that_gain_little() -> N
     train = np.ones(16, dtype=bool)
     worse, better = np.full(16, 5.0), np.zeros(16)
     worse[3] = 900.0
-    gain = Compared.of(worse, better, train)
+    gain = LogScoreDifference.of(worse, better, train)
     assert gain.gain == pytest.approx(975.0)
     assert gain.gain < 2.0 * gain.error
     assert gain.even == pytest.approx(75.0 + MOST_OF_A_STEP)
@@ -149,22 +149,22 @@ def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
     rng = np.random.default_rng(0)
     d = 10.0 * rng.standard_normal(16)
     d += (15.0 - d.sum()) / 16
-    assert not Compared.of(d, np.zeros(16), np.ones(16, dtype=bool)).beyond(12.0, 2.0)
+    assert not LogScoreDifference.of(d, np.zeros(16), np.ones(16, dtype=bool)).beyond(12.0, 2.0)
 
 
 def test_a_lead_in_some_steps_outweighs_a_parameter() -> None:
     """A parameter more is worth 25 nats in two steps, and not 3: the price of one is 4."""
     train, none = np.ones(6, dtype=bool), np.zeros(6)
     far, hardly = np.array([12.0, 13.0, 0.0, 0.0, 0.0, 0.0]), np.array([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert thriftiest(none, [far, none], [4.0, 8.0], train) == 1
-    assert thriftiest(none, [hardly, none], [4.0, 8.0], train) == 0
+    assert penalised_best(none, [far, none], [4.0, 8.0], train) == 1
+    assert penalised_best(none, [hardly, none], [4.0, 8.0], train) == 0
 
 
 def test_one_step_alone_outweighs_no_more_than_itself() -> None:
     """A step that loses 300 nats to a hidden bounce, and twenty that gain one each: these decide."""
     train, top = np.ones(21, dtype=bool), np.zeros(21)
     bounced = np.concatenate([[300.0], np.full(20, -1.0)])
-    assert thriftiest(top, [top, bounced], [4.0, 4.0], train) == 1
+    assert penalised_best(top, [top, bounced], [4.0, 4.0], train) == 1
 
 
 def test_no_second_cause_is_looked_for_in_noise(explain: Explain) -> None:

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.discover import discover
-from analysis.discovery.penalised_fit import Stack, best_start, try_in_flight
+from analysis.discovery.penalised_fit import StackedResiduals, best_start, try_in_flight
 from analysis.discovery.search import FIRST_TAILS, TermSearch
 from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
 from analysis.residuals.covariates import covariates
-from analysis.residuals.forward_model import Key, World
-from analysis.residuals.prediction_errors import errors_on, judged_rows, noise_floor_us
+from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.prediction_errors import held_out_errors, judged_rows, noise_floor_us
 from analysis.residuals.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 
@@ -29,9 +29,9 @@ def pull_mps2(height_m: np.ndarray) -> np.ndarray:
     return np.asarray(0.35 * 0.5 * (1.0 + np.tanh((height_m - 2e-3) / 6e-4)))
 
 
-def latch() -> dict[Key, float]:
+def latch() -> dict[ParameterId, float]:
     """The magnet, as the effect that carries a smooth force."""
-    out: dict[Key, float] = {
+    out: dict[ParameterId, float] = {
         ("smooth_force", "of"): 1.0,
         ("smooth_force", "start"): 0.0,
         ("smooth_force", "spacing"): HEIGHTS[1],
@@ -39,14 +39,14 @@ def latch() -> dict[Key, float]:
     return out | {("smooth_force", f"c{i}"): -float(x) for i, x in enumerate(pull_mps2(HEIGHTS))}
 
 
-def unexplained(world: World, fitter: Fitter) -> Explanation:
+def unexplained(world: ForwardModel, fitter: Fitter) -> Hypothesis:
     """The declared model alone, fitted."""
     whitener = Whitener.of(world, {})
     fitted = fitter.fit(whitener, (), {})
-    return Explanation((), fitted, whitener, fitted.held_out(whitener))
+    return Hypothesis((), fitted, whitener, fitted.held_out(whitener))
 
 
-def search_of(world: World, fitter: Fitter) -> TermSearch:
+def search_of(world: ForwardModel, fitter: Fitter) -> TermSearch:
     """A search beside nothing."""
     explanation = unexplained(world, fitter)
     tables = covariates(world, explanation.fitted.values)
@@ -54,7 +54,7 @@ def search_of(world: World, fitter: Fitter) -> TermSearch:
 
 
 def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Covariate, direction, size, words; held-out landings at the floor; more than any constant pull."""
     world = fly_ramp(latch(), 1)
@@ -68,14 +68,16 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
     assert found.over_constant.gain > 12.0
     rows, out = judged_rows(found.world, found.explanation.fitted.values, ~fitter.train)
-    after = errors_on(found.world, found.explanation.fitted.values, rows, out)
+    after = held_out_errors(found.world, found.explanation.fitted.values, rows, out)
     floor = noise_floor_us(found.world, found.explanation.fitted.values, rows)
     assert after.landing_rms_us < 1.3 * floor
-    before = errors_on(world, {}, *judged_rows(world, {}, ~fitter.train))
+    before = held_out_errors(world, {}, *judged_rows(world, {}, ~fitter.train))
     assert before.landing_rms_us > 5.0 * floor
 
 
-def test_nothing_is_discovered_in_noise(fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]) -> None:
+def test_nothing_is_discovered_in_noise(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
     """A clean run has no missing term, however many covariates are asked."""
     world = fly_ramp({}, 2)
     fitter = fitter_of(world)
@@ -83,7 +85,7 @@ def test_nothing_is_discovered_in_noise(fly_ramp: Callable[..., World], fitter_o
 
 
 def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """The take-off threshold at long and at short rests, each within its band or a tenth."""
     a, tau = 2.0, 4e-3
@@ -100,14 +102,14 @@ def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
 
 
 def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """e = 0.12 - 0.3 v, found without a formula, to a hundredth where rebounds are long enough to be seen."""
     world = fly_ramp({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
     search = search_of(world, fitter_of(world))
     term = next(t for t in IN_FLIGHT if t.name == "restitution")
     span = ranges_of(search.tables, world.evidence.judged)[term.of]
-    stack = Stack.of(world, search.values, search.train)
+    stack = StackedResiduals.of(world, search.values, search.train)
     start = best_start(world, search.values, stack, Curve.even(term, span), search.dwell)
     look = try_in_flight(world, search.values, stack, start, search.dwell, FIRST_TAILS)
     found = search.polished(look.curve)
@@ -116,7 +118,7 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
 
 
 def test_the_band_of_a_smooth_force_holds_the_truth(
-    fly_ramp: Callable[..., World], fitter_of: Callable[[World], Fitter]
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """A pull that grows evenly with height: in five runs the truth lies within the band where 95 % says so."""
     spring, inside = 40.0, []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.short_contacts import UNLIKE, brief_contact, dent
+from analysis.events.short_contacts import UNLIKE, brief_contact, rc_pulse
 
 TAU = (0.4, 0.4)
 NOISE = 4e-4
@@ -17,7 +17,7 @@ def test_dents_with_a_witness_are_fitted_as_well_as_stated() -> None:
     pulls = []
     for _ in range(150):
         close, length = 3.0 + rng.random(), rng.uniform(0.2, 2.5)
-        volts = dent(12, close, length, TAU) + NOISE * rng.standard_normal(12)
+        volts = rc_pulse(12, close, length, TAU) + NOISE * rng.standard_normal(12)
         lowest = float(np.argmin(volts))
         fit = brief_contact(volts, NOISE, TAU, (lowest - 2.5, lowest), (close + 0.02 * rng.standard_normal(), 0.02))
         assert fit is not None
@@ -28,7 +28,7 @@ def test_dents_with_a_witness_are_fitted_as_well_as_stated() -> None:
 
 def test_both_edges_between_the_same_samples_are_not_claimed_to_be_known() -> None:
     """A contact within one interval leaves one number for two unknowns: the uncertainty says so."""
-    volts = dent(12, 3.2, 0.5, TAU)
+    volts = rc_pulse(12, 3.2, 0.5, TAU)
     fit = brief_contact(volts, NOISE, TAU, (1.5, 4.0))
     assert fit is not None
     assert fit[1] > 0.05
@@ -37,7 +37,7 @@ def test_both_edges_between_the_same_samples_are_not_claimed_to_be_known() -> No
 
 def test_a_contact_that_bounces_is_not_taken_for_one_dent() -> None:
     """Two dents in the window are refused."""
-    volts = dent(12, 3.2, 0.8, TAU) * dent(12, 6.1, 1.0, TAU)
+    volts = rc_pulse(12, 3.2, 0.8, TAU) * rc_pulse(12, 6.1, 1.0, TAU)
     assert brief_contact(volts, NOISE, TAU, (2.0, 4.5)) is None
 
 

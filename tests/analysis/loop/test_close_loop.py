@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.attribution.hypothesis import Attribution, Rejected
+from analysis.attribution.hypothesis import Rejected, SelectionResult
 from analysis.loop import close_loop
 from analysis.loop.close_loop import verdict_of
 from analysis.residuals.forward_model import DRIFT
-from analysis.residuals.lack_of_fit import Remainder
+from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors
 from analysis.thresholds import FROZEN
 
-NOISE = Remainder(0.4, 1.02, 1.01, None, {}, 0.3, 0.5, 0.6)
+NOISE = GoodnessOfFit(0.4, 1.02, 1.01, None, {}, 0.3, 0.5, 0.6)
 HIT = Errors(10.0, 9.0, 11.0, 9.0, 30.0, 31.0, 1e-4, 90, 0.0)
 FLOORS = (10.0, 30.0)
 
@@ -32,8 +32,8 @@ def test_a_named_cause_that_leaves_noise_is_an_explanation() -> None:
 @pytest.mark.parametrize(
     "after",
     [
-        replace(HIT, landing_rms_us=FROZEN.clean_bill * 10.0 + 0.1),
-        replace(HIT, takeoff_robust_us=46.0, takeoff_rms_us=47.0),
+        replace(HIT, landing_rms_us=FROZEN.max_rms_over_floor * 10.0 + 0.1),
+        replace(HIT, takeoff_nmad_us=46.0, takeoff_rms_us=47.0),
     ],
     ids=["landings", "take-offs"],
 )
@@ -51,9 +51,9 @@ def test_what_chance_alone_makes_of_few_held_out_steps_is_no_miss() -> None:
 
 def test_a_floor_below_what_the_circuit_may_do_is_no_reason_to_doubt() -> None:
     """Take-offs known to half a microsecond and missed by one: the circuit's own physics, not a missing cause."""
-    small = replace(HIT, takeoff_robust_us=0.9)
+    small = replace(HIT, takeoff_nmad_us=0.9)
     assert verdict_of(True, NOISE, small, (10.0, 0.45), FROZEN) == "explained"
-    assert verdict_of(True, NOISE, replace(HIT, takeoff_robust_us=2.0), (10.0, 0.45), FROZEN) == "unexplained"
+    assert verdict_of(True, NOISE, replace(HIT, takeoff_nmad_us=2.0), (10.0, 0.45), FROZEN) == "unexplained"
 
 
 def test_a_miss_without_a_name_is_left_to_the_tests_of_the_remainder() -> None:
@@ -67,12 +67,12 @@ def test_structure_beyond_the_floor_is_unexplained_with_or_without_a_name() -> N
     assert verdict_of(True, loud, HIT, FLOORS, FROZEN) == "unexplained"
     assert verdict_of(False, loud, HIT, FLOORS, FROZEN) == "unexplained"
     assert verdict_of(True, replace(loud, ratio=1.1), HIT, FLOORS, FROZEN) == "explained"
-    assert verdict_of(True, replace(NOISE, plate_ratio=2.0), HIT, FLOORS, FROZEN) == "unexplained"
+    assert verdict_of(True, replace(NOISE, plate_rms_z=2.0), HIT, FLOORS, FROZEN) == "unexplained"
 
 
 def test_a_run_without_rests_is_judged_by_its_landings() -> None:
     """No take-off was seen: there is neither an error nor a floor of them, and that is no reason to refuse."""
-    after = replace(HIT, takeoff_robust_us=math.nan, takeoff_rms_us=math.nan)
+    after = replace(HIT, takeoff_nmad_us=math.nan, takeoff_rms_us=math.nan)
     assert verdict_of(True, NOISE, after, (10.0, math.nan), FROZEN) == "explained"
 
 
@@ -107,7 +107,7 @@ def _found(
     before, best = explanation("", np.full(21, 50.0 * further)), explanation("drag", spread - gain)
     earlier = (middle,) if further else ()
     monkeypatch.setattr(close_loop, "step_losses", lambda world, whitener, residuals: {"events": whitener})
-    found = Attribution(before, best, (best,), (), ("round 1",), earlier=(before, *earlier) if earlier else ())
+    found = SelectionResult(before, best, (best,), (), ("round 1",), earlier=(before, *earlier) if earlier else ())
     world: Any = SimpleNamespace(residuals=lambda values: None)
     after = close_loop._borne_out(world, found, train, FROZEN)
     assert after.best is best or (after.rejected is not None and after.rejected.names == ("drag",))
@@ -150,5 +150,5 @@ def test_the_rejected_candidate_is_part_of_the_json() -> None:
 def test_where_nothing_was_found_nothing_is_withdrawn() -> None:
     """The declared model stands: no word of reserved steps, and no rejected candidate without a name."""
     nothing: Any = SimpleNamespace(names=())
-    found = Attribution(nothing, nothing, (), (), ("round 1: nothing more gains beyond doubt",))
+    found = SelectionResult(nothing, nothing, (), (), ("round 1: nothing more gains beyond doubt",))
     assert close_loop._borne_out(nothing, found, np.ones(4, dtype=bool), FROZEN) is found

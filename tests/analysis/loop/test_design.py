@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter, priors_of
 from analysis.loop.design import Design, designs_for, rehearse
-from analysis.residuals.forward_model import World
-from analysis.residuals.observations import Evidence, Steps
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import PlateData
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
@@ -19,7 +19,7 @@ from model.integrator.one_step import Measured, PlateSteps
 FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"): 0.2}
 
 
-def seen_evidence() -> Evidence:
+def seen_evidence() -> Observations:
     """As little evidence as a rehearsal needs of the run that was made: one step, its uncertainties, no plate data."""
     setup = Setup(
         name="t",
@@ -41,7 +41,7 @@ def seen_evidence() -> Evidence:
     )
     one = np.full(3, 1e-5)
     yes: NDArray[np.bool_] = np.ones(3, dtype=bool)
-    return Evidence(
+    return Observations(
         Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes),
         one,
         one,
@@ -56,14 +56,14 @@ def seen_evidence() -> Evidence:
 
 
 @pytest.fixture(scope="module")
-def rehearsed() -> World:
+def rehearsed() -> ForwardModel:
     """A rehearsal of a c = 2 ramp under friction 0.2."""
-    world = World(seen_evidence(), {})
+    world = ForwardModel(seen_evidence(), {})
     truth = SimpleNamespace(fitted=SimpleNamespace(values=FRICTION))
-    return World(rehearse(Design("c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, truth), {})  # type: ignore[arg-type]
+    return ForwardModel(rehearse(Design("c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, truth), {})  # type: ignore[arg-type]
 
 
-def test_the_rehearsal_holds_what_it_was_made_of(rehearsed: World) -> None:
+def test_the_rehearsal_holds_what_it_was_made_of(rehearsed: ForwardModel) -> None:
     """Under the effects of which it was made, a rehearsed run leaves nothing; without them, milliseconds."""
     true, ideal = rehearsed.residuals(FRICTION), rehearsed.residuals({})
     rows = rehearsed.evidence.judged
@@ -72,7 +72,7 @@ def test_the_rehearsal_holds_what_it_was_made_of(rehearsed: World) -> None:
     assert np.nanmedian(np.abs(ideal.landing_s[rows])) > 1e-4
 
 
-def test_a_rival_loses_on_the_rehearsal(rehearsed: World) -> None:
+def test_a_rival_loses_on_the_rehearsal(rehearsed: ForwardModel) -> None:
     """Viscous damping, fitted to a run rehearsed under friction, keeps a loss that friction does not have."""
     fitter = Fitter(rehearsed, priors_of(rehearsed.evidence.setup), np.ones(4, dtype=bool))
     whitener = Whitener.of(rehearsed, FRICTION)

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 import analysis.loop.close_loop
 import analysis.report.page
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import Compared
-from analysis.attribution.hypothesis import Attribution, Rejected
-from analysis.attribution.selection import Attributor
-from analysis.loop.close_loop import Loop, as_json
+from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.hypothesis import Rejected, SelectionResult
+from analysis.attribution.selection import StepwiseSelection
+from analysis.loop.close_loop import ClosedLoop, as_json
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import reasoning
 from analysis.report.page import write_report
@@ -37,7 +37,7 @@ KEYS = (
     "remainder",
     "next_run",
 )
-ERRORS = ("landing_rms_us", "landing_robust_us", "takeoff_robust_us", "flight_time_relative")
+ERRORS = ("landing_rms_us", "landing_nmad_us", "takeoff_nmad_us", "flight_time_relative")
 FRICTION = Candidate(
     ("coulomb_friction",),
     (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")),
@@ -45,17 +45,19 @@ FRICTION = Candidate(
 )
 
 
-def one_candidate(self: Attributor) -> Attribution:
+def one_candidate(self: StepwiseSelection) -> SelectionResult:
     """An attribution that tries friction alone: what the search costs does not matter here."""
     before = self._judged((), self._settled(self.fitter.fit(Whitener.of(self.world, {}), (), {})))
     best = self.add(before, FRICTION)
     assert best is not None
-    gain = Compared.of(before.per_step, best.per_step, self.train)
-    return Attribution(before, best, (best, before), ((FRICTION.names, gain),), ("round 1: coulomb_friction gains",))
+    gain = LogScoreDifference.of(before.per_step, best.per_step, self.train)
+    return SelectionResult(
+        before, best, (best, before), ((FRICTION.names, gain),), ("round 1: coulomb_friction gains",)
+    )
 
 
 @pytest.fixture(scope="module")
-def closed(make: Callable[..., Any]) -> tuple[Loop, Path]:
+def closed(make: Callable[..., Any]) -> tuple[ClosedLoop, Path]:
     """The loop closed on a short ramp with friction 0.1, and its recording."""
     path = make(
         np.array([0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 0.62, 0.92, 1.07]),
@@ -63,11 +65,11 @@ def closed(make: Callable[..., Any]) -> tuple[Loop, Path]:
         effects={"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}},
     ).path
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Attributor, "explain", one_candidate)
+        patch.setattr(StepwiseSelection, "explain", one_candidate)
         return analysis.loop.close_loop.close_loop([path]), path
 
 
-def test_the_agreed_keys(closed: tuple[Loop, Path]) -> None:
+def test_the_agreed_keys(closed: tuple[ClosedLoop, Path]) -> None:
     """The JSON has every key agreed upon, each with its kind of value, and survives a parser that knows no NaN."""
     found = json.loads(json.dumps(as_json(closed[0]), allow_nan=False))
     assert set(KEYS) <= set(found)
@@ -79,7 +81,7 @@ def test_the_agreed_keys(closed: tuple[Loop, Path]) -> None:
     assert found["tie_set"][0] == ["coulomb_friction"]
     for side in ("before", "after"):
         assert all(isinstance(found[side][k], float) for k in ERRORS)
-    assert found["before"]["landing_robust_us"] > 10 * found["after"]["landing_robust_us"]
+    assert found["before"]["landing_nmad_us"] > 10 * found["after"]["landing_nmad_us"]
     assert set(found["remainder"]) >= {"p_lack_of_fit", "covariate"}
     assert found["held_out_steps"] == [2, 6]
     assert found["next_run"] is None
@@ -87,7 +89,7 @@ def test_the_agreed_keys(closed: tuple[Loop, Path]) -> None:
 
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_exit_status_is_zero_whatever_the_verdict(
-    closed: tuple[Loop, Path], verdict: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closed: tuple[ClosedLoop, Path], verdict: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command leaves with 0 for each verdict, and standard output carries the JSON and nothing else."""
     loop = dataclasses.replace(closed[0], verdict=verdict)
@@ -99,7 +101,7 @@ def test_exit_status_is_zero_whatever_the_verdict(
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_the_report_says_the_verdict(closed: tuple[Loop, Path], verdict: Any, tmp_path: Path) -> None:
+def test_the_report_says_the_verdict(closed: tuple[ClosedLoop, Path], verdict: Any, tmp_path: Path) -> None:
     """For each verdict one page with the verdict in words, its pictures inside, and the JSON beside it."""
     page = write_report(dataclasses.replace(closed[0], verdict=verdict), [closed[1]], tmp_path / "report")
     text = page.read_text(encoding="utf-8")
@@ -109,7 +111,7 @@ def test_the_report_says_the_verdict(closed: tuple[Loop, Path], verdict: Any, tm
     assert json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))["verdict"] == verdict
 
 
-def test_nothing_missing_names_nothing(closed: tuple[Loop, Path], tmp_path: Path) -> None:
+def test_nothing_missing_names_nothing(closed: tuple[ClosedLoop, Path], tmp_path: Path) -> None:
     """Where the declared model suffices, the page adds no effect and says so."""
     loop, path = closed
     before = loop.attribution.before
@@ -123,7 +125,7 @@ def test_nothing_missing_names_nothing(closed: tuple[Loop, Path], tmp_path: Path
     assert "<th>added</th>" not in text
 
 
-def test_the_verdict_line_has_size_and_interval(closed: tuple[Loop, Path]) -> None:
+def test_the_verdict_line_has_size_and_interval(closed: tuple[ClosedLoop, Path]) -> None:
     """Each parameter with its 95 % interval and unit, on the page and the terminal alike."""
     loop = closed[0]
     value, low, high = loop.effects[0].parameters["mu_up"]
@@ -147,7 +149,7 @@ def test_value_and_interval_have_one_form(numbers: tuple[float, float, float], t
     assert interval(*numbers) == text
 
 
-def test_the_page_tells_where_it_comes_from(closed: tuple[Loop, Path], tmp_path: Path) -> None:
+def test_the_page_tells_where_it_comes_from(closed: tuple[ClosedLoop, Path], tmp_path: Path) -> None:
     """Date, rig, back end and versions stand on the page; gamma is defined once; microseconds have one form."""
     page = write_report(closed[0], [closed[1]], tmp_path / "report")
     text = re.sub(r"base64,[^\"]*", "", page.read_text(encoding="utf-8"))
@@ -159,7 +161,7 @@ def test_the_page_tells_where_it_comes_from(closed: tuple[Loop, Path], tmp_path:
     assert not re.search(r"\d[.\d]*e[+-]?\d+ (&micro;s|us)", text)
 
 
-def test_every_failed_test_is_a_reason(closed: tuple[Loop, Path]) -> None:
+def test_every_failed_test_is_a_reason(closed: tuple[ClosedLoop, Path]) -> None:
     """The sentence on an unexplained recording names each test that failed, with what was found and allowed."""
     tests = ("flights", "plate", "landings", "takeoffs")
     failed = tuple(Failed(t, 10.0 + n, 1.6) for n, t in enumerate(tests))  # type: ignore[arg-type]
@@ -169,7 +171,7 @@ def test_every_failed_test_is_a_reason(closed: tuple[Loop, Path]) -> None:
 
 
 def test_the_best_rejected_candidate_is_shown(
-    closed: tuple[Loop, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    closed: tuple[ClosedLoop, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Page and terminal name the refused candidate of the greatest gain, its gain and the reason."""
     from bench.terminal.loop_display import show
@@ -184,7 +186,7 @@ def test_the_best_rejected_candidate_is_shown(
 
 
 def test_the_verdict_survives_a_failing_output(
-    closed: tuple[Loop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closed: tuple[ClosedLoop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The verdict is shown before anything is written; each failure is told under its name, and the rest is written."""
     from daq.setup.errors import InputError
@@ -206,7 +208,7 @@ def test_the_verdict_survives_a_failing_output(
 
 
 def test_an_improved_profile_that_exists_is_refused_before_any_work(
-    closed: tuple[Loop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closed: tuple[ClosedLoop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is computed for a name that is taken."""
     better = tmp_path / "better.toml"

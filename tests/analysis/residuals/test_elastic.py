@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.residuals.forward_model import World
-from analysis.residuals.prediction_errors import errors_on, fragile, judged_rows, noise_floors_us
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.prediction_errors import fragile, held_out_errors, judged_rows, noise_floors_us
 from model.effects.registry import row
 from model.integrator.kernel import RESOLVED_S
 from model.integrator.one_step import Measured, PlateSteps, march, one_ahead
@@ -90,13 +90,15 @@ def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
     assert p.landing_s[1] == pytest.approx(bounces[0], abs=1e-9)
 
 
-def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., World]) -> None:
+def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Elastic runs of nothing but noise: what is missed by far was fragile, the rest is missed as the floor says."""
     ratios, far, left = [], 0, []
     for seed in range(3):
         world = fly_ramp(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
         rows, out = judged_rows(world, REBOUNDS, np.ones(len(world.evidence.steps), dtype=bool))
-        ratios.append(errors_on(world, REBOUNDS, rows, out).landing_rms_us / noise_floors_us(world, REBOUNDS, rows)[0])
+        ratios.append(
+            held_out_errors(world, REBOUNDS, rows, out).landing_rms_us / noise_floors_us(world, REBOUNDS, rows)[0]
+        )
         left.append(out)
         missed = np.abs(world.residuals(REBOUNDS).landing_s) > 1e-3
         far += int(missed.sum())
@@ -106,13 +108,13 @@ def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., World]) -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
-def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(fly_ramp: Callable[..., World]) -> None:
+def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(fly_ramp: Callable[..., ForwardModel]) -> None:
     """The last flight of each step, moved by a tenth of a millisecond, is as fragile as before."""
     world = fly_ramp(REBOUNDS, 0)
     ev = world.evidence
     last = np.append(ev.measured.step[1:] != ev.measured.step[:-1], True)
     landing = ev.measured.landing_s + 1e-4 * last
-    moved = World(replace(ev, measured=replace(ev.measured, landing_s=landing)), {})
+    moved = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=landing)), {})
     assert np.array_equal(fragile(world, REBOUNDS)[last], fragile(moved, REBOUNDS)[last])
 
 

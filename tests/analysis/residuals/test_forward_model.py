@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.residuals.forward_model import World
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import SHARED_S
 from analysis.residuals.whitening import Whitener, step_losses
 
@@ -17,7 +17,7 @@ FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down")
 SEEDS = range(4)
 
 
-def test_residuals_at_the_truth_are_unit_normal_once_whitened(fly_ramp: Callable[..., World]) -> None:
+def test_residuals_at_the_truth_are_unit_normal_once_whitened(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Edges, carried errors and tones together: Kolmogorov-Smirnov on four runs, and the plate data likewise."""
     events, plate = [], []
     for seed in SEEDS:
@@ -34,7 +34,7 @@ def test_residuals_at_the_truth_are_unit_normal_once_whitened(fly_ramp: Callable
 
 
 @pytest.mark.parametrize("times", [3.0, 8.0])
-def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., World], times: float) -> None:
+def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., ForwardModel], times: float) -> None:
     """Tones err for a whole step, some by far more than edges: bare residuals of steps differ, whitened ones do not."""
     world = fly_ramp(FRICTION, 3)
     sigma = times * world.evidence.steps.sigma_mps2
@@ -43,7 +43,7 @@ def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., World], times: 
     noise = (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) * sigma * steps.forcing
     shaken = replace(steps.plate, acceleration_mps2=steps.plate.acceleration_mps2 + noise)
     steps = replace(steps, plate=shaken, spread_mps2=times * steps.spread_mps2)
-    world = World(replace(world.evidence, steps=steps), {})
+    world = ForwardModel(replace(world.evidence, steps=steps), {})
     whitener = Whitener.of(world, FRICTION)
     r = world.residuals(FRICTION)
     z, _ = whitener.white(r)
@@ -56,25 +56,25 @@ def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., World], times: 
     assert between(z) > 1e-3
 
 
-def test_weights_are_near_only_with_those_of_the_plate(fly_ramp: Callable[..., World]) -> None:
+def test_weights_are_near_only_with_those_of_the_plate(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A fit is settled when edges and plate data both keep their weights."""
     whitener = Whitener.of(fly_ramp(FRICTION, 1), FRICTION)
     assert whitener.near(whitener)
     assert not replace(whitener, plate_sigma=2.0 * whitener.plate_sigma).near(whitener)
 
 
-def test_a_microsecond_that_a_step_shares_is_no_evidence(fly_ramp: Callable[..., World]) -> None:
+def test_a_microsecond_that_a_step_shares_is_no_evidence(fly_ramp: Callable[..., ForwardModel]) -> None:
     """However sharp the edges: all landings of a step off by what the circuit may do count as one unit, not as many."""
     made = fly_ramp(FRICTION, 1).evidence
     sharp = np.full(len(made), 5e-8)
-    world = World(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
+    world = ForwardModel(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
     whitener, r = Whitener.of(world, FRICTION, lean=True), world.residuals(FRICTION)
     off = replace(r, opening_s=np.zeros(len(made)), landing_s=np.full(len(made), SHARED_S), plate=0.0 * r.plate)
     z, _ = whitener.white(off)
     assert np.all(np.bincount(whitener.step, z**2) < 2.5)
 
 
-def test_the_truth_loses_least(fly_ramp: Callable[..., World]) -> None:
+def test_the_truth_loses_least(fly_ramp: Callable[..., ForwardModel]) -> None:
     """By step and in sum, friction's own size beats a tenth less and a tenth more on the same weights."""
     world = fly_ramp(FRICTION, 1)
     whitener = Whitener.of(world, FRICTION)
@@ -86,7 +86,7 @@ def test_the_truth_loses_least(fly_ramp: Callable[..., World]) -> None:
     assert loss(1.0) < min(loss(0.9), loss(1.1)) - 20.0
 
 
-def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(fly_ramp: Callable[..., World]) -> None:
+def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A trend moves rows in proportion to the place in the run, and never beyond the parameter's bounds."""
     world = fly_ramp({}, 0)
     mu = ("coulomb_friction", "mu_up")

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution.hypothesis import Explanation
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.covariates import COVARIATES, covariates
-from analysis.residuals.forward_model import Values, World
+from analysis.residuals.forward_model import ForwardModel, Values
 from analysis.residuals.lack_of_fit import innovations, remainder
 
 MU = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 
 
-def left_by(world: World, values: Values) -> Explanation:
+def left_by(world: ForwardModel, values: Values) -> Hypothesis:
     """As much of an explanation as the tests of the remainder look at."""
-    return cast(Explanation, SimpleNamespace(fitted=SimpleNamespace(values=values)))
+    return cast(Hypothesis, SimpleNamespace(fitted=SimpleNamespace(values=values)))
 
 
-def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., World]) -> None:
+def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Eight runs of noise: none improbable, each test's p spread out, the covariates' like uniform ones."""
     every, scatter, serial = [], [], []
     for seed in range(8):
@@ -41,7 +41,7 @@ def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., World
     assert min(scatter) > 0.05  # the scale of the noise is granted an error
 
 
-def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., World]) -> None:
+def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., ForwardModel]) -> None:
     """An edge enters the next predictions: neighbours are correlated before, not after."""
     world = fly_ramp(MU, 2)
     found = innovations(world, MU, world.uncertainty(MU))
@@ -51,20 +51,20 @@ def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., Wo
     assert abs(lagged) < 4.0 / np.sqrt(together.sum())
 
 
-def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., World]) -> None:
+def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Landings late in proportion to the time in the run, half an uncertainty at its ends: so much is seen."""
     world = fly_ramp(MU, 3)
     ev, total = world.evidence, world.uncertainty(MU).landing_total_s
     time = covariates(world, MU)["time_in_run_s"]
     part = (time - time.mean()) / np.ptp(time)
     late = ev.measured.landing_s + 2.5 * total * part
-    slanted = World(replace(ev, measured=replace(ev.measured, landing_s=late)), {})
+    slanted = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=late)), {})
     left = remainder(slanted, left_by(slanted, MU))
     assert left.p_lack_of_fit < 1e-6
     assert left.covariate in ("time_in_run_s", "step_number")
 
 
-def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., World]) -> None:
+def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Friction 0.1 left out: improbable beyond doubt, and many times the floor."""
     world = fly_ramp(MU, 4)
     left = remainder(world, left_by(world, {}))
@@ -73,7 +73,7 @@ def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., World]) -> No
     assert left.covariate in COVARIATES
 
 
-def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., World]) -> None:
+def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Two landings of hundreds that are milliseconds off raise no alarm by themselves."""
     world = fly_ramp(MU, 5)
     ev = world.evidence
@@ -82,5 +82,5 @@ def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., World]) -> None:
     landing[rows] += 3e-3
     # the flights that start from them are not judged: their start is wrong, not their law
     judged = ev.judged & ~np.isin(np.arange(len(ev)), np.concatenate([rows + 1, rows + 2]))
-    hit = World(replace(ev, judged=judged, measured=replace(ev.measured, landing_s=landing, wanted=judged)), {})
+    hit = ForwardModel(replace(ev, judged=judged, measured=replace(ev.measured, landing_s=landing, wanted=judged)), {})
     assert remainder(hit, left_by(hit, MU)).p_lack_of_fit > 1e-4

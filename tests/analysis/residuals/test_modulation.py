@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.plate.fit_mask import Kept
-from analysis.residuals.forward_model import Key, World
-from analysis.residuals.modulation import Swells
-from analysis.residuals.observations import Evidence, evidence_of
+from analysis.plate.fit_mask import FitIntervals
+from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.modulation import AmplitudeModulation
+from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.plate_observables import MODULATION
 from analysis.thresholds import FROZEN
 from model.effects.registry import row
@@ -25,7 +25,7 @@ CARRIERS = np.array([16.0 * np.exp(0.4j), 30.0 * np.exp(-1.1j)])
 STEP_S = 20.0 / FORCING_HZ / 20_000  # of the fine grid
 LINE_HZ = 50.0  # a fitted line beside the second tone: the swell leaks into it
 OTHERS_HZ = (*(FORCING_HZ * m for m in (3, 4, 5, 6)), LINE_HZ)
-DEEP: tuple[Key, Key] = (("amplitude_modulation", "depth"), ("amplitude_modulation", "frequency_hz"))
+DEEP: tuple[ParameterId, ParameterId] = (("amplitude_modulation", "depth"), ("amplitude_modulation", "frequency_hz"))
 
 
 def swelling(t: NDArray[np.float64], phase: float = PHASE) -> NDArray[np.float64]:
@@ -45,7 +45,7 @@ def fitted(t: NDArray[np.float64], x: NDArray[np.float64], hz: NDArray[np.float6
 
 def swells_of(
     phases: tuple[float, ...], *, spans: int = 6, noise: float = 0.0, masked: float = 0.0
-) -> tuple[Swells, PlateSteps]:
+) -> tuple[AmplitudeModulation, PlateSteps]:
     """Steps and windows of recordings of a plate that swells with these phases, fitted as an analysis does.
 
     The part ``masked`` of each cycle of the first tone is left out.
@@ -71,7 +71,7 @@ def swells_of(
                 table["value"].append(change)
             within = 9 * len(kept) + np.arange(20_000) // 2_100
             within[9 * 2_100 :] = -1
-            stretches = Kept.of_blocks(0, keep, within, np.zeros(20_000, dtype=np.bool_), STEP_S)
+            stretches = FitIntervals.of_blocks(0, keep, within, np.zeros(20_000, dtype=np.bool_), STEP_S)
             kept.append(replace(stretches, span_s=stretches.span_s + start))
             table["z"].append(z)
             table["span"].append((start, start + 20.0 / FORCING_HZ))
@@ -79,7 +79,7 @@ def swells_of(
     z, m = np.array(table["z"]), len(table["z"])
     value = np.array(table["value"], dtype=np.float64)
     none = np.zeros(m, dtype=np.int64)
-    swells = Swells(
+    swells = AmplitudeModulation(
         np.array(table["recording"], dtype=np.int64),
         np.array(table["span"]),
         np.tile(2.0 * np.pi * every, (m, 1)),
@@ -91,7 +91,7 @@ def swells_of(
         np.array(table["window"]),
         value,
         np.full(len(value), 1e-3),
-        Kept.join(kept, np.arange(m), none),
+        FitIntervals.join(kept, np.arange(m), none),
     )
     tones = np.zeros((m, 8), dtype=np.complex128)
     tones[:, :2] = z[:, :2]
@@ -171,11 +171,11 @@ def test_a_ball_on_a_swelling_plate_lands_where_brute_force_says() -> None:
     assert abs(steady.landing_s[1] - landing) > 1e-4
 
 
-def recorded(make, effects: dict[str, dict[str, float]]) -> Evidence:  # type: ignore[no-untyped-def]
+def recorded(make, effects: dict[str, dict[str, float]]) -> Observations:  # type: ignore[no-untyped-def]
     """Evidence of a short ramp on the simulated rig."""
     gammas = np.linspace(0.7, 2.0, 10)[[3, 7, 0, 5, 9, 1, 8, 4, 2, 6]]
     path: Path = make(gammas, settle=8, hold=20, effects=effects).path
-    return evidence_of([path])
+    return observations_from([path])
 
 
 @pytest.mark.parametrize("hz", [0.2, 4.6])
@@ -183,7 +183,7 @@ def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> Non
     """Slower and faster than a step: what the plate shows of it brings plate data and landings to their noise."""
     evidence = recorded(make, {"amplitude_modulation": {"depth": 0.03, "frequency_hz": hz}})
     hints = evidence.swells.hints() if evidence.swells is not None else ()
-    world, rows = World(evidence, {}), evidence.plate.kind == MODULATION
+    world, rows = ForwardModel(evidence, {}), evidence.plate.kind == MODULATION
     found = min(hints, key=lambda hint: abs(hint[0] - hz))
     assert found[0] == pytest.approx(hz, abs=0.02)
     assert found[1] == pytest.approx(0.03, rel=0.05)
@@ -204,7 +204,7 @@ def test_a_steady_plate_swells_by_no_more_than_its_noise(make) -> None:  # type:
     assert rows.sum() > 60
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
     assert evidence.swells is not None
-    world = World(evidence, {})
+    world = ForwardModel(evidence, {})
     for hz, depth in evidence.swells.hints():
         squares = [
             np.sum((world.residuals(values).plate / evidence.plate.sigma) ** 2)

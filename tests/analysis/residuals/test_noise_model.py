@@ -8,7 +8,7 @@ import pytest
 from analysis.residuals.noise_model import (
     LEAST_EXCESS_S,
     NEVER,
-    excess_of,
+    excess_noise,
     log_odds,
     plate_scale,
     robust_loss,
@@ -37,9 +37,9 @@ def test_scatter_beyond_the_uncertainty_is_found_and_an_honest_one_is_left_alone
     sigma, period = np.full(400, 1e-5), np.full(400, 0.04)
     loud, honest = 4e-5 * rng.standard_normal(400), 1e-5 * rng.standard_normal(400)
     honest[::50] = 0.01
-    assert excess_of(loud, sigma, period)[0] == pytest.approx(3.9e-5, rel=0.15)
-    assert excess_of(honest, sigma, period)[0] < 3e-6
-    assert excess_of(np.zeros(0), sigma[:0], period[:0]) == (LEAST_EXCESS_S, 0.0)
+    assert excess_noise(loud, sigma, period)[0] == pytest.approx(3.9e-5, rel=0.15)
+    assert excess_noise(honest, sigma, period)[0] < 3e-6
+    assert excess_noise(np.zeros(0), sigma[:0], period[:0]) == (LEAST_EXCESS_S, 0.0)
 
 
 def test_odds_are_a_density_against_a_density() -> None:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.residuals.forward_model import World
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import _clustered, join
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 QUIET = (0.22, 0.23, 0.24, 0.25)
 
 
-def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., World]) -> None:
+def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Two runs in one table: flights of the second point at its own steps, and predict as they did alone."""
     one, two = (fly_ramp(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
     both = join([one, two])
@@ -22,7 +22,7 @@ def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., World]) 
     assert both.measured.step[len(one)] == len(one.steps) + two.measured.step[0]
     assert set(both.steps.recording) == {0, 1}
     assert len(both.plate) == len(one.plate) + len(two.plate)
-    alone, together = World(two, {}).residuals(FRICTION), World(both, {}).residuals(FRICTION)
+    alone, together = ForwardModel(two, {}).residuals(FRICTION), ForwardModel(both, {}).residuals(FRICTION)
     assert together.landing_s[len(one) :] == pytest.approx(alone.landing_s, abs=1e-9, nan_ok=True)
     assert together.plate[len(one.plate) :] == pytest.approx(alone.plate)
 

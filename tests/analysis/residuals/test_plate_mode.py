@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.plate.fit_mask import Kept
+from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.plate_mode import Ringing, _driven
 from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from model.integrator.one_step import PlateSteps, Predicted
@@ -43,7 +43,7 @@ def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Array:
     z = fitted(waves(TONES_HZ)[keep], x[keep])
     seen = (z[1::2] + 1j * z[2::2])[None]
     in_windows = window if rows[0][0] == MODULATION else np.full(POINTS, -1)
-    kept = Kept.of_blocks(0, keep, in_windows, contact, STEP_S)
+    kept = FitIntervals.of_blocks(0, keep, in_windows, contact, STEP_S)
     omega = 2.0 * np.pi * np.concatenate([[0.0], TONES_HZ])
     ear = Ringing(kept, omega[None], seen, np.array([1]), np.array([[0]]))
     block = np.searchsorted(kept.span_s[:, 0], t, side="right") - 1
@@ -112,7 +112,7 @@ def test_a_load_is_heard_as_a_masked_fit_of_what_the_plate_does_without_it() -> 
     every = waves(TONES_HZ)
     z = fitted(every[keep], (a_p + change * np.where(contact, 0.0, a_p + g))[keep])
     tone = complex(z[1], z[2])
-    kept = Kept.of_blocks(0, keep, np.full(POINTS, -1), contact, STEP_S)
+    kept = FitIntervals.of_blocks(0, keep, np.full(POINTS, -1), contact, STEP_S)
     omega = 2.0 * np.pi * np.concatenate([[0.0], TONES_HZ])
     ear = Ringing(kept, omega[None], np.array([[FORCED, 1e-9, 1e-9]]), np.array([1]), np.array([[0]]))
     zero, one = np.zeros(3, dtype=np.int64), np.ones(3)
@@ -129,7 +129,7 @@ def test_a_load_is_heard_as_a_masked_fit_of_what_the_plate_does_without_it() -> 
 
 def test_a_tone_that_is_not_there_is_not_loaded() -> None:
     """Columns without a tone stay empty, whatever tone lies nearest."""
-    kept = Kept.of_blocks(0, keep, np.full(POINTS, -1), contact, STEP_S)
+    kept = FitIntervals.of_blocks(0, keep, np.full(POINTS, -1), contact, STEP_S)
     omega = 2.0 * np.pi * np.concatenate([[0.0], TONES_HZ])
     ear = Ringing(kept, omega[None], np.array([[FORCED, 0.0, 0.0]]), np.array([1]), np.array([[0, 0]]))
     plate = PlateSteps(np.array([[omega[1], 1.0]]), np.array([[FORCED, 0.0]]), np.array([1.0 / FORCING_HZ]))

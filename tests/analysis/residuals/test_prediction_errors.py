@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.residuals.forward_model import World
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import (
-    errors_on,
+    held_out_errors,
     judged_rows,
     noise_floor_us,
     noise_floors_us,
@@ -20,13 +20,13 @@ from analysis.residuals.prediction_errors import (
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 
 
-def test_the_floor_is_what_a_true_model_misses_by(fly_ramp: Callable[..., World]) -> None:
+def test_the_floor_is_what_a_true_model_misses_by(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Five runs of nothing but noise: rms over floor, of landings and of take-offs, is one within 10 %."""
     landing, opening = [], []
     for seed in range(5):
         world = fly_ramp(FRICTION, seed)
         rows, out = judged_rows(world, FRICTION, np.ones(len(world.evidence.steps), dtype=bool))
-        errors, floors = errors_on(world, FRICTION, rows, out), noise_floors_us(world, FRICTION, rows)
+        errors, floors = held_out_errors(world, FRICTION, rows, out), noise_floors_us(world, FRICTION, rows)
         landing.append(errors.landing_rms_us / floors[0])
         opening.append(errors.takeoff_rms_us / floors[1])
         assert errors.landing_rms_us_low < errors.landing_rms_us < errors.landing_rms_us_high
@@ -35,7 +35,7 @@ def test_the_floor_is_what_a_true_model_misses_by(fly_ramp: Callable[..., World]
     assert np.mean(opening) == pytest.approx(1.0, abs=0.1)
 
 
-def test_only_named_steps_count_and_only_grazes_are_left_out(fly_ramp: Callable[..., World]) -> None:
+def test_only_named_steps_count_and_only_grazes_are_left_out(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Flights of other steps never; of these all but the ones whose landing nobody could have predicted."""
     world = fly_ramp(FRICTION, 0)
     steps = np.arange(len(world.evidence.steps)) == 4
@@ -43,25 +43,25 @@ def test_only_named_steps_count_and_only_grazes_are_left_out(fly_ramp: Callable[
     assert set(world.evidence.measured.step[rows]) == {4}
     sigma = np.array(world.evidence.landing_sigma_s)
     sigma[rows[:3]] = 1.0  # a landing that is not known to a second
-    vague = World(replace(world.evidence, landing_sigma_s=sigma), {})
+    vague = ForwardModel(replace(world.evidence, landing_sigma_s=sigma), {})
     fewer, left = judged_rows(vague, FRICTION, steps)
     assert set(rows[:3]).isdisjoint(fewer)
     assert left == pytest.approx(1.0 - len(fewer) / len(rows))
     assert out <= left
-    nothing = errors_on(world, FRICTION, rows[:0], 0.0)
+    nothing = held_out_errors(world, FRICTION, rows[:0], 0.0)
     assert nothing.flights == 0
     assert np.isnan(nothing.landing_rms_us)
 
 
-def test_a_flight_without_prediction_misses_by_half_a_period(fly_ramp: Callable[..., World]) -> None:
+def test_a_flight_without_prediction_misses_by_half_a_period(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A ball that a wrong model never lets go is no hit."""
     world = fly_ramp({}, 0)
     held = {("adhesion", "a_mps2"): 29.0}
     rows, out = judged_rows(world, held, world.evidence.steps.gamma < 0.4)
-    assert errors_on(world, held, rows, out).landing_rms_us == pytest.approx(0.5e6 / 25.37, rel=0.05)
+    assert held_out_errors(world, held, rows, out).landing_rms_us == pytest.approx(0.5e6 / 25.37, rel=0.05)
 
 
-def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., World]) -> None:
+def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Tones err for a whole step: noise alone exceeds the floor of two steps by more than that of fourteen."""
     world = fly_ramp(FRICTION, 0)
     over = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_of
+from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_noise
 from analysis.residuals.whitening import _Blocks
 
 STEPS, EACH, EDGE_S, TONE_S, PERIOD_S = 20, 30, 3e-7, 3e-6, 0.04
@@ -32,7 +32,7 @@ def test_errors_that_a_step_shares_leave_no_excess(seed: int) -> None:
 def test_a_scatter_of_its_own_is_found_below_a_larger_shared_error(seed: int) -> None:
     """A scatter of 1.2 microseconds under shared errors of three, which a look at each event alone cannot see."""
     made = blocks(1.2e-6, seed)
-    alone, _ = excess_of(made.bare, np.hypot(EDGE_S, TONE_S) * np.ones(len(made.bare)), made.period_s)
+    alone, _ = excess_noise(made.bare, np.hypot(EDGE_S, TONE_S) * np.ones(len(made.bare)), made.period_s)
     assert alone == LEAST_EXCESS_S
     found = made.likeliest((LEAST_EXCESS_S, alone), (False, False))[1]
     assert 0.9e-6 < found < 1.3e-6  # the scale of Student's t, 0.87 of a normal deviation

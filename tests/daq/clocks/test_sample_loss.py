@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.daq import losses
 from daq.clocks.loss_search import NOTHING, AtOnce, Beside, Found
-from daq.clocks.sample_loss import LossFinder
+from daq.clocks.sample_loss import LossDetector
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
 from daq.recording.tables import Block, BlockFlag
 from daq.setup.setup import Setup
@@ -34,7 +34,7 @@ def test_clean_runs_stay_clean() -> None:
         assert losses.run(np.random.default_rng(ratio), 0, ratio, seconds=4.0)[1:] == []
 
 
-def feed(finder: LossFinder, played: np.ndarray, heard: np.ndarray, kept: np.ndarray | None = None) -> list[Block]:
+def feed(finder: LossDetector, played: np.ndarray, heard: np.ndarray, kept: np.ndarray | None = None) -> list[Block]:
     """Blocks of 512 through a finder, without clocks; of the samples heard, those numbered ``kept`` arrive."""
     blocks: list[Block] = []
     kept = np.arange(len(heard)) if kept is None else kept
@@ -52,7 +52,7 @@ def test_several_losses_add_up() -> None:
     t = np.arange(100_000) / RATE_HZ
     played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
     kept = np.r_[0:30_000, 30_100:55_000, 55_007:80_000, 80_300:100_000]
-    blocks = feed(LossFinder(RATE_HZ), played, played, kept)
+    blocks = feed(LossDetector(RATE_HZ), played, played, kept)
     assert [b.lost_before for b in blocks if b.lost_before] == [100, 7, 300]
     assert sum(len(b.codes) + b.lost_before for b in blocks) == len(played)
     starts = [b.first_sample for b in blocks]
@@ -64,7 +64,7 @@ def test_repeated_frames_are_taken_out() -> None:
     t = np.arange(60_000) / RATE_HZ
     played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
     heard = np.r_[played[:40_000], played[39_800:59_800]]
-    blocks = feed(LossFinder(RATE_HZ), played, heard)
+    blocks = feed(LossDetector(RATE_HZ), played, heard)
     assert sum(len(b.codes) for b in blocks) == pytest.approx(59_800, abs=1)
     assert any(b.flags & BlockFlag.FILLED for b in blocks)
 
@@ -75,7 +75,7 @@ def test_a_drop_out_is_flagged_not_counted() -> None:
     played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
     heard = played.copy()
     heard[40_000:40_400] = 0.0
-    blocks = feed(LossFinder(RATE_HZ), played, heard)
+    blocks = feed(LossDetector(RATE_HZ), played, heard)
     assert sum(b.lost_before for b in blocks) == 0
     flagged = [b.first_sample for b in blocks if b.flags & BlockFlag.FILLED]
     assert flagged
@@ -85,8 +85,8 @@ def test_a_drop_out_is_flagged_not_counted() -> None:
 def test_silence_is_no_loss_but_the_device_clock_counts() -> None:
     """With the drive at zero nothing is declared, unless the device's own time jumps."""
     zeros = np.zeros(50_000)
-    assert sum(b.lost_before for b in feed(LossFinder(RATE_HZ), zeros, zeros[:40_000])) == 0
-    finder, blocks = LossFinder(RATE_HZ), []
+    assert sum(b.lost_before for b in feed(LossDetector(RATE_HZ), zeros, zeros[:40_000])) == 0
+    finder, blocks = LossDetector(RATE_HZ), []
     for i in range(60):
         finder.played(zeros[:1024])
         adc = int((i * 1024 + (300 if i >= 40 else 0)) / RATE_HZ * 1e9) + 10**9
@@ -158,7 +158,7 @@ def test_an_answer_that_comes_late_is_the_same() -> None:
     kept = np.r_[0:40_000, 40_200:70_000, 75_000 : len(played)]
     gaps = []
     for searcher in (AtOnce(), Slow()):
-        blocks = feed(LossFinder(RATE_HZ, searcher=searcher), played, played, kept)
+        blocks = feed(LossDetector(RATE_HZ, searcher=searcher), played, played, kept)
         gaps.append([(b.first_sample, b.lost_before, b.lost_uncertainty) for b in blocks if b.lost_before])
         assert sum(len(b.codes) for b in blocks) == len(kept)
     assert gaps[0] == gaps[1] and len(gaps[0]) == 2
@@ -176,7 +176,7 @@ def test_an_answer_that_never_comes_costs_no_sample() -> None:
     t = np.arange(150_000) / RATE_HZ
     played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
     heard = np.r_[played[:40_000], np.random.default_rng(0).standard_normal(9000), played[49_000:]]
-    finder = LossFinder(RATE_HZ, searcher=Never())
+    finder = LossDetector(RATE_HZ, searcher=Never())
     finder.expect(0)
     blocks = feed(finder, played, heard)
     assert [b.first_sample for b in blocks] == np.cumsum([0] + [len(b.codes) for b in blocks])[:-1].tolist()
@@ -191,7 +191,7 @@ def test_a_devices_own_count_rules_out_whole_periods() -> None:
     played = np.sin(2 * np.pi * t / period) * np.minimum(t / 20_000, 1.0) * (1.0 + 1e-6 * t)
     heard = played.copy()
     heard[60_000:62_000] = played[60_000 + period : 62_000 + period]
-    finder, blocks = LossFinder(RATE_HZ), []
+    finder, blocks = LossDetector(RATE_HZ), []
     for i in range(0, len(played), 500):
         finder.played(played[i : i + 500])
         adc_ns = round(i / RATE_HZ * 1e9) + 10**9

@@ -9,7 +9,7 @@ import pytest
 
 from model.bifurcations.continuation import doubling_curve, doubling_near, follow_both_ways
 from model.orbits.attractor import LockedCycle, State
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
@@ -26,9 +26,9 @@ def test_a_doubling_is_followed_in_the_restitution():
     """From e = 0.05 to 0.7 the curve is the closed form to 1e-9, where attractors coexist too."""
     second = np.linspace(0.05, 0.7, 27)
     gamma = lock_and_doubling(0.05)[1]
-    ball = RoughBall(FORCING, e0=0.05)
+    ball = FrictionBall(FORCING, e0=0.05)
     cycle = ball.close(gamma, State(math.asin(0.6), 0.05 * 2 * math.pi / 1.05), 1)
-    curve = doubling_curve(lambda e: RoughBall(FORCING, e0=e).close, second, gamma, cycle)
+    curve = doubling_curve(lambda e: FrictionBall(FORCING, e0=e).close, second, gamma, cycle)
     np.testing.assert_allclose(curve, [lock_and_doubling(e)[1] for e in second], rtol=0, atol=1e-9)
 
 
@@ -36,7 +36,7 @@ def test_a_doubling_is_followed_in_the_restitution():
 def test_a_locked_cycle_ends_at_a_fold_and_a_doubling(e):
     """Followed both ways from the middle, the locked 1-cycle's window is the closed forms' to 1e-9."""
     lock, doubling = lock_and_doubling(e)
-    ball = RoughBall(FORCING, e0=e)
+    ball = FrictionBall(FORCING, e0=e)
     middle = 0.5 * (lock + doubling)
     start = State(math.acos(lock / middle), e * 2 * math.pi / (1 + e))
     cycle = ball.close(middle, start, 1)

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from model.bifurcations.events import bifurcations, cycle_windows
 from model.orbits.attractor import attractor
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
@@ -127,7 +127,7 @@ def test_windows_do_not_overlap():
 @pytest.mark.parametrize("mu", [0.1, 0.3])
 def test_friction_moves_lock_and_doubling(mu):
     """Friction, e = 0: at 0.3 lock and doubling are where published; the events are where brute force says."""
-    ball = RoughBall(Forcing.superposition(1), mu, mu)
+    ball = FrictionBall(Forcing.superposition(1), mu, mu)
     found = {b.type: b for b in bifurcations(ball, 0.5, 2.28, narrowest=1e-2)}
     if mu == 0.3:
         assert 2 * found["lock"].gamma == pytest.approx(4.0564, abs=6e-5)
@@ -144,7 +144,7 @@ def test_restitution_locks_and_doubles_at_its_closed_forms(e):
     """k pi (1-e)/(1+e) and its doubling [..]^2 + [2 (1+e^2)/(1+e)^2]^2, to 1e-9."""
     lock = math.pi * (1 - e) / (1 + e)
     doubling = math.sqrt(lock**2 + (2 * (1 + e * e) / (1 + e) ** 2) ** 2)
-    ball = RoughBall(Forcing.superposition(1), e0=e)
+    ball = FrictionBall(Forcing.superposition(1), e0=e)
     found = bifurcations(ball, 0.97 * doubling / 2, 1.01 * doubling / 2, narrowest=1e-3)
     assert any(b.type == "period doubling" and abs(2 * b.gamma - doubling) < 2e-9 for b in found)
     if e < 0.1:  # with more bounce the orbit from rest still chatters there

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from benchmarks.model.friction_reference import ExactRough, march
 from model.flight import chatter, friction
 from model.flight.first_landing import run_diagram, take_off_phases, turning_points
-from model.series.friction_orbit import Rough, RoughFlag, run_rough_diagram, run_rough_orbit
+from model.series.friction_orbit import FrictionRestitution, RoughFlag, run_rough_diagram, run_rough_orbit
 from model.tones import Forcing
 
 ONE = Forcing.superposition(1)
@@ -25,7 +25,7 @@ def lasting(gamma_peak, rough, n=4, v0=0.0):
 
 def test_friction_alone_locks_and_doubles_where_published():
     """At mu = 0.3 without restitution the 1-cycle locks at 4.0564 and doubles at 4.507."""
-    rough = Rough(0.3, 0.3)
+    rough = FrictionRestitution(0.3, 0.3)
     assert lasting(4.0563, rough).tau[0] < 2 * np.pi - 1e-6
     assert lasting(4.0565, rough).tau == pytest.approx(2 * np.pi, abs=1e-6)
     assert np.ptp(lasting(4.5065, rough).tau) < 1e-3 < np.ptp(lasting(4.5075, rough).tau)
@@ -39,7 +39,7 @@ def test_restitution_alone_locks_and_doubles_by_formula(e, k):
     v0 = e * 2 * math.pi * k / (1 + e)  # the cycle's own rebound: tau = 2 pi k between equal heights
     for gamma_peak, stable in ((0.5 * (lock + double), True), (0.99 * double, True), (1.01 * double, False)):
         phase = math.acos(lock / gamma_peak) + 1e-6  # the plate's speed at impact is the lock's amplitude
-        tau = run_rough_orbit(ONE, gamma_peak / 2, Rough(e0=e), 0, 3000, phase, v0).tau
+        tau = run_rough_orbit(ONE, gamma_peak / 2, FrictionRestitution(e0=e), 0, 3000, phase, v0).tau
         assert tau[0] == pytest.approx(2 * math.pi * k, abs=1e-4)
         departed = np.max(np.abs(tau[1000:] - 2 * math.pi * k))
         assert (departed < 1e-8) if stable else (departed > 1e-2)
@@ -51,7 +51,7 @@ def test_smooth_and_dead_is_the_ideal_ball():
         forcing = Forcing.superposition(ratio)
         gammas = np.linspace(0.6, 6, 200)
         ideal = run_diagram(forcing, gammas, 0, 2)
-        rough = run_rough_diagram(forcing, gammas, Rough(), 0, 2)
+        rough = run_rough_diagram(forcing, gammas, FrictionRestitution(), 0, 2)
         assert rough.tau == pytest.approx(ideal.tau, abs=1e-10)
         assert np.array_equal(rough.flag, ideal.flag)
 
@@ -60,7 +60,11 @@ def test_lockstep_flies_the_orbits_of_the_lone_kernel():
     """Lane by lane the lockstep repeats the orbit flown flight by flight, until rounding is blown up."""
     for ratio in (1, 2, 3):
         forcing, gammas = Forcing.superposition(ratio), np.linspace(0.2, 6, 150)
-        for rough in (Rough(0.3, 0.2), Rough(0.0, 0.3, 0.6), Rough(0.2, 0.2, 0.514, 0.02)):
+        for rough in (
+            FrictionRestitution(0.3, 0.2),
+            FrictionRestitution(0.0, 0.3, 0.6),
+            FrictionRestitution(0.2, 0.2, 0.514, 0.02),
+        ):
             batch = run_rough_diagram(forcing, gammas, rough, 2, 6, 0.4, 0.7)
             up, down = np.zeros(20), np.zeros(20)
             for row, gamma in enumerate(gammas):
@@ -81,7 +85,7 @@ def cases(n, seed, hanging):
     while n > 0:
         forcing = Forcing.superposition(int(rng.integers(1, 5)), (1.0, 1.0), (0.0, rng.uniform(0, 6)))
         gamma, phi0, v0 = rng.uniform(0.6, 5), rng.uniform(0, 2 * np.pi), float(10 ** rng.uniform(-3, 0.7))
-        rough = Rough(*rng.uniform(0, 0.6, 2) * rng.integers(0, 2, 2))
+        rough = FrictionRestitution(*rng.uniform(0, 0.6, 2) * rng.integers(0, 2, 2))
         orbit = run_rough_orbit(forcing, gamma, rough, 0, 1, phi0, v0)
         if bool(orbit.flag[0] & RoughFlag.HUNG) == hanging:
             n -= 1
@@ -106,7 +110,7 @@ def test_tail_of_chatter_keeps_its_bound():
     while tried < 200:
         forcing = Forcing.superposition(int(rng.integers(1, 4)))
         gamma, mu, e0 = rng.uniform(0.05, 4), rng.uniform(0, 0.4), rng.uniform(0.05, 0.9)
-        rough = Rough(mu, mu * rng.uniform(0, 1), e0, rng.uniform(-0.05, 0.05))
+        rough = FrictionRestitution(mu, mu * rng.uniform(0, 1), e0, rng.uniform(-0.05, 0.05))
         phi0, v0 = rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-5, -2)
         tail = chatter.tail_of_chatter(forcing.tones, gamma, rough.packed, phi0, v0)
         if tail < 0:
@@ -152,7 +156,9 @@ def marched(forcing, gamma, rough, e1_s_per_m, phase, v0_mps, omega, step_s=STEP
 def test_chatter_against_50_nanosecond_steps(ratio, gamma, mu_up, mu_down, e0, e1_s_per_m, phase):
     """From the first bounce to rest, impact times and energies agree with a brute force to its own error."""
     forcing, omega, v0_mps = Forcing.superposition(ratio), 2 * np.pi * 25.0, 0.12
-    rough = Rough.from_si(mu_up=mu_up, mu_down=mu_down, e0=e0, e1_s_per_m=e1_s_per_m, omega_radps=omega, g_mps2=G_MPS2)
+    rough = FrictionRestitution.from_si(
+        mu_up=mu_up, mu_down=mu_down, e0=e0, e1_s_per_m=e1_s_per_m, omega_radps=omega, g_mps2=G_MPS2
+    )
     orbit = run_rough_orbit(forcing, gamma, rough, 0, 40, phase, v0_mps * omega / G_MPS2)
     chain = 1 + int(np.argmax(orbit.flag & RoughFlag.CHATTERED > 0))
     assert orbit.flag[chain - 1] & RoughFlag.CHATTERED
@@ -187,7 +193,7 @@ def test_hanging_against_50_nanosecond_steps():
 def test_orbits_never_gain_what_the_plate_cannot_give(ratio, gamma, mu_up, mu_down, e0, e1, v0):
     """Whatever the parameters, flights are finite or flagged, and impacts no faster than plate and fall allow."""
     forcing = Forcing.superposition(ratio)
-    orbit = run_rough_orbit(forcing, gamma, Rough(mu_up, mu_down, e0, e1), 0, 30, 0.0, v0)
+    orbit = run_rough_orbit(forcing, gamma, FrictionRestitution(mu_up, mu_down, e0, e1), 0, 30, 0.0, v0)
     flew = orbit.flag & RoughFlag.RESTS == 0
     assert np.all(np.isfinite(orbit.tau[flew]))
     assert np.all(orbit.tau >= 0.0)
@@ -200,16 +206,16 @@ def test_orbits_never_gain_what_the_plate_cannot_give(ratio, gamma, mu_up, mu_do
 
 def test_take_off_waits_for_friction():
     """From rest the ball leaves where -a_p exceeds g (1 + mu_up)."""
-    orbit = run_rough_orbit(ONE, 1.0, Rough(mu_up=0.3), 0, 1)
+    orbit = run_rough_orbit(ONE, 1.0, FrictionRestitution(mu_up=0.3), 0, 1)
     assert orbit.takeoff_phase[0] == pytest.approx(math.asin(1.3 / 2), abs=1e-14)
     assert orbit.takeoff_phase[0] > take_off_phases(ONE, 1.0).start[0]
-    assert run_rough_orbit(ONE, 0.6, Rough(mu_up=0.3), 0, 1).flag[0] == RoughFlag.RESTS
+    assert run_rough_orbit(ONE, 0.6, FrictionRestitution(mu_up=0.3), 0, 1).flag[0] == RoughFlag.RESTS
 
 
 @pytest.mark.parametrize(
     "make",
-    [lambda: Rough(mu_down=1.0), lambda: Rough(mu_up=-0.1), lambda: Rough(e0=1.1), lambda: Rough(e1=float("nan")),
-     lambda: run_rough_orbit(ONE, -1.0, Rough(), 0, 1), lambda: run_rough_orbit(ONE, 1.0, Rough(), 0, 1, v0=-1.0)],
+    [lambda: FrictionRestitution(mu_down=1.0), lambda: FrictionRestitution(mu_up=-0.1), lambda: FrictionRestitution(e0=1.1), lambda: FrictionRestitution(e1=float("nan")),
+     lambda: run_rough_orbit(ONE, -1.0, FrictionRestitution(), 0, 1), lambda: run_rough_orbit(ONE, 1.0, FrictionRestitution(), 0, 1, v0=-1.0)],
 )  # fmt: skip
 def test_nonsense_is_refused(make):
     """Friction that holds the ball up for ever, restitution above 1 and negative speeds are errors."""

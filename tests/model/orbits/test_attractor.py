@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from model.orbits.attractor import State, attractor, basins, same_attractor, sweep
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.orbits.make_ball import ball_of
 from model.tones import Forcing
@@ -128,26 +128,26 @@ def test_friction_and_restitution_with_nothing_in_them_change_nothing():
     """The rough kernel at zero friction and restitution closes on the ideal cycles."""
     for c, gamma in ((1, 1.9), (1, 3.65), (2, 1.28), (3, 0.5)):
         forcing = Forcing.superposition(c)
-        assert same_attractor(attractor(IdealBall(forcing), gamma), attractor(RoughBall(forcing), gamma), 1e-9)
+        assert same_attractor(attractor(IdealBall(forcing), gamma), attractor(FrictionBall(forcing), gamma), 1e-9)
 
 
 def test_chaos_has_a_positive_exponent_or_none():
     """Beyond the doublings of restitution 0.05 the orbit from rest does not close and is called chaotic."""
-    found = attractor(RoughBall(Forcing.superposition(1), e0=0.05), 3.69 / 2)
+    found = attractor(FrictionBall(Forcing.superposition(1), e0=0.05), 3.69 / 2)
     assert (found.kind, found.period, found.multiplier) == ("chaotic", None, None)
     assert found.tau.size == found.flights > 0
 
 
 def test_a_chatter_is_named():
     """Slow restitution: the bounces shrink to nothing before the next threshold, once a period."""
-    found = attractor(RoughBall(Forcing.superposition(1), e0=0.3), 0.7)
+    found = attractor(FrictionBall(Forcing.superposition(1), e0=0.3), 0.7)
     assert (found.kind, found.period, found.resets) == ("chattering", 1, 1)
     assert np.all(np.diff(found.tau) < 0.0)
 
 
 def test_up_and_down_ramps_differ_where_attractors_coexist():
     """Restitution 0.3: the ramp up still chatters where the ramp down is still locked."""
-    ball = RoughBall(Forcing.superposition(1), e0=0.3)
+    ball = FrictionBall(Forcing.superposition(1), e0=0.3)
     gammas = np.linspace(0.55, 1.2, 40)
     up = sweep(ball, gammas)
     down = sweep(ball, gammas[::-1])[::-1]
@@ -159,7 +159,7 @@ def test_up_and_down_ramps_differ_where_attractors_coexist():
 
 def test_basins_tell_coexisting_attractors_apart():
     """Restitution 0.5 at gamma_peak 1.2: some starts are thrown on for ever, those put down at rest chatter."""
-    ball = RoughBall(Forcing.superposition(1), e0=0.5)
+    ball = FrictionBall(Forcing.superposition(1), e0=0.5)
     found = basins(ball, 0.6, np.linspace(0, 6, 7), np.array([0.0, 1.0, 3.0, 6.0]))
     kinds = {a.kind for a in found.attractors}
     assert "chattering" in kinds

@@ -7,7 +7,7 @@ import pytest
 
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.attractor import attractor
-from model.orbits.friction_ball import RoughBall
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.surveys import ensemble
 from model.surveys.diagram import FIELDS, adaptive, diagram
@@ -41,7 +41,7 @@ def test_there_is_no_zone_before_the_first_is_born():
     assert forbidden_zones(FORCING, 2.31).size == 2
 
 
-@pytest.mark.parametrize("ball", [IdealBall(FORCING), RoughBall(FORCING, 0.3, 0.2), RoughBall(FORCING, e0=0.2)])
+@pytest.mark.parametrize("ball", [IdealBall(FORCING), FrictionBall(FORCING, 0.3, 0.2), FrictionBall(FORCING, e0=0.2)])
 def test_rows_are_the_attractors(ball):
     """The compiled rows say what `attractor` says, resting, locked, sticking and chattering alike."""
     gammas = np.array([0.3, 0.8, 1.3, 1.7, 1.95, 2.5])
@@ -111,7 +111,7 @@ def test_an_axis_means_its_effect(tmp_path):
     ensemble.run(job(), tmp_path / "grid.h5")
     rows, attributes = ensemble.load(tmp_path / "grid.h5")
     assert tuple(attributes["shape"]) == (2, 30)
-    found = attractor(RoughBall(FORCING, 0.2, 0.2), rows.gamma[50])
+    found = attractor(FrictionBall(FORCING, 0.2, 0.2), rows.gamma[50])
     np.testing.assert_allclose(rows.tau[50, : found.tau.size], found.tau, atol=1e-12)
 
 

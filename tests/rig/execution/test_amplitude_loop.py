@@ -13,7 +13,7 @@ import pytest
 from bench.profiles.find import load
 from daq.recording import Recording, RecordingWriter, open_recording
 from rig.backends.simulated import SimulatedBackend
-from rig.execution.amplitude_loop import Amplitudes, Heard, ToneMeter, achieved_gamma, target_acceleration
+from rig.execution.amplitude_loop import Amplitudes, MeterBlock, ToneMeter, achieved_gamma, target_acceleration
 from rig.execution.run import RunSummary, run_ramp
 from rig.profile import ControlTable, Profile
 from rig.programme.sequencer import commanded, fades_of_changes
@@ -168,7 +168,7 @@ def test_meter_and_achieved_gamma(make_profile) -> None:
     meter = ToneMeter(profile, 4)
     meter.begin(0)
     for start in range(0, 20000, 333):
-        meter.add(Heard(start, a[start : start + 333], np.ones(len(a[start : start + 333]), bool)))
+        meter.add(MeterBlock(start, a[start : start + 333], np.ones(len(a[start : start + 333]), bool)))
     measured = meter.estimate()
     assert measured is not None and len(meter.windows) == 6
     assert np.abs(measured.values / asked - 1).max() < 1e-9
@@ -196,7 +196,7 @@ def test_meter_puts_the_load_back_where_impacts_are_masked(make_profile) -> None
         for k in range(0, len(n), 500):
             piece = slice(k, k + 500)
             touches = None if known is None else known[piece]
-            meter.add(Heard(k, plate[piece] + noise[piece], quiet[piece], touches))
+            meter.add(MeterBlock(k, plate[piece] + noise[piece], quiet[piece], touches))
         measured = meter.estimate()
         assert measured is not None
         errors.append(abs(measured.values[0] / true - 1))
@@ -209,5 +209,5 @@ def test_meter_drops_what_impacts_leave_unseen(make_profile) -> None:
     meter = ToneMeter(profile, 2)
     meter.begin(0)
     assert meter.estimate() is None
-    meter.add(Heard(0, np.zeros(1000), np.zeros(1000, bool)))
+    meter.add(MeterBlock(0, np.zeros(1000), np.zeros(1000, bool)))
     assert meter.estimate() is None and meter.windows == []
