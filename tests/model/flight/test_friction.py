@@ -214,9 +214,15 @@ def test_take_off_waits_for_friction():
 
 @pytest.mark.parametrize(
     "make",
-    [lambda: FrictionRestitution(mu_down=1.0), lambda: FrictionRestitution(mu_up=-0.1), lambda: FrictionRestitution(e0=1.1), lambda: FrictionRestitution(e1=float("nan")),
-     lambda: run_rough_orbit(ONE, -1.0, FrictionRestitution(), 0, 1), lambda: run_rough_orbit(ONE, 1.0, FrictionRestitution(), 0, 1, v0=-1.0)],
-)  # fmt: skip
+    [
+        lambda: FrictionRestitution(mu_down=1.0),
+        lambda: FrictionRestitution(mu_up=-0.1),
+        lambda: FrictionRestitution(e0=1.1),
+        lambda: FrictionRestitution(e1=float("nan")),
+        lambda: run_rough_orbit(ONE, -1.0, FrictionRestitution(), 0, 1),
+        lambda: run_rough_orbit(ONE, 1.0, FrictionRestitution(), 0, 1, v0=-1.0),
+    ],
+)
 def test_nonsense_is_refused(make):
     """Friction that holds the ball up for ever, restitution above 1 and negative speeds are errors."""
     with pytest.raises(ValueError, match="must"):
