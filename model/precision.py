@@ -49,7 +49,10 @@ def largest_gamma(forcing: Forcing) -> float:
     if not forcing.moves:
         return math.inf
     speed = sum(n * abs(b) for n, b in zip(forcing.harmonic, forcing.amplitude, strict=True))
-    proven = PROVEN_PHASE / (6.0 * ROUNDING * speed)
+    error = 6.0 * ROUNDING * speed
+    if error == 0.0:  # tones too small for a double
+        return math.inf
+    proven = PROVEN_PHASE / error
     return min(proven, _walked(forcing, speed))
 
 

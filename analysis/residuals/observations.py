@@ -150,8 +150,8 @@ def observations_from(
     InputError
         Where a file is no recording or holds no flights and no plate motion, two hold the same samples or another c.
     """
-    refuse_repeated(paths)
     _check_alike(paths)
+    refuse_repeated(paths)
     parts = []
     for path in paths:
         with open_recording(path) as recording:

@@ -12,7 +12,7 @@ TRIAL = """
 import math
 import numpy as np
 from model.effects.registry import resolve
-from model.roll import march
+from model.integrator.one_step import march
 resolve({"updraught": {"push_mps2": 0.5}})
 w = 2 * math.pi * 25.0
 def lasts(effects):

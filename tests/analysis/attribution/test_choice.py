@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.attribution import choice
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.choice import Judge
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.selection import choice
 
 STEPS = 16
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.attribution import selection
 from analysis.attribution.candidates import Candidate, candidates_of
 from analysis.attribution.comparison import MOST_OF_A_STEP, LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import SelectionResult
-from analysis.attribution.selection import StepwiseSelection
+from analysis.attribution.selection import StepwiseSelection, selection
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
