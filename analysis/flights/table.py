@@ -17,6 +17,7 @@ import numpy.typing as npt
 from analysis.events.edges import EdgeShape, Levels
 from analysis.events.impact_detection import SensorOffset
 from analysis.plate.motion import PlateMotion
+from daq.recording.whole_file import whole
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -139,7 +140,7 @@ def flag_names(flags: int) -> str:
 
 def write_csv(flights: Flights, path: Path) -> None:
     """Write the table of flights, one row a flight, times to the nanosecond."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         out.writerow(COLUMNS)
         duration, sigma = flights.duration_s, flights.uncertainty_s

@@ -42,6 +42,7 @@ from analysis.residuals.covariates import COVARIATES
 from analysis.thresholds import FROZEN
 from daq.recording import Recording, open_recording
 from daq.recording.provenance import software_commit, software_version
+from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
 from model.effects.registry import effect, resolve
 
@@ -94,7 +95,7 @@ def write_report(
             "software_version": software_version(),
             "software_commit": software_commit(),
         }
-        (folder / "report.json").write_text(json.dumps(payload, indent=1) + "\n", encoding="utf-8")
+        write_whole(folder / "report.json", json.dumps(payload, indent=1) + "\n")
         pictures: list[tuple[str, Callable[[], None]]] = [
             ("errors", lambda: draw_errors(loop, folder, badge)),
             ("landings", lambda: draw_landings(loop, folder, badge)),
@@ -108,7 +109,7 @@ def write_report(
         if loop.discovered is not None:
             draw_discovery(loop.discovered, folder, badge)
         page = folder / "report.html"
-        page.write_text(_page(loop, made, payload["report"], folder, first), encoding="utf-8")
+        write_whole(page, _page(loop, made, payload["report"], folder, first))
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page

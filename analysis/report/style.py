@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.recording import Recording
+from daq.recording.whole_file import whole
 from daq.setup.errors import InputError
 
 Floats = npt.NDArray[np.float64]
@@ -80,7 +81,8 @@ def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tupl
             layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / drawn.get_figheight()))
             folder.mkdir(parents=True, exist_ok=True)
             for form in FORMATS:
-                drawn.savefig(folder / f"{name}.{form}")
+                with whole(folder / f"{name}.{form}") as part:
+                    drawn.savefig(part, format=form)
         except OSError as error:
             raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
 

@@ -193,6 +193,7 @@ def _target(out: Path, name: str, what: str) -> Path:
 def _declare(profile: Path, outcome: Outcome) -> None:
     """Write what was measured into a rig profile, and check that the profile still reads."""
     from analysis.drop.declare import declare
+    from daq.recording.whole_file import write_whole
     from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
@@ -202,6 +203,6 @@ def _declare(profile: Path, outcome: Outcome) -> None:
         raise InputError(f"{profile}: cannot be read ({error.strerror})") from error
     edited = declare(text, outcome.measured, datetime.date.today(), str(profile))
     parse_profile(edited, str(profile))
-    profile.write_text(edited, encoding="utf-8")
+    write_whole(profile, edited)
     effects = ", ".join(sorted({item.effect for item in outcome.measured}))
     outcome.sentences.append(f"{profile}: declared {effects}")

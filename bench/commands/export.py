@@ -39,7 +39,7 @@ def command(
     """
     from daq.export.export import export
     from daq.export.resample import Resampled
-    from daq.recording.reader import open_recording
+    from daq.recording import open_recording
     from daq.setup.errors import InputError
 
     kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()

@@ -1,4 +1,4 @@
-"""`bench recover`: a whole recording from one that was cut off."""
+"""`bench recover`: a whole recording from one that was cut off or is damaged."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
 
 
 def command(
-    recording: Path = typer.Argument(..., metavar="FILE", help="Recording that was cut off; it is only read."),
+    recording: Path = typer.Argument(..., metavar="FILE", help="Recording, cut off or damaged; it is only read."),
     out: Path = typer.Option(None, "--out", "-o", metavar="REC.h5", help="File to create [NAME.recovered.h5]."),
     json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON; - is the screen."),
     overwrite: Overwrite = False,
 ) -> None:
-    """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk.
+    """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk, or that is damaged.
 
-    Every block whose writing had been acknowledged is there; the new file says that it was recovered.
+    Every block whose writing had been acknowledged is there; what is damaged is put right from the checksums, or is a
+    gap. The new file says that it was recovered, and what was damaged. Leaves with 1 where something is gone.
 
     Example: bench recover run.h5 --out run.recovered.h5
     """
@@ -38,8 +39,8 @@ def command(
         fail(f"{recording}: could not be recovered ({error}).")
     if json_out != "-":
         typer.echo(f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered")
-        for block in found.damaged_blocks:
-            typer.echo(f"  block {block} differs from what was recorded; it is kept and flagged")
+        for line in found.damage:
+            typer.echo(f"  {line}")
     write_json(dataclasses.asdict(found), json_out)
-    if found.damaged_blocks:
+    if found.is_less:
         raise typer.Exit(EXIT_FAILED)

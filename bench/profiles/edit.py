@@ -10,12 +10,12 @@ import datetime
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 
 import tomlkit
 from tomlkit.items import InlineTable, Table
 
 from bench.jobs.calibrate import Measured
+from daq.recording.whole_file import whole
 from rig.profile import parse_profile
 
 
@@ -29,7 +29,7 @@ def write_into(path: Path, measured: Sequence[Measured], on: datetime.date) -> N
     OSError
         When it cannot be read or written.
     """
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(path.read_bytes().decode("utf-8"))
     for one in measured:
         *tables, key = one.key.split(".")
         table: Table | tomlkit.TOMLDocument = document
@@ -40,9 +40,8 @@ def write_into(path: Path, measured: Sequence[Measured], on: datetime.date) -> N
         table[key] = _quantity(one, on)
     text = tomlkit.dumps(document)
     parse_profile(text, str(path))
-    with NamedTemporaryFile("w", encoding="utf-8", dir=path.parent, suffix=".toml", delete=False) as file:
-        file.write(text)
-    Path(file.name).replace(path)
+    with whole(path) as part:
+        part.write_bytes(text.encode("utf-8"))
 
 
 def _quantity(one: Measured, on: datetime.date) -> InlineTable:

@@ -13,6 +13,7 @@ from analysis.drop.declare import Measured, declare
 from analysis.loop.close_loop import ClosedLoop
 from analysis.residuals.forward_model import DRIFT
 from daq.recording import open_recording
+from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
 
 
@@ -67,7 +68,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
         ]
     if comments and not edited.endswith("\n"):
         edited += "\n"
-    path.write_text(edited + "".join(f"# {line}".rstrip() + "\n" for line in comments), encoding="utf-8")
+    write_whole(path, edited + "".join(f"# {line}".rstrip() + "\n" for line in comments))
     if not found and not left:
         return [f"improved profile: {path} (unchanged: nothing was found to declare)"]
     refused = [f"{m.effect}.{m.parameter} = {m.value:.4g}: the verdict is unexplained" for m in doubtful]

@@ -14,6 +14,7 @@ from pathlib import Path
 from analysis.loop.close_loop import ClosedLoop
 from analysis.loop.design import Design, Ranked, designs_for, rank
 from daq.recording import open_recording
+from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
 
@@ -87,4 +88,4 @@ def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
 
 def write_next(ranked: Sequence[Ranked], recording: Path, path: Path) -> None:
     """Write the profile of the best next run to the file ``path`` (raises `InputError`)."""
-    path.write_text(profile_of(profile_text(recording), ranked[0].design), encoding="utf-8")
+    write_whole(path, profile_of(profile_text(recording), ranked[0].design))

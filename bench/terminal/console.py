@@ -42,8 +42,10 @@ def write_json(payload: Any, target: str | Path | None) -> None:
     if target == "-":
         sys.stdout.write(text)
         return
+    from daq.recording.whole_file import write_whole
+
     try:
-        Path(target).write_text(text, encoding="utf-8")
+        write_whole(Path(target), text)
     except OSError as error:
         fail(f"{target}: the JSON could not be written ({error.strerror}); free some space, or name another place")
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from daq.export.resample import Resampled
 from daq.recording.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.recording.reader import Recording
+from daq.recording.whole_file import whole
 from daq.setup.errors import InputError
 
 Kind = Literal["csv", "npz", "h5"]
@@ -67,13 +68,8 @@ def export(
             raise InputError(f"{out}: HDF5 holds the recording as it is; another rate is written as CSV or NPZ.")
         _export_h5(recording, out, tell, overwrite=overwrite)
         return
-    part = out.with_name(out.name + ".part")
-    try:
+    with whole(out) as part:
         (_export_csv if kind == "csv" else _export_npz)(recording, part, tell, packed=out.suffix == ".gz")
-        part.replace(out)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _pieces(n: int, rows: int) -> list[tuple[int, int]]:

@@ -1,12 +1,19 @@
 """Recordings: write one while a run lasts, open one afterwards, and say what state it is in.
 
 The rule kept here: a recording is never overwritten and never half-written. While the run lasts the file holds raw
-frames that survive a kill (`daq.recording.frame_file`); `RecordingWriter.close` writes the column file beside it
+frames that survive a kill (`daq.recording.frame_writer`); `RecordingWriter.close` writes the column file beside it
 (`daq.recording.column_file`), checks it, and renames it into place. `open_recording` reads both alike. The layout is in
 docs/reference/recording-format.md.
 """
 
-from daq.recording.reader import Recording, open_recording
+from __future__ import annotations
+
+import functools
+import logging
+from pathlib import Path
+
+from daq.recording.reader import Recording
+from daq.recording.survey import examine
 from daq.recording.tables import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Block, BlockFlag
 from daq.recording.verify import VerifyReport, verify
 from daq.recording.writer import RecordingWriter
@@ -23,3 +30,30 @@ __all__ = [
     "open_recording",
     "verify",
 ]
+
+log = logging.getLogger(__name__)
+
+
+def open_recording(path: Path | str) -> Recording:
+    """Open a recording for reading: a closed one, one that is being written, or one that was cut off.
+
+    All of a closed file is compared with its checksums first; a file without them is read by another process first.
+    What is damaged is put right where the checksums suffice, and else is a gap in what is read; `Recording.damage` and
+    a warning (`logging`) say so.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, not HDF5, not a recording, or damaged where nothing can be read without it.
+    """
+    path = Path(path)
+    recording, _ = examine(path)
+    for line in recording.damage:
+        _say(f"{path}: {line}")
+    return recording
+
+
+@functools.lru_cache(maxsize=256)
+def _say(line: str) -> None:
+    """Warn of the same thing once."""
+    log.warning("%s", line)

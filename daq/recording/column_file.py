@@ -6,9 +6,6 @@ never meets half of one. Layout in docs/reference/recording-format.md.
 
 from __future__ import annotations
 
-import json
-import os
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -18,8 +15,11 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.recording.claims import dataset_of, objects_of, refuse_claims
 from daq.recording.disk import DiskFile
+from daq.recording.seal import text_crc, write_seal
 from daq.recording.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.recording.whole_file import sync
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -34,13 +34,8 @@ LONG_NAMES = {
 }
 STEP_UNITS = {"frequency_hz": "Hz"}
 SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node"}
+TABLES = {"steps": STEP_DTYPE, "blocks": BLOCK_DTYPE, **SIDE_TABLES}
 Compression = Literal["lz4", "gzip"]
-
-
-def text_crc(attributes: Mapping[str, Any]) -> int:
-    """CRC-32 of attributes as sorted JSON: HDF5 itself does not checksum variable-length text."""
-    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items() if k != "attributes_crc32"}
-    return zlib.crc32(json.dumps(plain, sort_keys=True).encode())
 
 
 class ColumnWriter:
@@ -169,7 +164,7 @@ class ColumnWriter:
         side: Mapping[str, NDArray[np.void]] | None = None,
         **late: Any,
     ) -> None:
-        """Write tables and attributes, close, and read every byte back.
+        """Write tables and attributes, close, read every byte back, and seal the file.
 
         Parameters
         ----------
@@ -194,13 +189,13 @@ class ColumnWriter:
                 _write_table(self._file, name, SIDE_DIMENSION[name], rows.astype(dtype), dtype.names or ())
         self._attributes |= late
         self._finish_attributes()
-        self._file.close()
+        self._close()
         self._disk.check()
-        self._disk.close()
         with h5py.File(self.part, "r") as written:
             faults = check_columns(written)
         if faults:
             raise OSError(f"{self.part}: what was written does not read back: {faults[0]}")
+        write_seal(self.part, tuple(self._sets))
         sync(self.part)
 
     def rename(self) -> None:
@@ -217,16 +212,19 @@ class ColumnWriter:
             dataset.attrs["crc32"] = np.uint32(self._crc[name])
             if name != "timestamp":
                 dataset.dims[0].attach_scale(time)
-        self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION}
+        self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION, "sealed": True}
         self._attributes["attributes_crc32"] = text_crc(self._attributes)
         self._file.attrs.update(self._attributes)
 
     def abandon(self) -> None:
         """Close and remove the unfinished file."""
+        self._close()
+        self.part.unlink(missing_ok=True)
+
+    def _close(self) -> None:
         if self._file.id.valid:
             self._file.close()
         self._disk.close()
-        self.part.unlink(missing_ok=True)
 
 
 def _write_table(file: Any, name: str, dimension: str, rows: NDArray[np.void], fields: tuple[str, ...]) -> None:
@@ -243,12 +241,29 @@ def _write_table(file: Any, name: str, dimension: str, rows: NDArray[np.void], f
             dataset.attrs["units"] = STEP_UNITS[field]
 
 
-def read_table(group: Any, dtype: np.dtype[Any]) -> NDArray[np.void]:
-    """The table of a column file as one structured array; a field that the file lacks is zero."""
-    names = [n for n in dtype.names or () if n in group]
-    rows = np.zeros(len(group[names[0]]) if names else 0, dtype)
-    for name in names:
-        rows[name] = group[name][()]
+def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArray[np.void]:
+    """The table of a column file as one structured array; a field that the file lacks is zero.
+
+    Raises
+    ------
+    InputError
+        When it is not a table, or claims more than the file holds.
+    """
+    if table not in file:
+        return np.zeros(0, dtype)
+    group = file[table] if isinstance(file.get(table, getlink=True), h5py.HardLink) else None
+    if not isinstance(group, h5py.Group):
+        raise InputError(f"{path}: /{table}: damaged: wanted a table of this file")
+    held = set(objects_of(group, path))
+    columns = {n: dataset_of(group, n, path) for n in dtype.names or () if n in held}
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) > 1:
+        raise InputError(f"{path}: /{table}: damaged: its fields have {sorted(lengths)} rows; wanted as many in each")
+    for column in columns.values():
+        refuse_claims(column, path, streamed=False)
+    rows = np.zeros(lengths.pop() if lengths else 0, dtype)
+    for name, column in columns.items():
+        rows[name] = column[()]
     return rows
 
 
@@ -256,13 +271,13 @@ def check_columns(file: Any) -> list[str]:
     """Faults of an open column file; reads every sample, in chunks."""
     faults = []
     length = file["timestamp"].shape[0]
-    for name, dataset in file.items():
-        if not hasattr(dataset, "shape"):
-            faults += [f"{name}/{key}: {error}" for key, error in _unreadable(dataset)]
-            continue
+    for name in [*file.attrs["channels"], "timestamp"]:
+        dataset = file[name]
         if dataset.shape != (length,):
             faults.append(f"{name}: {dataset.shape[0]} samples, but timestamp has {length}")
         faults += _check_samples(name, dataset)
+    for name in TABLES:
+        faults += [f"{name}/{key}: {error}" for key, error in _unreadable(file.get(name, {}))]
     return faults
 
 
@@ -287,12 +302,3 @@ def _check_samples(name: str, dataset: Any) -> list[str]:
     if not faults and crc != int(dataset.attrs.get("crc32", -1)):
         faults.append(f"{name}: the checksum over all its samples does not fit")
     return faults
-
-
-def sync(path: Path) -> None:
-    """Ask the operating system to put the file on the disk."""
-    descriptor = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

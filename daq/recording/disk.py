@@ -1,7 +1,7 @@
-"""A file that HDF5 can write without ever meeting a full disk.
+"""A file for HDF5 to write to, on a disk that may refuse.
 
-The rule kept here: HDF5 ends in a crash of the process when a write fails beneath it, at once or when the file is
-closed. So the first failure is kept, later writes are dropped, and whoever writes asks with `DiskFile.check`.
+The rule kept here: HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What
+the disk does not take is kept in memory, and the writer is told.
 """
 
 from __future__ import annotations
@@ -12,98 +12,101 @@ from typing import Any
 
 
 class DiskFile(io.RawIOBase):
-    """A new file, readable and writable, for `h5py.File(DiskFile(path), "w")`.
+    """A new file for `h5py.File(DiskFile(path), "w")`; ``error`` is the disk's first refusal.
 
-    Parameters
-    ----------
-    path
-        File to create; an old one of that name is emptied.
-
-    Raises
-    ------
-    OSError
-        When it cannot be created.
+    Nothing more reaches the disk afterwards; whoever writes asks with `check`.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__()
         self._path = path
         self._file = path.open("w+b", buffering=0)
-        self._failure: OSError | None = None
+        self._kept: list[tuple[int, bytes]] = []
+        self._at = self._end = 0
+        self.error: OSError | None = None
 
     def check(self) -> None:
-        """Raise the first failure of the disk, if there was one.
+        """Raise the first refusal of the disk, if there was one.
 
         Raises
         ------
         OSError
-            Naming the file and what the disk said.
+            Naming the file and what the disk answered.
         """
-        if self._failure is not None:
-            said = self._failure.strerror or str(self._failure)
+        if self.error is not None:
+            why = self.error.strerror or str(self.error)
+            hint = "free some space there, or choose another place"
             raise OSError(
-                self._failure.errno,
-                f"the disk refuses to take more ({said}); free some space there, or choose another place",
-                str(self._path),
-            ) from self._failure
-
-    def write(self, data: Any) -> int:
-        """Write all of ``data``, or keep the failure."""
-        left = memoryview(data).cast("B")
-        size = len(left)
-        while len(left) and self._failure is None:
-            try:
-                left = left[self._file.write(left) :]
-            except OSError as failure:
-                self._failure = failure
-        return size
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the length of the file, or keep the failure."""
-        if self._failure is None:
-            try:
-                return self._file.truncate(size)
-            except OSError as failure:
-                self._failure = failure
-        return size or 0
-
-    def readinto(self, buffer: Any) -> int:
-        """Read into ``buffer``; zeros where a lost write left nothing."""
-        view = memoryview(buffer).cast("B")
-        done = 0
-        while done < len(view):
-            got = self._file.readinto(view[done:])
-            if not got:
-                break
-            done += got
-        view[done:] = bytes(len(view) - done)
-        return len(view)
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to a place in the file."""
-        return self._file.seek(offset, whence)
-
-    def tell(self) -> int:
-        """Place in the file."""
-        return self._file.tell()
+                self.error.errno, f"the disk refuses to take more ({why}); {hint}", str(self._path)
+            ) from self.error
 
     def readable(self) -> bool:
-        """True: HDF5 reads what it has written."""
+        """It is."""
         return True
 
     def writable(self) -> bool:
-        """True."""
+        """It is."""
         return True
 
     def seekable(self) -> bool:
-        """True."""
+        """It is."""
         return True
 
+    def tell(self) -> int:
+        """As of any file."""
+        return self._at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """As of any file."""
+        self._at = offset + (0, self._at, self._end)[whence]
+        return self._at
+
+    def write(self, data: Any) -> int:
+        """Write all of ``data``, to memory once the disk has refused."""
+        view = memoryview(data).cast("B")
+        if self.error is None:
+            try:
+                self._file.seek(self._at)
+                done = 0
+                while done < len(view):
+                    done += self._file.write(view[done:]) or 0
+            except OSError as error:
+                self.error = error
+        if self.error is not None:
+            self._kept.append((self._at, bytes(view)))
+        self._at += len(view)
+        self._end = max(self._end, self._at)
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """As of any file, what the disk did not take too."""
+        view = memoryview(buffer).cast("B")
+        start = self._at
+        self._file.seek(start)
+        n = self._file.readinto(view) or 0
+        view[n:] = bytes(len(view) - n)
+        for offset, data in self._kept:
+            a, b = max(offset, start), min(offset + len(data), start + len(view))
+            if a < b:
+                view[a - start : b - start] = data[a - offset : b - offset]
+        self._at += len(view)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """As of any file."""
+        self._end = self._at if size is None else size
+        if self.error is None:
+            try:
+                self._file.truncate(self._end)
+            except OSError as error:
+                self.error = error
+        return self._end
+
     def close(self) -> None:
-        """Close the file; a failure of the disk is kept, not raised."""
+        """Close the file; a refusal of the disk is kept, not raised."""
         if not self.closed:
             try:
                 self._file.close()
-            except OSError as failure:
-                self._failure = self._failure or failure
+            except OSError as error:
+                self.error = self.error or error
         super().close()

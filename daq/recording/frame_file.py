@@ -1,222 +1,45 @@
-"""The frames file: what a recording is while the run lasts. Row-major int16 frames, a checksum a block.
+"""Read a frames file: what a recording is while the run lasts, or after it was cut off (written by `daq.recording.frame_writer`).
 
-The rule kept here: once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is
-created before the first sample, the file is in HDF5's single-writer-multiple-readers mode, and each block is flushed
-(frames first, then the row that acknowledges them). A row without its frames cannot exist; frames without a row are
-not part of the recording. The end state is ``incomplete`` from the start.
+The rule kept here: only acknowledged blocks count, and rows that fit their checksum. The rest is said and left out.
 """
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import json
 import os
-import subprocess
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32, step_row
+from daq.recording.claims import dataset_of, refuse_claims
+from daq.recording.seal import Patched, text_crc
+from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
 
 FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
 FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "clock_map": "frame_clock_map"}
 FRAME_END = "frame_end"
-_END_BYTES = 4096
-_CHUNK_BYTES = 65536
+ROW_CRC = "row_crc32"
 
 
-class FrameWriter:
-    """Write a frames file.
-
-    Parameters
-    ----------
-    path
-        File to create.
-    channels
-        Names, in the order of a frame.
-    attributes
-        Root attributes; written once, before the first sample.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists, or its folder does not.
-    """
-
-    def __init__(self, path: Path, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: the folder {path.parent} does not exist; create it first.")
-        try:
-            self._file = h5py.File(path, "x", libver=("v110", "v110"))
-        except OSError as error:
-            if path.exists():
-                raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from error
-            raise InputError(f"{path}: cannot be created ({error}).") from error
-        self.path = path
-        self.n_samples = self.n_lost = self.n_doubtful = 0
-        self._n_channels = len(channels)
-        self._n_blocks = self._n_steps = 0
-        self._last_step_first = -1
-        rows = max(1, _CHUNK_BYTES // (2 * self._n_channels))
-        self._frames = self._file.create_dataset(
-            FRAMES, (0, self._n_channels), "<i2", maxshape=(None, self._n_channels), chunks=(rows, self._n_channels)
-        )
-        self._blocks = self._file.create_dataset(FRAME_BLOCKS, (0,), BLOCK_DTYPE, maxshape=(None,), chunks=(256,))
-        self._steps = self._file.create_dataset(FRAME_STEPS, (0,), STEP_DTYPE, maxshape=(None,), chunks=(16,))
-        self._side = {
-            table: self._file.create_dataset(FRAME_SIDE[table], (0,), dtype, maxshape=(None,), chunks=(64,))
-            for table, dtype in SIDE_TABLES.items()
-        }
-        self._end = self._file.create_dataset(FRAME_END, (_END_BYTES,), "u1", chunks=(_END_BYTES,))
-        self.end({"ended": "incomplete", "why": "", "ended_at": ""})
-        self._frame_type, self._row_type = h5py.h5t.py_create(np.dtype("<i2")), h5py.h5t.py_create(BLOCK_DTYPE)
-        self._file.attrs.update(attributes)
-        self._file.flush()
-        self._file.swmr_mode = True
-        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
-        self._identity = os.fstat(self._descriptor).st_ino
-        self.is_broken = False
-
-    def append(self, *blocks: Block) -> None:
-        """Write blocks that follow each other; when this returns they survive the end of the process.
-
-        Raises
-        ------
-        ValueError
-            When a block does not follow the one before, or has another number of channels.
-        OSError
-            When the disk refuses, or the file was removed; what was acknowledged before is kept.
-        """
-        expected = self.n_samples
-        for block in blocks:
-            if block.codes.ndim != 2 or block.codes.shape[1] != self._n_channels:
-                raise ValueError(f"wanted frames of {self._n_channels} channels, got an array of {block.codes.shape}")
-            if block.first_sample != expected:
-                raise ValueError(f"wanted a block that starts at sample {expected}, got {block.first_sample}")
-            expected += len(block.codes)
-        if self.has_vanished():
-            raise OSError(f"{self.path}: was removed while it was being written; closing keeps a copy elsewhere")
-        with self._refusals():
-            self._write(blocks)
-
-    @contextlib.contextmanager
-    def _refusals(self) -> Iterator[None]:
-        """HDF5 reports a disk that refuses as one of two errors; for a person it is one."""
-        try:
-            yield
-        except (OSError, RuntimeError) as error:
-            self.is_broken = True
-            raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
-
-    def _write(self, blocks: Sequence[Block]) -> None:
-        """Frames first, then the rows that acknowledge them."""
-        pieces = [np.ascontiguousarray(block.codes, "<i2") for block in blocks]
-        frames = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
-        rows = np.array(
-            [
-                (b.first_sample, len(c), b.flags, b.clock_ns, b.lost_before, b.lost_uncertainty, b.adc_ns, crc32(c))
-                for b, c in zip(blocks, pieces, strict=True)
-            ],
-            BLOCK_DTYPE,
-        )
-        _extend(self._frames, self.n_samples, frames, self._frame_type)
-        _extend(self._blocks, self._n_blocks, rows, self._row_type)
-        self.n_samples += len(frames)
-        self.n_lost += int(rows["lost_before"].sum())
-        self.n_doubtful += int(rows["lost_uncertainty"].sum())
-        self._n_blocks += len(rows)
-
-    def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
-        """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""
-        row = step_row(step)
-        with self._refusals():
-            self._mark_step(row)
-
-    def _mark_step(self, row: NDArray[np.void]) -> None:
-        if int(row["first_sample"][0]) != self._last_step_first:
-            self._steps.resize((self._n_steps + 1,))
-            self._n_steps += 1
-            self._last_step_first = int(row["first_sample"][0])
-        self._steps[self._n_steps - 1 :] = row
-        self._steps.id.flush()
-        os.fsync(self._descriptor)
-
-    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
-        """Add rows to one of `daq.recording.tables.SIDE_TABLES`."""
-        dataset = self._side[table]
-        with self._refusals():
-            n = dataset.shape[0]
-            dataset.resize((n + len(rows),))
-            dataset[n:] = rows
-            dataset.id.flush()
-
-    def end(self, ending: Mapping[str, Any]) -> None:
-        """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""
-        text = json.dumps(dict(ending)).encode()
-        if len(text) > _END_BYTES:
-            text = json.dumps({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]}).encode()
-        self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
-        self._end.id.flush()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether `close` was not called yet."""
-        return bool(self._file.id.valid)
-
-    def has_vanished(self) -> bool:
-        """Whether the file is no longer under its name (a name whose folder cannot be looked into is believed)."""
-        try:
-            return os.stat(self.path).st_ino != self._identity  # noqa: PTH116 (2 us; a Path costs more, every block)
-        except FileNotFoundError:
-            return True
-        except OSError:
-            return False
-
-    def close(self) -> Path:
-        """Close and say where the frames are: under the file's name, or in a copy where that name is gone.
-
-        Raises
-        ------
-        OSError
-            When the disk had refused: the file is left as a killed process leaves it, for `bench recover`.
-        """
-        vanished = self.has_vanished()
-        try:
-            self._file.close()
-        except (OSError, RuntimeError) as error:
-            raise OSError(f"{self.path}: could not be closed ({error})") from error
-        finally:
-            where = self._rescued() if vanished else self.path
-            os.close(self._descriptor)
-        if self.is_broken and not vanished:
-            raise OSError(f"{self.path}: the disk had refused")
-        return where
-
-    def _rescued(self) -> Path:
-        """A copy of a file whose name is gone but whose content this process still holds."""
-        folder = self.path.parent if self.path.parent.is_dir() else Path(tempfile.gettempdir())
-        where = folder / f"{self.path.stem}.rescued-{os.getpid()}{self.path.suffix}"
-        with where.open("xb") as copy:
-            os.lseek(self._descriptor, 0, os.SEEK_SET)
-            while piece := os.read(self._descriptor, 1 << 20):
-                copy.write(piece)
-        return where
+@functools.cache
+def sealed_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Rows of ``dtype``, each with the CRC-32 of its bytes."""
+    return np.dtype([*((name, dtype[name]) for name in dtype.names or ()), (ROW_CRC, "<u4")])
 
 
-def _extend(dataset: Any, start: int, rows: NDArray[Any], memory_type: Any) -> None:
-    """Append rows and flush, by HDF5's own calls: a third of the time that h5py's indexing takes, every block."""
-    dataset.id.set_extent((start + len(rows), *rows.shape[1:]))
-    where = dataset.id.get_space()
-    where.select_hyperslab((start,) + (0,) * (rows.ndim - 1), rows.shape)
-    dataset.id.write(h5py.h5s.create_simple(rows.shape), where, rows, memory_type)
-    dataset.id.flush()
+def sealed_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Rows, each with the CRC-32 of its bytes."""
+    sealed = np.zeros(len(rows), sealed_dtype(rows.dtype))
+    for name in rows.dtype.names or ():
+        sealed[name] = rows[name]
+    sealed[ROW_CRC] = [crc32(row) for row in rows]
+    return sealed
 
 
 def is_being_written(path: Path) -> bool:
@@ -229,26 +52,41 @@ def is_being_written(path: Path) -> bool:
     return len(head) == 12 and head[8] >= 3 and bool(head[11] & 4)
 
 
-def probe(path: str) -> None:
-    """Touch every index of a frames file. HDF5 waits for ever for an index that a truncated file lacks."""
-    with h5py.File(path, "r", swmr=True) as file:
-        for name in (FRAMES, FRAME_BLOCKS, FRAME_STEPS):
-            file[name].id.chunk_iter(lambda _: None)
-        FrameFile(file)
+def as_if_ended(path: Path) -> Patched:
+    """A frames file as if its writer had closed it, so that HDF5 does not wait for tables that are damaged.
+
+    A reader of a file in single-writer-multiple-readers mode repeats what does not read, for ever longer times. The
+    superblock (version 3) is read with the mode's bits cleared, the file's own length, and the checksum of that.
+    """
+    with path.open("rb") as raw:
+        head = bytearray(raw.read(48))
+        size = raw.seek(0, os.SEEK_END)
+    if len(head) < 48:
+        return Patched(path, ())
+    head[11] &= ~5
+    head[28:36] = size.to_bytes(8, "little")
+    head[44:] = lookup3(bytes(head[:44])).to_bytes(4, "little")
+    return Patched(path, ((0, bytes(head)),))
 
 
-def is_whole(path: Path, timeout_s: float = 30.0) -> bool:
-    """Whether `probe`, in a process of its own that can be ended, comes back in time."""
-    command = [
-        sys.executable,
-        "-c",
-        "import sys; from daq.recording.frame_file import probe; probe(sys.argv[1])",
-        str(path),
-    ]
-    try:
-        return subprocess.run(command, capture_output=True, timeout=timeout_s).returncode == 0
-    except subprocess.TimeoutExpired:
-        return False
+def lookup3(data: bytes) -> int:
+    """HDF5's checksum of metadata (Jenkins 2006, ``hashlittle`` with a start of 0)."""
+    a = b = c = (0xDEADBEEF + len(data)) & 0xFFFFFFFF
+    pieces = [data[at : at + 12] for at in range(0, max(len(data), 1), 12)]
+    for piece in pieces:
+        words = [int.from_bytes(piece[at : at + 4], "little") for at in (0, 4, 8)]
+        a, b, c = ((x + word) & 0xFFFFFFFF for x, word in zip((a, b, c), words, strict=True))
+        if piece is not pieces[-1]:
+            for turn in (4, 6, 8, 16, 19, 4):
+                a = ((a - c) ^ _turned(c, turn)) & 0xFFFFFFFF
+                a, b, c = b, (c + b) & 0xFFFFFFFF, a
+    for turn in (14, 11, 25, 16, 4, 14, 24):
+        a, b, c = b, ((c ^ b) - _turned(b, turn)) & 0xFFFFFFFF, a
+    return b
+
+
+def _turned(x: int, bits: int) -> int:
+    return (x << bits | x >> (32 - bits)) & 0xFFFFFFFF
 
 
 class FrameFile:
@@ -258,24 +96,69 @@ class FrameFile:
     ----------
     file
         Open HDF5 file that holds `FRAMES`.
+    path
+        Its name, for errors.
+    without
+        Tables that cannot be read: they are taken as empty.
+
+    Raises
+    ------
+    InputError
+        When a table is none, or claims more than the file holds.
     """
 
-    def __init__(self, file: Any) -> None:
-        self._frames = file[FRAMES]
-        rows = file[FRAME_BLOCKS][()]
-        self.ending: dict[str, Any] = json.loads(file[FRAME_END][()].tobytes())
+    def __init__(self, file: Any, path: Path, without: Sequence[str] = ()) -> None:
+        self._frames = dataset_of(file, FRAMES, path, dimensions=2)
+        self.faults: list[str] = []
+        self.lost: list[tuple[int, int]] = []
+        self.ending = self._ending(table_of(file, FRAME_END, np.dtype("u1"), path)[0].tobytes())
+        stored = min(self._frames.shape[0], self._frames.id.get_num_chunks() * self._frames.chunks[0])
+        self.blocks: NDArray[np.void] = self._whole_blocks(*table_of(file, FRAME_BLOCKS, BLOCK_DTYPE, path), stored)
+        self.n_samples = int(self.blocks[-1]["first_sample"] + self.blocks[-1]["n_samples"]) if len(self.blocks) else 0
+
+        def sound(name: str, dtype: np.dtype[Any]) -> NDArray[np.void]:
+            if name not in file or name in without:
+                return np.zeros(0, dtype)
+            rows, intact = table_of(file, name, dtype, path)
+            self.faults += [f"{name}: row {i} differs from what was written" for i in np.flatnonzero(~intact)]
+            return rows[intact]
+
+        self.steps: NDArray[np.void] = _clip_steps(sound(FRAME_STEPS, STEP_DTYPE), self.n_samples)
+        self.side = {table: sound(FRAME_SIDE[table], dtype) for table, dtype in SIDE_TABLES.items()}
+        self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
+
+    def _ending(self, text: bytes) -> dict[str, Any]:
+        """How the run ended; as one that was cut off where that does not read."""
+        try:
+            ending: dict[str, Any] = dict(json.loads(text))
+            if ROW_CRC in ending and ending.pop(ROW_CRC) != text_crc(ending):
+                raise ValueError(ROW_CRC)
+        except ValueError:
+            self.faults.append("how the run ended differs from what was written: it is taken as cut off")
+            return {"ended": "incomplete", "why": "", "ended_at": ""}
+        return ending
+
+    def _whole_blocks(self, rows: NDArray[np.void], intact: NDArray[np.bool_], stored: int) -> NDArray[np.void]:
+        """Blocks that follow each other and whose frames are there; where a row differs, its samples are lost."""
+        rows, at = rows.copy(), 0
+        n_whole = int(np.flatnonzero(intact)[-1]) + 1 if intact.any() else 0
+        if not intact.all():
+            self.faults += [
+                f"block {i}: its row differs from what was written; its samples are left out, and what was lost before "
+                "it is not known" for i in np.flatnonzero(~intact)
+            ]  # fmt: skip
+        for i in np.flatnonzero(~intact[:n_whole]):
+            follows = rows[i + 1 : n_whole][intact[i + 1 : n_whole]]["first_sample"]
+            at = int(rows[i - 1]["first_sample"] + rows[i - 1]["n_samples"]) if i else 0
+            n = int(follows[0]) - at if intact[i + 1] else 1
+            rows[i] = np.zeros((), rows.dtype)
+            rows[i]["first_sample"], rows[i]["n_samples"] = at, n
+            self.lost.append((at, at + n))
+        rows = rows[:n_whole]
         ends = rows["first_sample"] + rows["n_samples"]
         starts = np.concatenate([[0], ends[:-1]]) if len(rows) else ends
-        whole = (rows["first_sample"] == starts) & (rows["n_samples"] > 0) & (ends <= self._frames.shape[0])
-        n_whole = len(rows) if whole.all() else int(np.argmin(whole))
-        self.blocks: NDArray[np.void] = rows[:n_whole]
-        self.n_samples = int(ends[n_whole - 1]) if n_whole else 0
-        self.steps: NDArray[np.void] = _clip_steps(file[FRAME_STEPS][()], self.n_samples)
-        self.side: dict[str, NDArray[np.void]] = {
-            table: file[FRAME_SIDE[table]][()] if FRAME_SIDE[table] in file else np.zeros(0, dtype)
-            for table, dtype in SIDE_TABLES.items()
-        }
-        self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
+        whole = (rows["first_sample"] == starts) & (rows["n_samples"] > 0) & (ends <= stored)
+        return rows if whole.all() else rows[: int(np.argmin(whole))]
 
     def rows(self, start: int, stop: int) -> NDArray[np.int16]:
         """Frames ``start`` to ``stop``, int16 ``(n, channels)``; the last range read is kept."""
@@ -296,13 +179,34 @@ class FrameFile:
 
     def damaged_in(self, which: slice, frames: NDArray[np.int16]) -> list[int]:
         """Indices of the blocks, among those of one piece, whose checksum does not fit."""
-        rows = self.blocks[which]
-        offsets = rows["first_sample"] - (rows["first_sample"][0] if len(rows) else 0)
-        return [
-            which.start + i
-            for i, (offset, n, crc) in enumerate(zip(offsets, rows["n_samples"], rows["crc32"], strict=True))
-            if crc32(frames[offset : offset + n]) != crc
-        ]
+        rows, width = self.blocks[which], frames.shape[1] * frames.itemsize
+        offsets = (rows["first_sample"] - (rows["first_sample"][0] if len(rows) else 0)) * width
+        ends = offsets + rows["n_samples"] * width
+        held = np.ascontiguousarray(frames).data.cast("B")
+        each = zip(offsets.tolist(), ends.tolist(), rows["crc32"].tolist(), strict=True)
+        return [which.start + i for i, (start, stop, crc) in enumerate(each) if zlib.crc32(held[start:stop]) != crc]
+
+
+def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """A table of a frames file, and which of its rows are as they were written.
+
+    Raises
+    ------
+    InputError
+        When it is not of ``dtype``, or claims more than the file holds.
+    """
+    dataset = dataset_of(file, name, path)
+    refuse_claims(dataset, path, streamed=False)
+    if dataset.dtype == dtype:  # by an earlier version: rows without a checksum
+        return dataset[()], np.ones(len(dataset), np.bool_)
+    if dtype.names is None or dataset.dtype != sealed_dtype(dtype):
+        raise InputError(f"{path}: /{name}: damaged: wanted rows of {dtype}, found {dataset.dtype}")
+    sealed = dataset[()]
+    rows = np.zeros(len(sealed), dtype)
+    for field in dtype.names:
+        rows[field] = sealed[field]
+    intact = np.array([crc32(row) == crc for row, crc in zip(rows, sealed[ROW_CRC], strict=True)], np.bool_)
+    return rows, intact
 
 
 def _clip_steps(steps: NDArray[np.void], n_samples: int) -> NDArray[np.void]:

@@ -1,27 +1,32 @@
-"""Read a recording: volts, codes, times and tables, from a closed file, a growing one or one that was cut off.
+"""A recording as a reader sees it: volts, codes, times and tables, of a closed file, a growing one or one cut off.
 
-The rule kept here: nothing is read that was not asked for, so memory does not depend on the length of the file.
+The rule kept here: nothing is read that was not asked for, so memory does not depend on the length of the file. What is
+damaged is a gap. `daq.recording.opening` opens files.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import h5py
-import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from daq.recording.column_file import FORMAT, FORMAT_VERSION, read_table, text_crc
-from daq.recording.frame_file import FRAMES, FrameFile, is_being_written
-from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE
+from daq.recording.claims import refuse_columns
+from daq.recording.column_file import TABLES, read_table
+from daq.recording.frame_file import FRAMES, FrameFile
+from daq.recording.holes import Holes
+from daq.recording.seal import text_crc
+from daq.recording.tables import BLOCK_DTYPE
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+
+Spans = Sequence[tuple[int, int]]
+ALL = (0, 1 << 62)
+"""The samples of a channel that is lost as a whole."""
 
 
 def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -30,7 +35,10 @@ def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: NDArray[np.int64]
     if len(gaps):
         lost = np.concatenate([[0], np.cumsum(gaps[:, 1])])
         index += lost[np.searchsorted(gaps[:, 0], index, side="right")]
-    stamps: NDArray[np.int64] = np.rint(index * (1e9 / rate_hz)).astype(np.int64)
+    period_ns = 1e9 / rate_hz
+    if period_ns.is_integer() and stop * period_ns < 2.0**52:
+        return index * int(period_ns)
+    stamps: NDArray[np.int64] = np.rint(index * period_ns).astype(np.int64)
     return stamps
 
 
@@ -41,7 +49,7 @@ def gaps_of(blocks: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 class Recording:
-    """An open recording; see `open_recording`.
+    """An open recording; see `daq.recording.opening.open_recording`.
 
     Attributes
     ----------
@@ -61,34 +69,83 @@ class Recording:
         int64 ``(n, 2)``: first sample after the gap, samples lost.
     attrs
         Root attributes: note, simulated, backend, scenario_sha256, started, ended, why, extra (a dict), ...
+    damage
+        One line for each damage that was found; what it took is a gap, a channel less, or an empty table.
     """
 
-    def __init__(self, path: Path, file: Any) -> None:
+    def __init__(
+        self, path: Path, file: Any, lost: Mapping[str, Spans] | None = None, damage: Sequence[str] = ()
+    ) -> None:
         self.path = path
-        self._file = file
-        self.frames = FrameFile(file) if FRAMES in file else None
+        self.damage = tuple(damage)
+        self._file, self._lost = file, dict(lost or {})
+        self._holes: Holes | None = None
+        self.frames = FrameFile(file, path, without=tuple(self._lost)) if FRAMES in file else None
         self.stored: dict[str, Any] = {k: _plain(v) for k, v in file.attrs.items()}
+        if self.frames is not None and "attributes_crc32" in self.stored and not attributes_intact(self.stored):
+            self.frames.faults.append("the root attributes differ from what was written")
         self.stored |= self.frames.ending if self.frames is not None else {}
         self.attrs = dict(self.stored)
         self.attrs["extra"] = json.loads(self.attrs.pop("extra_json", "{}"))
         self.setup = Setup.model_validate_json(self.stored["setup_json"])
         self.rate_hz = float(self.stored["rate_hz"])
-        self.channels: tuple[str, ...] = tuple(self.stored["channels"])
+        if not 0.0 < self.rate_hz < np.inf:
+            raise InputError(f"{path}: damaged: rate_hz is {self.rate_hz:g}; wanted samples a second")
+        self.channels: tuple[str, ...] = tuple(map(str, self.stored["channels"]))
+        if not all(name.isidentifier() for name in self.channels):
+            raise InputError(f"{path}: damaged: channels called {self.channels}; wanted letters, digits and _ alone")
         self._scales: dict[str, list[float]]
         if self.frames is not None:
             self.n_samples = self.frames.n_samples
+            if self.frames.lost:
+                self._lost[FRAMES] = [*self._lost.get(FRAMES, ()), *self.frames.lost]
             self.steps, self.blocks, self.side = self.frames.steps, self.frames.blocks, self.frames.side
             self._scales = json.loads(self.stored["scales_json"])
         else:
-            self.n_samples = int(file["timestamp"].shape[0])
-            self.steps, self.blocks = read_table(file["steps"], STEP_DTYPE), read_table(file["blocks"], BLOCK_DTYPE)
-            self.side = {name: read_table(file.get(name, {}), dtype) for name, dtype in SIDE_TABLES.items()}
-            self._scales = {
-                n: [float(file[n].attrs["scale_factor"]), float(file[n].attrs["add_offset"])] for n in self.channels
-            }
+            self._read_columns()
+        self._leave_out()
         self.drive_changes = self.side["drive_changes"]
         self.clock_readings, self.clock_map = self.side["clock_readings"], self.side["clock_map"]
         self.gaps = gaps_of(self.blocks)
+
+    def _read_columns(self) -> None:
+        """Tables and scales of a closed file."""
+        file, path = self._file, self.path
+        there = tuple(n for n in self.channels if not set(self._lost.get(n, ())) & {ALL})
+        refuse_columns(file, (*there, "timestamp"), path)
+        self.n_samples = int(file["timestamp"].shape[0])
+        read = {
+            name: read_table(file, name, dtype, path) if name not in self._lost else np.zeros(0, dtype)
+            for name, dtype in TABLES.items()
+        }
+        self.steps, self.blocks = read.pop("steps"), read.pop("blocks")
+        self.side = read
+        if "blocks" in self._lost:
+            self.blocks = np.zeros(1, BLOCK_DTYPE)
+            self.blocks["n_samples"] = self.n_samples
+        self._scales = {n: [float(file[n].attrs["scale_factor"]), float(file[n].attrs["add_offset"])] for n in there}
+
+    def _leave_out(self) -> None:
+        """Make gaps of the samples that are lost; a channel of which none is left is not there."""
+        none_left = {ALL, (0, self.n_samples)}
+        self.channels = tuple(n for n in self.channels if not none_left & set(self._lost.get(n, ())))
+        holding = {*self.channels, FRAMES} | (set() if self._even else {"timestamp"})
+        spans = [(int(a), int(b)) for name in holding for a, b in self._lost.get(name, ())]
+        if not spans:
+            return
+        self._holes = Holes.of(spans, self.n_samples)
+        self.n_samples = self._holes.n_samples
+        self.steps, self.blocks = self._holes.steps(self.steps), self._holes.blocks(self.blocks)
+
+    @property
+    def is_less(self) -> bool:
+        """Whether something that had been recorded is left out, because it is damaged."""
+        return bool(self._lost) or (self.frames is not None and bool(self.frames.faults))
+
+    @property
+    def _even(self) -> bool:
+        """Whether the times follow from the rate and the gaps."""
+        return bool(self.stored.get("uniform", True))
 
     def measure_with(self, setup: Setup) -> None:
         """Read volts by another profile's measuring part; rate and channels stay what the file has.
@@ -132,18 +189,38 @@ class Recording:
             Array of the stored type to read into, at least as long; saves the allocation.
         """
         stop = self.n_samples if stop is None else min(stop, self.n_samples)
+        if self._holes is None:
+            return self._stored(channel, start, stop, out)
+        pieces = [self._stored(channel, a, b) for a, b in self._holes.ranges(start, stop)]
+        codes = np.concatenate(pieces) if pieces else self._stored(channel, 0, 0)
+        if out is None:
+            return codes
+        out[: len(codes)] = codes
+        return out[: len(codes)]
+
+    def _stored(self, channel: str, start: int, stop: int, out: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Codes of samples ``start`` to ``stop`` of the file."""
+        try:
+            return self._read(self._known(channel), start, stop, out)
+        except (OSError, RuntimeError) as error:
+            raise InputError(
+                f"{self.path}: damaged: {channel}, samples {start} to {stop - 1} do not read back ({error}); keep what "
+                f"is sound: bench recover {self.path}"
+            ) from error
+
+    def _read(self, channel: str, start: int, stop: int, out: NDArray[Any] | None) -> NDArray[Any]:
         if self.frames is not None:
-            column = self.frames.rows(start, stop)[:, self.channels.index(self._known(channel))]
+            column = self.frames.rows(start, stop)[:, list(self.stored["channels"]).index(channel)]
             if out is None:
                 return np.ascontiguousarray(column)
             out[: stop - start] = column
             return out[: stop - start]
-        dataset = self._file[self._known(channel)]
+        dataset = self._file[channel]
         if out is None:
-            out = np.empty(stop - start, dataset.dtype)
+            out = np.empty(max(stop - start, 0), dataset.dtype)
         if stop > start:
             dataset.read_direct(out, np.s_[start:stop], np.s_[: stop - start])
-        return out[: stop - start]
+        return out[: max(stop - start, 0)]
 
     def read_v(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
         """Volts ``(stop - start,)`` of a channel."""
@@ -159,9 +236,11 @@ class Recording:
     def timestamps_ns(self, start: int = 0, stop: int | None = None) -> NDArray[np.int64]:
         """Time of each sample since the first, int64 nanoseconds, gaps included."""
         stop = self.n_samples if stop is None else min(stop, self.n_samples)
-        if self.frames is not None:
+        if self.frames is not None or (self._even and (self._holes is not None or "timestamp" in self._lost)):
             return timestamps_ns(start, stop, self.rate_hz, self.gaps)
-        return np.asarray(self._file["timestamp"][start:stop], np.int64)
+        ranges = [(start, stop)] if self._holes is None else self._holes.ranges(start, stop)
+        pieces = [np.asarray(self._file["timestamp"][a:b], np.int64) for a, b in ranges]
+        return pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, np.int64), *pieces])
 
     def _known(self, channel: str) -> str:
         if channel not in self.channels:
@@ -185,56 +264,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def open_file(path: Path) -> Any:
-    """Open the HDF5 file, also one that is being recorded or was cut off.
-
-    Raises
-    ------
-    InputError
-        When it is missing or no HDF5 file.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
-    try:
-        return h5py.File(path, "r", swmr=is_being_written(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
-
-
-def open_recording(path: Path | str) -> Recording:
-    """Open a recording for reading: a closed one, one that is being written, or one that was cut off.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, not HDF5, or not a recording.
-    """
-    path = Path(path)
-    file = open_file(path)
-    try:
-        if file.attrs.get("format") != FORMAT:
-            raise InputError(
-                f"{path}: is HDF5 but not a recording of this software (attribute format is "
-                f"{file.attrs.get('format')!r}); turn it into one: bench import {path} --profile P.toml --out REC.h5"
-            )
-        if int(file.attrs["format_version"]) > FORMAT_VERSION:
-            raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")
-        return Recording(path, file)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        file.close()
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: damaged: {_in_words(error)}; run: bench verify {path}") from error
-
-
-def _in_words(error: Exception) -> str:
-    """One line of an error; of a setup that does not fit, the first fault."""
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False)[0]
-        return f"setup_json, {'.'.join(map(str, first['loc'])) or 'whole'}: {first['msg']}"
-    return str(error)
 
 
 def attributes_intact(stored: Mapping[str, Any]) -> bool:

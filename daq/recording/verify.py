@@ -1,7 +1,7 @@
 """Say whether a recording is complete, stopped, incomplete or damaged, and where.
 
-The rule kept here: every byte is read. A checksum that fits a chunk is not enough (a chunk that is missing reads as
-zeros), so each channel also carries the CRC-32 of all its samples.
+The rule kept here: every byte is compared with the seal before HDF5 sees it. A file without one is read by another
+process, to the end, whatever that meets.
 """
 
 from __future__ import annotations
@@ -10,13 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from daq.recording.column_file import CHUNK_SAMPLES, check_columns
-from daq.recording.frame_file import is_being_written, is_whole
-from daq.recording.reader import Recording, attributes_intact, open_recording
-from daq.recording.tables import BlockFlag
-from daq.setup.errors import InputError
+from daq.recording.opening import UNCHECKED
+from daq.recording.reader import Recording
+from daq.recording.survey import UnreadableError, examine
 
 State = Literal["complete", "stopped", "incomplete", "damaged"]
 
@@ -59,44 +55,27 @@ def verify(path: Path | str) -> VerifyReport:
     InputError
         When there is no such file, or it never was a recording.
     """
-    path = Path(path)
-    if path.is_file() and is_being_written(path) and not is_whole(path):
-        return VerifyReport("damaged", [f"{path}: cut off, and shorter than its index says: a copy that broke off?"])
     try:
-        recording = open_recording(path)
-    except InputError as error:
-        never_was = "not a recording" in str(error) or path.suffix.lower() not in (".h5", ".hdf5")
-        if not path.is_file() or never_was:
-            raise
-        return VerifyReport("damaged", [str(error)])
+        recording, _ = examine(Path(path))
+    except UnreadableError as error:
+        return VerifyReport("damaged", error.where)
     with recording:
-        try:
-            faults = _faults(recording)
-        except (OSError, RuntimeError, KeyError) as error:
-            faults = [f"{path}: does not read back ({error})"]
-        return _report(recording, faults)
+        return _report(recording, _faults(recording))
 
 
 def _faults(recording: Recording) -> list[str]:
-    frames = recording.frames
-    if frames is not None:
-        bad = [i for which, rows in frames.pieces(CHUNK_SAMPLES) for i in frames.damaged_in(which, rows)]
-    else:
-        bad = list(np.flatnonzero(recording.blocks["flags"] & BlockFlag.DAMAGED))
-    first, n = recording.blocks["first_sample"], recording.blocks["n_samples"]
-    faults = [f"block {i}: samples {first[i]} to {first[i] + n[i] - 1} differ from what was recorded" for i in bad]
-    if frames is None:
-        faults += check_columns(recording._file)
-        if not attributes_intact(recording.stored):
-            faults.append("the root attributes differ from what was written")
-        if n.sum() != recording.n_samples:
-            faults.append(f"the block table counts {n.sum()} samples, the channels have {recording.n_samples}")
+    """Everything that does not read back as it was written."""
+    faults, n = [line for line in recording.damage if line != UNCHECKED], recording.blocks["n_samples"]
+    if recording.frames is None and n.sum() != recording.n_samples:
+        faults.append(f"the block table counts {n.sum()} samples, the channels have {recording.n_samples}")
     return faults
 
 
 def _report(recording: Recording, faults: list[str]) -> VerifyReport:
     ended, why = str(recording.attrs.get("ended", "")), str(recording.attrs.get("why", ""))
     where = list(faults)
+    if UNCHECKED in recording.damage:
+        where.append(UNCHECKED)
     state: State
     if faults:
         state = "damaged"

@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.recording.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
-from daq.recording.frame_file import FrameWriter
+from daq.recording.frame_writer import FrameWriter
+from daq.recording.opening import open_checked
 from daq.recording.provenance import software_commit, software_version
-from daq.recording.reader import open_recording, timestamps_ns
+from daq.recording.reader import timestamps_ns
+from daq.recording.seal import Checked
 from daq.recording.tables import Block, BlockFlag, volts_per_code
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
@@ -244,7 +246,7 @@ def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]
         Root attributes that differ from the frames file's.
     """
     damaged: list[int] = []
-    with open_recording(source) as recording:
+    with open_checked(source, Checked()) as recording:
         frames = recording.frames
         if frames is None:
             raise InputError(f"{source}: is a column file already; nothing to do.")

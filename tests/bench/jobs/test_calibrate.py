@@ -110,6 +110,23 @@ def test_only_the_measured_lines_of_a_profile_change(tmp_path: Path) -> None:
     assert doubts(profile, today) == []
 
 
+def test_mode_link_and_line_ends_of_a_profile_stay(tmp_path: Path) -> None:
+    """A profile written on Windows, readable to the group, behind a link: all of that is as before."""
+    path, link = copied(tmp_path), tmp_path / "link.toml"
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    path.chmod(0o644)
+    mode = path.stat().st_mode
+    try:
+        link.symlink_to(path)
+    except OSError:  # Windows lets only some make links
+        link = path
+    write_into(link, [Measured("channels.accelerometer.offset_v", 1.98765432, 0.01234, "me")], DAY)
+    assert path.stat().st_mode == mode
+    assert link == path or link.is_symlink()
+    assert b"me" in path.read_bytes()
+    assert path.read_bytes().count(b"\n") == path.read_bytes().count(b"\r\n")
+
+
 def test_what_cannot_be_a_profile_is_not_written(tmp_path: Path) -> None:
     """A value that the profile refuses leaves the file as it was, with no other file beside it."""
     path = copied(tmp_path)

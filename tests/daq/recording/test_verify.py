@@ -23,17 +23,17 @@ def record(path: Path, setup: Setup, n_blocks: int = 4) -> RecordingWriter:
     return writer
 
 
-def overwrite(path: Path, name: str, chunk: int, rows: int | None = None) -> None:
-    """Change one byte in the middle of a stored chunk of a dataset."""
+def overwrite(path: Path, name: str, chunk: int, n_bytes: int = 1) -> None:
+    """Change bytes in the middle of a stored chunk of a dataset."""
     with h5py.File(path, "r") as file:
         dataset = file[name]
         where = (chunk * dataset.chunks[0],) + (0,) * (dataset.ndim - 1)
         info = dataset.id.get_chunk_info_by_coord(where)
     with path.open("r+b") as raw:
         raw.seek(info.byte_offset + info.size // 2)
-        byte = raw.read(1)[0]
-        raw.seek(-1, 1)
-        raw.write(bytes([byte ^ 0x10]))
+        there = raw.read(n_bytes)
+        raw.seek(-n_bytes, 1)
+        raw.write(bytes(byte ^ 0x10 for byte in there))
 
 
 def test_states_of_sound_files(tmp_path: Path, setup: Setup) -> None:
@@ -52,13 +52,15 @@ def test_states_of_sound_files(tmp_path: Path, setup: Setup) -> None:
 
 @pytest.mark.parametrize("name", [*CHANNELS, "timestamp"])
 def test_a_changed_byte_is_placed(tmp_path: Path, setup: Setup, name: str) -> None:
-    """One bit flipped in one chunk of one channel: damaged, with the channel and the range of samples."""
+    """One bit, or a few bytes, of one chunk of one channel: damaged, with the channel and the range of samples."""
     path = tmp_path / "a.h5"
     record(path, setup).close()
-    overwrite(path, name, 1)
-    report = verify(path)
-    assert report.state == "damaged"
-    assert report.where == [f"{name}: samples 65536 to 131071 do not read back"]
+    for n_bytes, said in ((1, "one byte differs and is put right"), (100, "differ from what was written")):
+        overwrite(path, name, 1, n_bytes)
+        report = verify(path)
+        assert report.state == "damaged"
+        assert report.where[0].startswith(f"{name}: samples 65536 to 131071 (bytes ")
+        assert said in report.where[0]
 
 
 def test_a_changed_byte_in_the_frames_is_placed(tmp_path: Path, setup: Setup) -> None:
@@ -85,7 +87,8 @@ def test_a_missing_chunk_is_damage(tmp_path: Path, setup: Setup) -> None:
         again.dims[0].attach_scale(scale)
         for key in ("scale_factor", "add_offset", "crc32"):
             again.attrs[key] = attributes[key]
-    assert verify(path).where == ["drive: the checksum over all its samples does not fit"]
+    where = verify(path).where
+    assert "/drive: damaged: claims 400000 bytes; 131072 are stored" in where[0]
 
 
 def test_changed_metadata_is_damage(tmp_path: Path, setup: Setup) -> None:
@@ -94,7 +97,10 @@ def test_changed_metadata_is_damage(tmp_path: Path, setup: Setup) -> None:
     record(path, setup).close()
     with h5py.File(path, "r+") as file:
         file.attrs["note"] = "better than it was"
-    assert verify(path).where == ["the root attributes differ from what was written"]
+    assert verify(path).where == [
+        "the root attributes differ from what was written",
+        "its checksums are gone: another program has written to it since",
+    ]
 
 
 def test_a_shortened_file_is_damage(tmp_path: Path, setup: Setup) -> None:

@@ -1,0 +1,81 @@
+"""What an HDF5 file claims to hold, bounded before any of it is read.
+
+The rule kept here: nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from daq.setup.errors import InputError
+
+MOST_OBJECTS = 64  # at the root of a recording, and in one of its groups
+LONGEST_CHUNK_BYTES = 64 << 20
+SMALL_BYTES = 1 << 20
+
+
+def objects_of(group: Any, path: Path) -> list[str]:
+    """Names in a group of a recording (raises InputError where they are too many to be one's)."""
+    if len(group) > MOST_OBJECTS:
+        raise InputError(f"{path}: damaged: {group.name} holds {len(group)} objects; wanted {MOST_OBJECTS} at most")
+    return list(group)
+
+
+def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
+    """A dataset of a recording, which holds numbers, in this file, and no more than the file can hold.
+
+    Raises
+    ------
+    InputError
+        When it does not.
+    KeyError
+        When there is none of that name.
+    """
+    where = f"{path}: {group.name.rstrip('/')}/{name}"
+    link = group.get(name, getlink=True)
+    if link is None:
+        raise KeyError(name)
+    if not isinstance(link, h5py.HardLink):
+        raise InputError(f"{where}: damaged: is a link to another place; a recording holds all of itself")
+    dataset = group[name]
+    if not isinstance(dataset, h5py.Dataset) or dataset.ndim != dimensions:
+        raise InputError(f"{where}: damaged: wanted a table of {dimensions} dimension(s)")
+    if dataset.is_virtual or dataset.external:
+        raise InputError(f"{where}: damaged: its numbers lie in another file; a recording holds all of itself")
+    if dataset.dtype.kind not in "iufV" or dataset.dtype.hasobject or dataset.dtype.itemsize > 1024:
+        raise InputError(f"{where}: damaged: wanted numbers, found {dataset.dtype}")
+    return dataset
+
+
+def refuse_claims(dataset: Any, path: Path, *, streamed: bool) -> None:
+    """Refuse a dataset that says it holds more than is stored; ``streamed``: it is read in pieces.
+
+    Raises
+    ------
+    InputError
+        Naming what it claims.
+    """
+    where, n_bytes, size = f"{path}: {dataset.name}", dataset.size * dataset.dtype.itemsize, path.stat().st_size
+    if dataset.chunks is not None:
+        per_chunk = dataset.dtype.itemsize
+        for length in dataset.chunks:
+            per_chunk *= length
+        if per_chunk > LONGEST_CHUNK_BYTES:
+            raise InputError(f"{where}: damaged: has pieces of {per_chunk} bytes; wanted {LONGEST_CHUNK_BYTES} at most")
+        held = dataset.id.get_num_chunks() * per_chunk
+        if n_bytes > held:
+            raise InputError(f"{where}: damaged: claims {n_bytes} bytes; {held} are stored")
+    if n_bytes > max(size, SMALL_BYTES) and not (streamed and dataset.chunks is not None):
+        raise InputError(f"{where}: damaged: claims {n_bytes} bytes in a file of {size}")
+
+
+def refuse_columns(file: Any, names: Sequence[str], path: Path) -> None:
+    """Refuse channels that are not columns of numbers stored in this file, in pieces (raises InputError, KeyError)."""
+    if len(names) > MOST_OBJECTS:
+        raise InputError(f"{path}: damaged: names {len(names)} channels; a recording has {MOST_OBJECTS} at most")
+    for name in names:
+        refuse_claims(dataset_of(file, name, path), path, streamed=True)

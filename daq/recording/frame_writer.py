@@ -1,0 +1,230 @@
+"""The frames file: what a recording is while the run lasts. Row-major int16 frames, a checksum a block.
+
+The rule kept here: once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is
+created before the first sample, the file is in HDF5's single-writer-multiple-readers mode, and each block is flushed
+(frames first, then the row that acknowledges them). A row without its frames cannot exist; frames without a row are
+not part of the recording. The end state is ``incomplete`` from the start.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording.frame_file import (
+    FRAME_BLOCKS,
+    FRAME_END,
+    FRAME_SIDE,
+    FRAME_STEPS,
+    FRAMES,
+    ROW_CRC,
+    sealed_dtype,
+    sealed_rows,
+)
+from daq.recording.seal import text_crc
+from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32, step_row
+from daq.setup.errors import InputError
+
+_END_BYTES = 4096
+_CHUNK_BYTES = 65536
+
+
+class FrameWriter:
+    """Write a frames file.
+
+    Parameters
+    ----------
+    path
+        File to create.
+    channels
+        Names, in the order of a frame.
+    attributes
+        Root attributes; written once, before the first sample.
+
+    Raises
+    ------
+    InputError
+        When ``path`` exists, or its folder does not.
+    """
+
+    def __init__(self, path: Path, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: the folder {path.parent} does not exist; create it first.")
+        try:
+            self._file = h5py.File(path, "x", libver=("v110", "v110"))
+        except OSError as error:
+            if path.exists():
+                raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from error
+            raise InputError(f"{path}: cannot be created ({error}).") from error
+        self.path = path
+        self.n_samples = self.n_lost = self.n_doubtful = 0
+        self._n_channels = len(channels)
+        self._n_blocks = self._n_steps = 0
+        self._last_step_first = -1
+        rows = max(1, _CHUNK_BYTES // (2 * self._n_channels))
+        self._frames = self._file.create_dataset(
+            FRAMES, (0, self._n_channels), "<i2", maxshape=(None, self._n_channels), chunks=(rows, self._n_channels)
+        )
+        self._blocks = self._table(FRAME_BLOCKS, BLOCK_DTYPE, 256)
+        self._steps = self._table(FRAME_STEPS, STEP_DTYPE, 16)
+        self._side = {table: self._table(FRAME_SIDE[table], dtype, 64) for table, dtype in SIDE_TABLES.items()}
+        self._end = self._file.create_dataset(FRAME_END, (_END_BYTES,), "u1", chunks=(_END_BYTES,))
+        self.end({"ended": "incomplete", "why": "", "ended_at": ""})
+        self._frame_type = h5py.h5t.py_create(np.dtype("<i2"))
+        self._row_type = h5py.h5t.py_create(sealed_dtype(BLOCK_DTYPE))
+        self._file.attrs.update(dict(attributes) | {"attributes_crc32": text_crc(attributes)})
+        self._file.flush()
+        self._file.swmr_mode = True
+        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        self._identity = os.fstat(self._descriptor).st_ino
+        self.is_broken = False
+
+    def _table(self, name: str, dtype: np.dtype[Any], chunk: int) -> Any:
+        return self._file.create_dataset(name, (0,), sealed_dtype(dtype), maxshape=(None,), chunks=(chunk,))
+
+    def append(self, *blocks: Block) -> None:
+        """Write blocks that follow each other; when this returns they survive the end of the process.
+
+        Raises
+        ------
+        ValueError
+            When a block does not follow the one before, or has another number of channels.
+        OSError
+            When the disk refuses, or the file was removed; what was acknowledged before is kept.
+        """
+        expected = self.n_samples
+        for block in blocks:
+            if block.codes.ndim != 2 or block.codes.shape[1] != self._n_channels:
+                raise ValueError(f"wanted frames of {self._n_channels} channels, got an array of {block.codes.shape}")
+            if block.first_sample != expected:
+                raise ValueError(f"wanted a block that starts at sample {expected}, got {block.first_sample}")
+            expected += len(block.codes)
+        if self.has_vanished():
+            raise OSError(f"{self.path}: was removed while it was being written; closing keeps a copy elsewhere")
+        with self._refusals():
+            self._write(blocks)
+
+    @contextlib.contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """HDF5 reports a disk that refuses as one of two errors; for a person it is one."""
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            self.is_broken = True
+            raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
+
+    def _write(self, blocks: Sequence[Block]) -> None:
+        """Frames first, then the rows that acknowledge them."""
+        pieces = [np.ascontiguousarray(block.codes, "<i2") for block in blocks]
+        frames = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
+        rows = np.array(
+            [
+                (b.first_sample, len(c), b.flags, b.clock_ns, b.lost_before, b.lost_uncertainty, b.adc_ns, crc32(c))
+                for b, c in zip(blocks, pieces, strict=True)
+            ],
+            BLOCK_DTYPE,
+        )
+        _extend(self._frames, self.n_samples, frames, self._frame_type)
+        _extend(self._blocks, self._n_blocks, sealed_rows(rows), self._row_type)
+        self.n_samples += len(frames)
+        self.n_lost += int(rows["lost_before"].sum())
+        self.n_doubtful += int(rows["lost_uncertainty"].sum())
+        self._n_blocks += len(rows)
+
+    def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
+        """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""
+        row = step_row(step)
+        with self._refusals():
+            self._mark_step(row)
+
+    def _mark_step(self, row: NDArray[np.void]) -> None:
+        if int(row["first_sample"][0]) != self._last_step_first:
+            self._steps.resize((self._n_steps + 1,))
+            self._n_steps += 1
+            self._last_step_first = int(row["first_sample"][0])
+        self._steps[self._n_steps - 1 :] = sealed_rows(row)
+        self._steps.id.flush()
+        os.fsync(self._descriptor)
+
+    def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
+        """Add rows to one of `daq.recording.tables.SIDE_TABLES`."""
+        dataset = self._side[table]
+        with self._refusals():
+            n = dataset.shape[0]
+            dataset.resize((n + len(rows),))
+            dataset[n:] = sealed_rows(rows.astype(SIDE_TABLES[table]))
+            dataset.id.flush()
+
+    def end(self, ending: Mapping[str, Any]) -> None:
+        """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""
+        text = _ending_text(ending)
+        if len(text) > _END_BYTES:
+            text = _ending_text({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]})
+        self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
+        self._end.id.flush()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `close` was not called yet."""
+        return bool(self._file.id.valid)
+
+    def has_vanished(self) -> bool:
+        """Whether the file is no longer under its name (a name whose folder cannot be looked into is believed)."""
+        try:
+            return os.stat(self.path).st_ino != self._identity  # noqa: PTH116 (2 us; a Path costs more, every block)
+        except FileNotFoundError:
+            return True
+        except OSError:
+            return False
+
+    def close(self) -> Path:
+        """Close and say where the frames are: under the file's name, or in a copy where that name is gone.
+
+        Raises
+        ------
+        OSError
+            When the disk had refused: the file is left as a killed process leaves it, for `bench recover`.
+        """
+        vanished = self.has_vanished()
+        try:
+            self._file.close()
+        except (OSError, RuntimeError) as error:
+            raise OSError(f"{self.path}: could not be closed ({error})") from error
+        finally:
+            where = self._rescued() if vanished else self.path
+            os.close(self._descriptor)
+        if self.is_broken and not vanished:
+            raise OSError(f"{self.path}: the disk had refused")
+        return where
+
+    def _rescued(self) -> Path:
+        """A copy of a file whose name is gone but whose content this process still holds."""
+        folder = self.path.parent if self.path.parent.is_dir() else Path(tempfile.gettempdir())
+        where = folder / f"{self.path.stem}.rescued-{os.getpid()}{self.path.suffix}"
+        with where.open("xb") as copy:
+            os.lseek(self._descriptor, 0, os.SEEK_SET)
+            while piece := os.read(self._descriptor, 1 << 20):
+                copy.write(piece)
+        return where
+
+
+def _ending_text(ending: Mapping[str, Any]) -> bytes:
+    return json.dumps({**ending, ROW_CRC: text_crc(ending)}).encode()
+
+
+def _extend(dataset: Any, start: int, rows: NDArray[Any], memory_type: Any) -> None:
+    """Append rows and flush, by HDF5's own calls: a third of the time that h5py's indexing takes, every block."""
+    dataset.id.set_extent((start + len(rows), *rows.shape[1:]))
+    where = dataset.id.get_space()
+    where.select_hyperslab((start,) + (0,) * (rows.ndim - 1), rows.shape)
+    dataset.id.write(h5py.h5s.create_simple(rows.shape), where, rows, memory_type)
+    dataset.id.flush()

@@ -1,0 +1,132 @@
+"""Open the HDF5 file of a recording, its damaged bytes put right or left out.
+
+The rule kept here: whoever opens a file has proven its bytes before (`daq.recording.seal`), or had another process read
+them (`daq.recording.survey`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
+import numpy as np
+from pydantic import ValidationError
+
+from daq.recording.column_file import FORMAT, FORMAT_VERSION
+from daq.recording.frame_file import as_if_ended, is_being_written
+from daq.recording.reader import Recording
+from daq.recording.seal import Checked, Patched, check
+from daq.recording.tables import BlockFlag
+from daq.setup.errors import InputError
+
+UNCHECKED = "recorded by an earlier version, without checksums over its tables: they are read unchecked"
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+def unsealed(recording: Recording, found: Checked | None, *, intact: bool) -> tuple[str, ...]:
+    """What is to be said of a closed recording that cannot be compared with a seal."""
+    if recording.frames is not None:
+        return ()
+    lines = [] if found is None else list(found.where)
+    if not intact:
+        lines.append("the root attributes differ from what was written")
+    if found is None:
+        lines.append(
+            "its checksums are gone: another program has written to it since"
+            if recording.stored.get("sealed")
+            else UNCHECKED
+        )
+    return tuple(lines)
+
+
+def differing_blocks(recording: Recording) -> list[str]:
+    """Blocks that did not fit their checksum when the recording was closed or recovered."""
+    bad = np.flatnonzero(recording.blocks["flags"] & BlockFlag.DAMAGED)
+    first, n = recording.blocks["first_sample"], recording.blocks["n_samples"]
+    return [f"block {i}: samples {first[i]} to {first[i] + n[i] - 1} differ from what was recorded" for i in bad]
+
+
+def require_file(path: Path) -> None:
+    """Refuse what cannot be an HDF5 file (raises InputError)."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    try:
+        with path.open("rb") as raw:
+            head, tail = raw.read(len(SIGNATURE)), check(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    if head != SIGNATURE and tail is None and not h5py.is_hdf5(path):
+        raise InputError(f"{path}: cannot be read as HDF5 (it does not begin as one).")
+
+
+def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recording:
+    """Open a recording whose bytes were compared with its seal, or that was read through before, or just written.
+
+    Parameters
+    ----------
+    found
+        What differs: it is put right, or left out.
+    ended
+        Read a frames file as if its writer had closed it.
+
+    Raises
+    ------
+    InputError
+        When it is not a recording, or cannot be read.
+    """
+    lost = {name: list(spans) for name, spans in found.lost.items()}
+    file = open_file(path, found, ended=ended)
+    try:
+        require_recording(path, file)
+        for name, spans in found.mended.items():
+            wrong = [span for span in spans if not _reads(file[name], *span)]
+            if wrong:
+                lost[name] = [*lost.get(name, ()), *wrong]
+        return Recording(path, file, lost, found.where)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        file.close()
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: damaged: {_in_words(error)}; run: bench verify {path}") from error
+
+
+def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
+    """The HDF5 file, its damaged bytes put right (raises InputError)."""
+    try:
+        if found.patches:
+            return h5py.File(Patched(path, found.patches), "r")
+        if is_being_written(path):
+            return h5py.File(as_if_ended(path), "r") if ended else h5py.File(path, "r", swmr=True)
+        return h5py.File(path, "r")
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
+
+
+def require_recording(path: Path, file: Any) -> None:
+    """Refuse HDF5 that is no recording, or one of a later format (raises InputError)."""
+    if file.attrs.get("format") != FORMAT:
+        raise InputError(
+            f"{path}: is HDF5 but not a recording of this software (attribute format is "
+            f"{file.attrs.get('format')!r}); turn it into one: bench import {path} --profile P.toml --out REC.h5"
+        )
+    if int(file.attrs["format_version"]) > FORMAT_VERSION:
+        raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")
+
+
+def _reads(dataset: Any, first: int, last: int) -> bool:
+    """Whether samples read back: HDF5's own checksum of the chunk fits what was put right."""
+    try:
+        dataset[first:last]
+    except (OSError, RuntimeError):
+        return False
+    return True
+
+
+def _in_words(error: Exception) -> str:
+    """One line of an error; of a setup that does not fit, the first fault."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"setup_json, {'.'.join(map(str, first['loc'])) or 'whole'}: {first['msg']}"
+    return str(error)

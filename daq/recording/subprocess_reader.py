@@ -1,0 +1,131 @@
+"""A function in a process of its own, ended when it hangs; what it met is told either way.
+
+The rule kept here: HDF5 loops, crashes or asks for all memory where a file's own tables are damaged. A file whose bytes
+nobody vouches for is first read in a process that may do so.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from daq.setup.errors import InputError
+
+PATIENCE_S = 2.0  # of silence, after which a process hangs
+START_S = 60.0
+MEMORY_BYTES = 768 << 20  # above what the process has when it starts
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a process answered, or why it did not, and the last thing that it was about to do."""
+
+    value: Any
+    died: str = ""
+    at: str = ""
+
+
+def apart(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
+    """Call ``module:function`` in a process of its own.
+
+    Parameters
+    ----------
+    function
+        Takes ``arguments``, and a function by which it tells what it is about to do, at least every ``patience_s``.
+        Arguments and answer are what JSON knows.
+
+    Raises
+    ------
+    InputError, OSError
+        As the function did; whatever else ends it is told in the answer.
+    """
+    places = [str(Path(entry or ".").resolve()) for entry in sys.path]
+    errors: list[str] = []
+    said: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+    with subprocess.Popen(
+        [sys.executable, "-c", "from daq.recording.subprocess_reader import serve; serve()", function, json.dumps(arguments)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace",
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1", "PYTHONIOENCODING": "utf-8"},
+    ) as process:  # fmt: skip
+        readers = [
+            threading.Thread(target=_pass_on, args=(process.stdout, said), daemon=True),
+            threading.Thread(target=lambda: errors.extend(process.stderr or ()), daemon=True),
+        ]
+        for reader in readers:
+            reader.start()
+        try:
+            answer = _follow(said, patience_s)
+        finally:
+            process.kill()
+            for reader in readers:
+                reader.join()
+    if isinstance(answer.value, dict) and "refused" in answer.value:
+        raise {"InputError": InputError}.get(answer.value["refused"], OSError)(answer.value["text"])
+    if answer.died == "ended":
+        last = next((line.strip() for line in reversed(errors) if line.strip()), "")
+        return Answer(None, f"reading it ended the process ({last or f'status {process.returncode}'})", answer.at)
+    return answer
+
+
+def _pass_on(lines: IO[str] | None, said: queue.SimpleQueue[str | None]) -> None:
+    for line in lines or ():
+        said.put(line)
+    said.put(None)
+
+
+def _follow(said: queue.SimpleQueue[str | None], patience_s: float) -> Answer:
+    """Wait for the answer, as long as the process goes on."""
+    at, wait_s = "", START_S
+    while True:
+        try:
+            line = said.get(timeout=wait_s)
+        except queue.Empty:
+            return Answer(None, f"reading it does not come to an end (nothing for {wait_s:g} s)", at)
+        if line is None:
+            return Answer(None, "ended", at)
+        message = json.loads(line)
+        if "answer" in message:
+            return Answer(message["answer"], at=at)
+        at, wait_s = message["at"], patience_s
+
+
+def serve() -> None:
+    """Body of the process: call what the command line names, within limits."""
+    module, _, name = sys.argv[1].partition(":")
+    function = getattr(importlib.import_module(module), name)
+    limit_memory(MEMORY_BYTES)
+
+    def say(message: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(message) + "\n")
+        sys.stdout.flush()
+
+    say({"at": ""})
+    try:
+        say({"answer": function(*json.loads(sys.argv[2]), lambda at: say({"at": at}))})
+    except (InputError, OSError) as error:
+        say({"answer": {"refused": type(error).__name__, "text": str(error)}})
+    os._exit(0)  # what HDF5 would do at the end of a file that is damaged is not waited for
+
+
+def limit_memory(n_bytes: int) -> None:
+    """Let this process have ``n_bytes`` more than it has; Linux only: elsewhere what a file claims is bounded alone."""
+    status = Path("/proc/self/statm")
+    if sys.platform != "linux" or not status.exists():
+        return
+    import resource
+
+    has = int(status.read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = has + n_bytes if hard == resource.RLIM_INFINITY else min(has + n_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
