@@ -290,7 +290,7 @@ def seen_by_instrument(found: Attractor, frequency_hz: float, flights: Flights) 
     contact in between is too short for the sampled circuit.
     """
     unit = 1.0 / (2.0 * np.pi * frequency_hz)
-    if flights.edges.witness is not None or found.tau.size == 0:
+    if flights.edges.sensor_offset is not None or found.tau.size == 0:
         return np.asarray(found.tau * unit)
     tau = np.tile(found.tau, CYCLES_SHOWN)
     phase = np.tile(found.phase, CYCLES_SHOWN)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.plate.measure import PlateMotion
+from analysis.plate.motion import PlateMotion
 from daq.importers.diagnostics import GAMMAS, plate_doubts
 from daq.recording import Recording
 

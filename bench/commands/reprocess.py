@@ -88,7 +88,7 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
     from analysis.flights.assemble import FlightFlag
 
     report = table.edges
-    witness = report.witness
+    witness = report.sensor_offset
     return {
         "recording": opened.path.name,
         "simulated": bool(opened.attrs.get("simulated")),
@@ -196,7 +196,7 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
     print_lines(*notes)
     counts = ", ".join(f"{f.name} {int(table.has(f).sum())}" for f in FlightFlag if table.has(f).any())
     print_lines(f"{len(table)} intervals in the air; flags: {counts or 'none'}")
-    witness = table.edges.witness
+    witness = table.edges.sensor_offset
     if table.edges.levels is None:
         print_lines("no continuity channel: only the plate was analysed")
     elif witness is None:

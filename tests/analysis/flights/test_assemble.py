@@ -47,14 +47,14 @@ def test_nearly_all_true_flights_of_the_ideal_rig_are_found(make, ratio: int) ->
     for pull in (landing, takeoff):
         assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.25)
     # a good part of them was invisible to the contact circuit
-    assert flights.has(FlightFlag.WITNESS).mean() > 0.1
+    assert flights.has(FlightFlag.ACCELEROMETER).mean() > 0.1
 
 
 def test_without_a_second_witness_nothing_breaks_and_hidden_landings_are_suspected(make) -> None:
     """An accelerometer that shows no impacts: relaunched flights merge, and the merged ones are marked as unsure."""
     made = make([1.9, 2.0, 2.1], truth=True, rig={"ring_g_s_per_m": 0.0})
     flights, true = read(made.path), made.true_flights()
-    assert flights.edges.witness is None
+    assert flights.edges.sensor_offset is None
     merged = [
         np.count_nonzero((true[:, 0] > a - 1e-4) & (true[:, 1] < b + 1e-4)) > 1
         for a, b in zip(flights.takeoff_s, flights.landing_s, strict=True)
@@ -80,7 +80,7 @@ def test_contact_bounce_is_kept_and_marked(make) -> None:
 def test_a_late_contact_circuit_is_measured_against_the_accelerometer(make) -> None:
     """A circuit that reports both edges half a millisecond late: the two witnesses differ by that."""
     made = make([0.8, 1.1, 1.4], effects={"contact_latency": {"delay_s": 5e-4}})
-    witness = read(made.path).edges.witness
+    witness = read(made.path).edges.sensor_offset
     assert witness is not None
     assert witness.offset_s == pytest.approx(-5e-4, abs=5e-6)
 
@@ -90,7 +90,7 @@ def test_an_elastic_ball_makes_double_hits_and_no_false_offset(make) -> None:
     effects = {"coulomb_friction": {"mu_up": 0.3, "mu_down": 0.3}, "restitution": {"e0": 0.514}}
     flights = read(make([0.7, 0.9, 1.1], effects=effects).path)
     assert flights.has(FlightFlag.DOUBLE_HIT).sum() > 20
-    witness = flights.edges.witness
+    witness = flights.edges.sensor_offset
     assert witness is not None
     assert abs(witness.offset_s) < 1e-4
 
