@@ -2,8 +2,8 @@
 
 Behind a high-pass with time constant ``T`` the level is ``x = y + l``, where ``y`` is the recorded voltage and ``l``
 the low-passed level held by the capacitor, ``T dl/dt = x - l``. As ``x`` has two values, a signed edge decides which,
-and ``l`` follows without integrating the noise. Thresholds, RC shapes and short contacts then work as behind a wire. Edges
-must alternate: two successive edges of the same sign mean a missed edge, which is counted, and the level is reset.
+and ``l`` follows without integrating the noise. Thresholds, RC shapes and short contacts then work as behind a wire.
+Edges must alternate: two successive edges of the same sign mean a missed edge; it is counted, and the level is reset.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
 from analysis.plate.phasors import mean_phasor, modulated_projection, signed_frequencies, two_sided
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
+from analysis.statistics import mad_sigma
 from model.integrator.one_step import PlateSteps
 
 Array = NDArray[np.float64]
@@ -399,4 +400,4 @@ def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:
 def _scatter(x: Array) -> float:
     """Robust standard deviation of what is finite; 0 where there is too little."""
     x = x[np.isfinite(x)]
-    return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) >= LEAST else 0.0
+    return mad_sigma(x - np.median(x)) if len(x) >= LEAST else 0.0

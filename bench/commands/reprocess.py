@@ -27,7 +27,7 @@ def command(
     Example: bench reprocess run.h5 --flights flights.csv --figures pictures
     """
     from analysis.flights.classify import classify
-    from analysis.flights.plausibility import doubts
+    from analysis.flights.plausibility import plausibility_warnings
     from analysis.flights.table import write_csv
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
@@ -46,7 +46,7 @@ def command(
                 write_csv(table, flights)
             if figures is not None:
                 draw(opened, table, figures)
-            odd = doubts(opened, table.plate)
+            odd = plausibility_warnings(opened, table.plate)
             write_json(as_json(opened, table, classes) | {"doubts": odd}, json)
             if json != "-":
                 _print(opened, table, classes)
