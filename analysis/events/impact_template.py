@@ -115,7 +115,7 @@ def template_from_snippets(
     direction = mean / strength
     size = flat @ direction
     fine, sigma_v = _oversample(snippets, fractions, size, noise_v)
-    known = _known_part(fine, sigma_v, rate_hz)
+    known = ringing_part(fine, sigma_v, rate_hz)
     if known is None:
         return None
     fine = _from_onset(known, sigma_v)
@@ -154,7 +154,7 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
     return np.asarray(np.interp(grid, grid[known], mean[:points][known])), sigma_v
 
 
-def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
+def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     """The waveform up to the end of significant ringing, its slow part removed; None where nothing is significant.
 
     Noise left in the mean of a few landings would be added to the recording after every impact. Slow motion after a

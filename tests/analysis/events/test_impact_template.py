@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, _known_part, template_from_snippets
+from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, ringing_part, template_from_snippets
 
 RATE_HZ = 20_000.0
 
@@ -55,6 +55,6 @@ def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
     points = np.arange(128 * FINE)
     slow = -4e-5 * np.maximum(points - LEAD * FINE, 0) / FINE
     ring = np.where((points > LEAD * FINE) & (points < (LEAD + 8) * FINE), np.cos(points / 5.0), 0.0)
-    known = _known_part(ring + slow, 3e-4, 20000.0)
+    known = ringing_part(ring + slow, 3e-4, 20000.0)
     assert known is not None
     assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)

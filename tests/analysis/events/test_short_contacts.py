@@ -1,4 +1,4 @@
-"""Brief contacts: both edges from the dent they leave, with or without the accelerometer's word."""
+"""Short contacts: both edges from one RC pulse, with or without an impact in the accelerometer."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ TAU = (0.4, 0.4)
 NOISE = 4e-4
 
 
-def test_dents_with_a_witness_are_fitted_as_well_as_stated() -> None:
-    """Over random brief contacts the errors of both edges scatter as stated."""
+def test_pulses_with_an_impact_are_fitted_as_well_as_stated() -> None:
+    """Over random short contacts the errors of both edges scatter as stated."""
     rng = np.random.default_rng(7)
     pulls = []
     for _ in range(150):
@@ -35,13 +35,13 @@ def test_both_edges_between_the_same_samples_are_not_claimed_to_be_known() -> No
     assert abs(fit[0] - 3.2) < 3.0 * fit[1]
 
 
-def test_a_contact_that_bounces_is_not_taken_for_one_dent() -> None:
-    """Two dents in the window are refused."""
+def test_a_contact_that_bounces_is_not_taken_for_one_pulse() -> None:
+    """Two pulses in the window are refused."""
     volts = rc_pulse(12, 3.2, 0.8, TAU) * rc_pulse(12, 6.1, 1.0, TAU)
     assert short_contact(volts, NOISE, TAU, (2.0, 4.5)) is None
 
 
-def test_a_dent_that_looks_like_no_other_yields_to_the_accelerometer() -> None:
+def test_a_pulse_of_another_shape_yields_to_the_accelerometer() -> None:
     """A contact that touched twice, fitted with the slow closing of the average: 0.6 samples early, or in doubt."""
     close, slow = 2.70, (1.2, 0.4)
     volts = np.array([1.0, 1.0, 1.0, 0.475, 0.257, 0.936, 0.994, 1.0, 1.0, 1.0, 1.0, 1.0])
