@@ -1,7 +1,7 @@
 """Contact voltage behind a coupling capacitor: measurement of the high-pass, and restoration of the levels.
 
-Behind a high-pass with time constant ``T`` the level is ``x = y + l``, where ``y`` is the recorded voltage and ``l``
-the low-passed level held by the capacitor, ``T dl/dt = x - l``. As ``x`` has two values, a signed edge decides which,
+Behind a high-pass with time constant ``T`` the level is ``x = y + l``. Here ``y`` is the recorded voltage, and ``l``
+the low-passed level held by the capacitor: ``T dl/dt = x - l``. As ``x`` has two values, a signed edge decides which,
 and ``l`` follows without integrating the noise. Thresholds, RC shapes and short contacts then work as behind a wire.
 Edges must alternate: two successive edges of the same sign mean a missed edge; it is counted, and the level is reset.
 """

@@ -76,8 +76,8 @@ class Edges:
 def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Edges, EdgeShape, EdgeShape]:
     """Times of all crossings, and the shapes of opening and closing edges that gave them.
 
-    Where an edge follows another before the voltage has settled, the missing part is restored from the time of the
-    edge before, in a second round.
+    An edge may follow another before the voltage has settled. In a second round the missing part is restored from the
+    time of the edge before.
     """
     noise = levels.noise_v / abs(levels.swing_v)
     n = crossings.sample.size

@@ -48,8 +48,8 @@ class FlightFlag(enum.IntFlag):
 class Flights:
     """Flights of a recording, arrays of equal length in order of take-off, and the plate they flew over.
 
-    Times in seconds on the recording's axis, uncertainties one standard deviation, phases in [0, 2 pi) of
-    ``phi = w t`` (0 where the first tone's displacement crosses zero going up; NaN where the plate is unknown).
+    Times are seconds on the recording's axis, uncertainties one standard deviation. Phases in [0, 2 pi) are those of
+    ``phi = w t``, 0 where the first tone's displacement crosses zero going up; NaN where the plate is unknown.
     ``contact_s`` is how long the ball lay on the plate before the flight (0: relaunched at once; NaN: unknown).
     """
 

@@ -300,8 +300,8 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
     """Level of the longest mask that leaves enough of the step to fit the forcing's tones.
 
     Impacts at the same phases of every cycle may leave holes that tones and harmonics can fill freely. The mask is then
-    shortened (the impacts' waveform has been subtracted anyway) until no tone's uncertainty is more than
-    `MAX_INFLATION` times that of an unmasked step.
+    shortened until no tone's uncertainty is more than `MAX_INFLATION` times that of an unmasked step. The impacts'
+    waveform has been subtracted anyway.
     """
     counts = lock_in.counts.reshape(3, N_MASK_LEVELS).sum(axis=0)
     whole = int(counts.sum())

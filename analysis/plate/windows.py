@@ -48,8 +48,8 @@ class StepTones(NamedTuple):
 class WindowSums(NamedTuple):
     """Sums over one span: slow residuals and their counts (s,); normal equations of w windows with q unknowns.
 
-    ``gram`` (w, q, q), ``side`` (w, q, 2), ``power`` (w, 2) and ``used`` (w,) are those of a constant and the forcing's
-    tones fitted to the residual.
+    The unknowns are a constant and the forcing's tones, fitted to the residual: normal matrices ``gram`` (w, q, q),
+    right sides ``side`` (w, q, 2), sums of squares ``power`` (w, 2), and blocks ``used`` (w,).
     """
 
     slow: Floats

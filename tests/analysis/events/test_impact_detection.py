@@ -1,4 +1,4 @@
-"""Impacts from piece to piece."""
+"""Impacts detected in successive pieces."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def waveform() -> ImpactTemplate:
 
 
 @pytest.mark.parametrize("early", range(2, 34, 4))
-def test_no_impact_is_heard_before_itself_at_the_end_of_a_piece(waveform: ImpactTemplate, early: int) -> None:
+def test_no_impact_is_detected_before_itself_at_the_end_of_a_piece(waveform: ImpactTemplate, early: int) -> None:
     """A piece that ends shortly before an impact begins does not take the echo of the filter for one."""
     rng = np.random.default_rng(1)
     volts = ringing(4000, np.array([2000.3]), rng)
