@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
@@ -102,7 +103,7 @@ def _flies(part: Flight, acceleration: float) -> bool:
 def jitter(height: Array) -> float:
     """Noise of single samples from third differences, which no smooth path survives."""
     third = np.diff(height, 3)
-    return 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0) if len(third) else 0.0
+    return mad_sigma(third) / np.sqrt(20.0) if len(third) else 0.0
 
 
 def _real_impacts(t: Array, h: Array, low: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -15,6 +15,7 @@ from scipy import optimize, stats
 
 from analysis.drop.bouncelaw import BOUNDS, SPEED_DRAG, START, BounceModel
 from analysis.drop.rows import Drop, Rows, noise_of, predict_s, rows_of
+from analysis.statistics import mad_sigma
 
 Array = NDArray[np.float64]
 
@@ -75,7 +76,7 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.
         relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
         pooled = relative[rows.valid & ~rows.from_height]
         centre = float(np.median(pooled))
-        width = 1.4826 * float(np.median(np.abs(pooled - centre))) + 5e-4
+        width = mad_sigma(pooled - centre) + 5e-4
         near = np.abs(relative - centre) < max(_OUTLIER_SIGMA * width, least)
         kept = rows.keep(near & ~rows.from_height)
     kept = rows.keep(kept.valid | rows.from_height)

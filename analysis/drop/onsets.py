@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
+from analysis.statistics import mad_sigma
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 
@@ -105,7 +106,7 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> tuple[Array, Arr
     top = min(0.45 * rate_hz, 16_000.0)
     filtered = signal.sosfilt(signal.butter(2, (_LOWEST_HZ, top), "bandpass", fs=rate_hz, output="sos"), x, axis=0)
     rise, hop = _rise(filtered, rate_hz)
-    centre, width = float(np.median(rise)), 1.4826 * float(np.median(np.abs(rise - np.median(rise))))
+    centre, width = float(np.median(rise)), mad_sigma(rise - np.median(rise))
     peaks, found = signal.find_peaks(
         rise, height=centre + _LEAST_RISE * width, distance=max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
     )

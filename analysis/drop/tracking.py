@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.linking import Track, ball_of
 from analysis.drop.video import SEARCH_WIDTH, Film, Image, Progress, Still, open_film, opencv, still_of
+from analysis.statistics import MAD_TO_SIGMA
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
@@ -101,7 +102,7 @@ def blobs_in(frame: Image, still: Still, path: Path) -> list[tuple[float, float,
     small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
     gain = _row_gain(small, still.small)
     coarse = cv2.GaussianBlur(_difference(small, still.small, gain), (0, 0), 0.8)
-    noise = 1.4826 * float(np.median(coarse))
+    noise = MAD_TO_SIGMA * float(np.median(coarse))
     limit = max(_NOISE_SIGMAS * noise, _LEAST_CONTRAST)
     full_gain = np.interp(np.arange(rows) * factor, np.arange(size[1]), gain).astype(np.float32)
     found = []

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.flightlaw import FlightLaw
 from analysis.drop.flights import Flight, jitter
+from analysis.statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
@@ -140,7 +141,7 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
     jacobian[:, p + 1] = 1.0
     jacobian /= noise
     size = np.abs(residual)
-    loose = _HUBER * max(1.0, 1.4826 * float(np.median(size)))
+    loose = _HUBER * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
     weight = np.minimum(1.0, loose / np.maximum(size, 1e-12))
     weighted = jacobian * weight[:, None]
     squares = np.where(size <= loose, size**2, 2 * loose * size - loose**2).sum()
@@ -217,7 +218,7 @@ def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 
         normal = sum(w * x[0] for w, x in zip(weight, parts, strict=True))
         right = sum(w * x[1] for w, x in zip(weight, parts, strict=True))
         boot[b] = np.linalg.pinv(np.atleast_2d(normal), rcond=1e-10, hermitian=True) @ np.atleast_1d(right)
-    wide = 1.4826 * np.median(np.abs(boot), axis=0) if n >= 4 else np.zeros(p)
+    wide = MAD_TO_SIGMA * np.median(np.abs(boot), axis=0) if n >= 4 else np.zeros(p)
     sigma = np.sqrt(np.diag(shape.covariance))
     stretch = np.maximum(1.0, np.minimum(wide / np.maximum(sigma, 1e-300), 5.0))
     change = rng.multivariate_normal(np.zeros(p), shape.covariance, size=count, method="svd") * stretch

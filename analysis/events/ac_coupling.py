@@ -1,10 +1,9 @@
-"""Continuity behind a coupling capacitor: which edge went which way, and the level put back.
+"""Contact voltage behind a coupling capacitor: measurement of the high-pass, and restoration of the levels.
 
-The rule kept here: only signed edges say what the contact does. Behind a high-pass with time constant ``T`` a level is
-``x = y + l`` with ``y`` what was recorded and ``T dl/dt = x - l`` (the low-passed level that the capacitor holds).
-``x`` has two values, so once an edge has decided which, ``l`` follows without integrating the noise, and everything
-that reads levels (thresholds, RC shapes, brief contacts) works as behind a wire. Edges must alternate: a second one the
-same way says that the one between was missed; it is declared, and the level starts again from there.
+Behind a high-pass with time constant ``T`` the level is ``x = y + l``. Here ``y`` is the recorded voltage, and ``l``
+the low-passed level held by the capacitor: ``T dl/dt = x - l``. As ``x`` has two values, a signed edge decides which,
+and ``l`` follows without integrating the noise. Thresholds, RC shapes and short contacts then work as behind a wire.
+Edges must alternate: two successive edges of the same sign mean a missed edge; it is counted, and the level is reset.
 """
 
 from __future__ import annotations
@@ -15,38 +14,38 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.edges import Levels
 from analysis.events.impact_template import white_noise
+from analysis.events.levels import Levels
 from analysis.signals.stream import PAD, Piece
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Volts = npt.NDArray[np.float32]
 
-STEP_S = 2e-4  # over which an edge rises, at most
-EDGE = 0.4  # of the declared swing that makes a rise an edge
-AROUND_S = 1.2e-3  # without another edge, for an edge that is measured
-CHUNK_S = 4e-4  # averaged where the droop is measured
+RISE_S = 2e-4  # longest rise of an edge
+EDGE = 0.4  # rise that makes an edge, as a fraction of the declared swing
+ISOLATED_S = 1.2e-3  # distance from other edges of an edge that is measured
+CHUNK_S = 4e-4  # averaging time where the droop is measured
 MIN_CHUNKS = 100
 MIN_EDGES = 8
-USUAL_CORNER_HZ = 5.0  # assumed where no edge shows it
-FOLLOW_S = 5e-3  # within which the level follows what the model of the capacitor leaves
-NEAR = 0.25  # of the swing: what lies further from its level is an edge on its way
-AGAIN = 0.5  # of the swing beyond a level: an edge the same way as the last
-PERSISTS_S = 1.5e-4  # that it must lie there: a spike is no edge
+USUAL_CORNER_HZ = 5.0  # corner assumed where no edge shows it
+FOLLOW_S = 5e-3  # time constant with which the level follows the deviations from the capacitor's model
+NEAR_LEVEL = 0.25  # distance from the level, as a fraction of the swing, beyond which an edge is under way
+BEYOND_LEVEL = 0.5  # overshoot, as a fraction of the swing, of a second edge of the same sign
+PERSISTS_S = 1.5e-4  # least duration of that overshoot: a spike is no edge
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """The high-pass before the converter, measured on the recording.
+    """High-pass before the converter, measured on the recording.
 
     Attributes
     ----------
     levels : Levels
-        Closed 0 V, open the height of an edge, and the noise.
+        Closed at 0 V, open at the height of an edge, and the noise.
     corner_hz : float
     edges : int
-        Edges that were measured; below `MIN_EDGES` the declared swing and the usual corner stand.
+        Edges measured; below `MIN_EDGES` the declared swing and `USUAL_CORNER_HZ` stand.
     """
 
     levels: Levels
@@ -78,13 +77,13 @@ def measure_coupling(pieces: Sequence[Floats], swing_v: float, rate_hz: float) -
 
 
 def _samples(seconds: float, rate_hz: float) -> int:
-    """A span in samples, at least two."""
+    """Duration in samples, at least two."""
     return max(2, round(seconds * rate_hz))
 
 
 def _edges(y: Floats, swing_v: float, rate_hz: float) -> npt.NDArray[np.int64]:
-    """Samples at which ``y`` is amid an edge: local extremes of its rise over `STEP_S`."""
-    step = _samples(STEP_S, rate_hz)
+    """Samples in the middle of an edge: local extremes of its rise over `RISE_S`."""
+    step = _samples(RISE_S, rate_hz)
     if y.size < 8 * step:
         return np.zeros(0, np.int64)
     rise = np.abs(y[step:] - y[:-step])
@@ -94,8 +93,8 @@ def _edges(y: Floats, swing_v: float, rate_hz: float) -> npt.NDArray[np.int64]:
 
 
 def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float) -> Floats:
-    """Signed heights of the edges that have `AROUND_S` to themselves, the droop on both sides put back."""
-    step, around = _samples(STEP_S, rate_hz), _samples(AROUND_S, rate_hz)
+    """Signed heights of the isolated edges, corrected for the droop on both sides."""
+    step, around = _samples(RISE_S, rate_hz), _samples(ISOLATED_S, rate_hz)
     apart = np.diff(np.concatenate([[0], at, [y.size]])) > around
     alone = at[apart[:-1] & apart[1:]]
     span = np.arange(around - 2 * step)
@@ -105,7 +104,10 @@ def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float)
 
 
 def _corner_hz(pieces: Sequence[Floats], found: Sequence[npt.NDArray[np.int64]], rate_hz: float) -> float | None:
-    """Corner from how means of chunks without an edge decay; the chunk before is the instrument: noise does no bias."""
+    """Corner frequency from the decay of chunk means without an edge.
+
+    The chunk before is the instrumental variable, so noise does not bias the estimate.
+    """
     top = bottom = 0.0
     chunks, chunk = 0, _samples(CHUNK_S, rate_hz)
     for y, at in zip(pieces, found, strict=True):
@@ -123,12 +125,12 @@ def _corner_hz(pieces: Sequence[Floats], found: Sequence[npt.NDArray[np.int64]],
 
 
 class LevelRestorer:
-    """Pieces of drooping continuity, in order, to fractions of the swing: 0 closed, 1 open.
+    """Restoration of successive pieces of drooping voltage to fractions of the swing: 0 closed, 1 open.
 
     Attributes
     ----------
     missed : list of int
-        Samples by which an edge must have been missed since the one before.
+        Samples at which an edge is known to have been missed since the one before.
     """
 
     def __init__(self, coupling: Coupling, rate_hz: float) -> None:
@@ -140,7 +142,7 @@ class LevelRestorer:
         self._before: Volts | None = None
 
     def restore(self, piece: Piece) -> Volts:
-        """Fractions for the continuity volts of a piece, its neighbours included; pieces come in order."""
+        """Fractions of the swing for channel ``continuity`` of a piece and its neighbours; pieces come in order."""
         volts, count = piece.channels["continuity"], piece.count
         fraction = (volts * np.float32(1.0 / self._swing_v)).astype(np.float32)
         if self._before is None:
@@ -154,8 +156,8 @@ class LevelRestorer:
         return fraction
 
     def _begin(self, own: Volts) -> None:
-        """The level at the start, by the first edge: what rises was closed."""
-        edges, step = _edges(own.astype(np.float64), 1.0, self._rate_hz), _samples(STEP_S, self._rate_hz)
+        """Level at the start from the sign of the first edge: a rising edge begins closed."""
+        edges, step = _edges(own.astype(np.float64), 1.0, self._rate_hz), _samples(RISE_S, self._rate_hz)
         falls = edges.size and own[min(edges[0] + step, own.size - 1)] < own[max(edges[0] - step, 0)]
         level = 1.0 if falls else 0.0
         self._state[:] = level, level - float(own[0]), 0.0
@@ -163,7 +165,7 @@ class LevelRestorer:
 
 @njit(error_model="numpy")
 def _restore(x, rates, persists, state, missed):  # type: ignore[no-untyped-def]
-    """Put the level back in place; returns how many edges must have been missed, their samples in ``missed``."""
+    """Restore the level in place; number of edges that were missed, their samples put in ``missed``."""
     leak, follow = rates
     level, held, beyond = state
     n = 0
@@ -173,7 +175,7 @@ def _restore(x, rates, persists, state, missed):  # type: ignore[no-untyped-def]
         if off * (1.0 - 2.0 * level) > 0.5:
             level = 1.0 - level
             off = value - level
-        beyond = beyond + 1 if off * (1.0 - 2.0 * level) < -AGAIN else 0
+        beyond = beyond + 1 if off * (1.0 - 2.0 * level) < -BEYOND_LEVEL else 0
         if beyond == persists:
             held -= off
             value, off = level, 0.0
@@ -181,7 +183,7 @@ def _restore(x, rates, persists, state, missed):  # type: ignore[no-untyped-def]
             n += 1
             beyond = 0
         held += leak * (level - held)
-        if abs(off) < NEAR:
+        if abs(off) < NEAR_LEVEL:
             held -= follow * off
         x[i] = value
     state[0], state[1], state[2] = level, held, beyond

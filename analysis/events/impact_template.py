@@ -1,6 +1,6 @@
-"""The waveform of an impact in the accelerometer: its shape in time, and the filter matched to it.
+"""Impact template: mean waveform of an impact in the accelerometer, and the filter matched to it.
 
-The rule kept here: nothing is assumed about the shape but that it repeats. Its zero is its onset.
+No shape is assumed, only that it repeats. The time zero of the template is its onset.
 """
 
 from __future__ import annotations
@@ -10,26 +10,32 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from analysis.statistics import mad_sigma
+
 Floats = npt.NDArray[np.float64]
 
 LEAD, TAIL = 12, 36  # samples of the accelerometer kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
-ECHO = 128  # samples of the waveform learnt, at least: an impact's ringing must not be taken for the next impact
-ECHO_S = 6.4e-3  # and seconds
+MIN_ECHO = 128  # least samples of the template: an impact's ringing must not be taken for the next impact
+ECHO_S = 6.4e-3  # least length of the template
 FINE = 8  # template points per sample
-BARELY = 0.03  # of the weight that most points have, by which a point is known
-UNLEARNT = 0.1  # part of the waveform that its subtraction may leave
-LOUD = 2.2  # root mean square over two samples, in noise of a point, that is waveform and not noise
-SLOW_S = 1e-3  # a mean over so long leaves no ringing
-ONSET_SIGMAS = 5.0  # of that noise: no onset is seen below
-MIN_LANDINGS = 6  # landings needed to learn a waveform
-TYPICAL_HZ = 30.0  # impacts a second, where a mask is chosen
+MIN_WEIGHT = 0.03  # weight of a known point over that of most points
+RESIDUAL_PART = 0.1  # part of the waveform that its subtraction may leave
+LOUD = 2.2  # rms over two samples, in the noise of a point, from which it is waveform
+SLOW_S = 1e-3  # averaging time that removes the ringing
+ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is placed
+MIN_LANDINGS = 6  # landings needed for a template
+MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a sample
+MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of the landings and of the other
+MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
+TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
 SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
+MEDIAN_ERROR = 1.2533  # standard error of the median of normal values over that of their mean
 
 
 @dataclass(frozen=True)
-class Waveform:
-    """What an impact looks like in the accelerometer.
+class ImpactTemplate:
+    """Mean waveform of an impact in the accelerometer.
 
     Attributes
     ----------
@@ -38,11 +44,11 @@ class Waveform:
     taps : float32 array, shape (LENGTH,)
         Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
     projector : array, shape (LENGTH, LENGTH)
-        What makes the filter blind: removes the motion's curve from a snippet.
+        Projection that removes constants, slopes, curvature and tones from a snippet.
     noise_v : float
         White noise of the accelerometer.
     ring_s : float
-        How long after an impact samples are left out of the tone fits.
+        Time after an impact that is masked in the tone fits.
     """
 
     fine: Floats
@@ -53,18 +59,17 @@ class Waveform:
 
 
 def white_noise(x: Floats) -> float:
-    """Standard deviation of the white part, from second differences (tones cancel, spikes are outvoted)."""
+    """Standard deviation of the white part, from the median of second differences, which tones and spikes spare."""
     if x.size < 8:
         return 0.0
     second = np.diff(x, 2)
-    deviation = np.abs(second - np.median(second))
-    return float(np.median(deviation) * 1.4826 / np.sqrt(6.0))
+    return float(mad_sigma(second - np.median(second)) / np.sqrt(6.0))
 
 
 def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
-    """Orthonormal functions that hold the plate's motion over a snippet, shape (length, k): powers and tones.
+    """Orthonormal basis of the plate's motion over a snippet, shape (length, k): powers and tones.
 
-    The powers follow slow tones whatever their frequency; the tones are those too fast for that.
+    The powers span slow tones of any frequency; the tones are those too fast for that.
     """
     t = np.arange(length) - 0.5 * (length - 1)
     angle = 2.0 * np.pi * np.outer(cycles_per_sample, t)
@@ -74,25 +79,25 @@ def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
 
 
 def echo_samples(rate_hz: float) -> int:
-    """Samples of the waveform that are learnt."""
-    return max(ECHO, round(ECHO_S * rate_hz))
+    """Samples of the template."""
+    return max(MIN_ECHO, round(ECHO_S * rate_hz))
 
 
-def learn_waveform(
+def template_from_snippets(
     snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float, tones_hz: Floats
-) -> Waveform | None:
-    """Waveform of an impact from snippets around known landings; None where the accelerometer shows nothing.
+) -> ImpactTemplate | None:
+    """Impact template from snippets around known landings; None where the accelerometer shows no impacts.
 
     Parameters
     ----------
     snippets : array, shape (n, echo_samples(rate_hz))
         Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
     fractions : array, shape (n,)
-        How long before column ``LEAD`` the landing was, in samples, in [0, 1).
+        Time from the landing to column ``LEAD``, in samples, in [0, 1).
     noise_v : float
     rate_hz : float
     tones_hz : array
-        Tones of the motion.
+        Tones of the plate's motion.
     """
     if snippets.shape[0] < MIN_LANDINGS or noise_v <= 0:
         return None
@@ -101,31 +106,35 @@ def learn_waveform(
     flat = snippets[:, :LENGTH] @ projector
     mean = np.median(flat, axis=0)
     strength = np.linalg.norm(mean)
-    scatter = 1.2533 * noise_v * np.sqrt(LENGTH / snippets.shape[0])
-    # half of the landings against the other half: a waveform repeats, a leftover of the motion or of noise does not
+    scatter = MEDIAN_ERROR * noise_v * np.sqrt(LENGTH / snippets.shape[0])
+    # a template repeats in both halves of the landings; a residue of the motion or of noise does not
     halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
     agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
-    if strength < 3.0 * scatter or strength < 4.0 * noise_v or agreement < 0.7:
+    if strength < max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE * noise_v) or agreement < MIN_AGREEMENT:
         return None
     direction = mean / strength
     size = flat @ direction
     fine, sigma_v = _oversample(snippets, fractions, size, noise_v)
-    known = _known_part(fine, sigma_v, rate_hz)
+    known = ringing_part(fine, sigma_v, rate_hz)
     if known is None:
         return None
     fine = _from_onset(known, sigma_v)
-    # matched to the whole waveform, but blind to the motion under it
+    # matched to the whole waveform, blind to the motion
     taps = fine[: LENGTH * FINE : FINE] @ projector
     norm = float(np.linalg.norm(taps))
-    if not norm > 0.3 * float(np.linalg.norm(fine[: LENGTH * FINE : FINE])):  # as slow as the motion: no impact
+    if not norm > MIN_FAST_PART * float(
+        np.linalg.norm(fine[: LENGTH * FINE : FINE])
+    ):  # as slow as the motion: no impact
         return None
-    return Waveform(fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz))
+    return ImpactTemplate(
+        fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz)
+    )
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -> tuple[Floats, float]:
-    """Mean waveform on ``FINE`` points a sample (hat functions at their sub-sample place, weighted by strength).
+    """Mean waveform on ``FINE`` points a sample and the noise of a point.
 
-    With it, the noise of a point.
+    Hat functions at the sub-sample place of each snippet, weighted by its strength.
     """
     echo = flat.shape[1]
     position = (np.arange(echo)[None, :] + fractions[:, None]) * FINE
@@ -138,21 +147,21 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
         inside = np.minimum(index, points + 1)
         np.add.at(top, inside, part * weight * flat)
         np.add.at(bottom, inside, part * weight**2)
-    known = bottom > BARELY * np.quantile(bottom[:points], 0.9)  # a weak landing alone would blow up what is under it
+    known = bottom > MIN_WEIGHT * np.quantile(bottom[:points], 0.9)  # a weak landing alone would amplify the noise
     grid = np.arange(points)
     mean, known = top / np.where(known, bottom, 1.0), known[:points]
     sigma_v = noise_v / float(np.sqrt(np.median(bottom[:points][known])))
     return np.asarray(np.interp(grid, grid[known], mean[:points][known])), sigma_v
 
 
-def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
-    """The waveform up to where no ringing stands out of the noise of its own points; None where it never does.
+def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
+    """The waveform up to the end of significant ringing, its slow part removed; None where nothing is significant.
 
-    A few landings leave noise in the mean; subtracted after every impact, it would only add to the recording's own.
-    And what goes on slowly after a landing is the plate's own motion under another load: that must not be subtracted.
+    Noise left in the mean of a few landings would be added to the recording after every impact. Slow motion after a
+    landing is that of the plate under another load and must not be subtracted.
     """
     width = max(round(SLOW_S * rate_hz * FINE), 1)
-    ends = np.pad(fine, width, mode="edge")  # what is slow goes on at both ends, and must not look like a jump there
+    ends = np.pad(fine, width, mode="edge")  # no artificial jump at either end
     quick = fine - np.convolve(ends, np.ones(width) / width, mode="same")[width:-width]
     loud = np.convolve(quick**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
     peak = int(np.argmax(np.abs(quick)))
@@ -163,9 +172,9 @@ def _known_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
 
 
 def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
-    """The straight line that goes on under the ringing from its peak on; nothing before.
+    """Straight line under the ringing from its peak on, zero before.
 
-    Smoothed twice over ``width`` points, what rings is gone once the peak is three widths past.
+    Smoothing twice over ``width`` points removes the ringing from three widths after the peak on.
     """
     box = np.ones(width) / width
     smooth = np.convolve(np.convolve(fine, box, mode="same"), box, mode="same")
@@ -178,12 +187,12 @@ def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:
-    """The waveform moved so that its rise, drawn back to zero, begins at ``LEAD * FINE``; nothing before it."""
+    """The waveform shifted so that its rise, extrapolated to zero, begins at ``LEAD * FINE``; zero before it."""
     size = np.abs(fine)
     top = float(size.max())
     low, high = (min(max(part * top, ONSET_SIGMAS * sigma_v), 0.7 * top) for part in (0.1, 0.3))
     late = _rise(size, high, 0)
-    quiet = np.flatnonzero(size[: int(late) + 1] <= low)  # what is loud long before is another landing's ringing
+    quiet = np.flatnonzero(size[: int(late) + 1] <= low)  # anything loud long before is another landing's ringing
     early = _rise(size, low, int(quiet[-1]) if quiet.size else 0)
     onset = early - 0.5 * max(late - early, 0.0)
     grid = np.arange(fine.size)
@@ -193,20 +202,20 @@ def _from_onset(fine: Floats, sigma_v: float) -> Floats:
 
 
 def _rise(size: Floats, level: float, first: int) -> float:
-    """Where ``size`` first reaches ``level`` from point ``first`` on, between points."""
+    """Interpolated point at which ``size`` first reaches ``level`` from point ``first`` on."""
     k = max(first + int(np.argmax(size[first:] > level)), 1)
     return k - (float(size[k]) - level) / max(float(size[k] - size[k - 1]), 1e-300)
 
 
 def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
-    """How long to leave samples out after a strong impact.
+    """Length of the mask after a strong impact.
 
-    What the subtraction may leave (`UNLEARNT` of the waveform) adds its time integral to a tone's amplitude,
-    `TYPICAL_HZ` times a second; that must stay below the noise of the amplitude in one second.
+    The residue of the subtraction (`RESIDUAL_PART` of the waveform) adds its time integral to a tone's amplitude,
+    `TYPICAL_HZ` times a second. It must stay below the noise of the amplitude in one second.
     """
     after = fine[LEAD * FINE :] * np.quantile(size, 0.9)
     left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1])))[::-1] / FINE / rate_hz  # V s still to come
-    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * UNLEARNT)
+    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * RESIDUAL_PART)
     end = np.flatnonzero(left > allowed)
     last = (end.max() + 1) / FINE / rate_hz if end.size else 0.0
     return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))

@@ -1,7 +1,7 @@
-"""Contacts so brief that the continuity voltage never settles: both edges from the dent they leave.
+"""Contacts so short that the voltage never settles: closing and opening from one RC pulse.
 
-The rule kept here: closing and opening are fitted together to the samples (and to the impact in the accelerometer,
-where there is one); a dent that fits many pairs says so in its uncertainty.
+Both edges are fitted together to the samples, and to the impact in the accelerometer where there is one. Where many
+pairs of edges fit equally well, their spread is the uncertainty.
 """
 
 from __future__ import annotations
@@ -10,87 +10,89 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from analysis.events.edges import AFTER, BEFORE, CLOSES, DIP, OPENS, Crossings, Edges, EdgeShape, Levels
+from analysis.events.crossings import AFTER, BEFORE, CLOSES, DIP, OPENS, Crossings
+from analysis.events.edges import Edges, EdgeShape
 from analysis.events.impact_detection import Impacts
+from analysis.events.levels import Levels
 
 Floats = npt.NDArray[np.float64]
 
-FAR = 1 << 30
-LEAD = 4  # samples before a crossing that are looked at
-STARTS = 25  # grid points a parameter in the search for a start
-LONGEST = 3.0  # samples
-MOST_MISFIT = 12.0  # times the noise beyond which the samples show no single dent
-UNLIKE = 0.03  # of the swing: most by which samples are doubted where closings do not look alike
-ALIKE = 0.02  # of the swing: dents nearer than this may be taken for each other in the search for a ridge
-FAR_APART = 0.05  # samples: a spread beyond this is a ridge
-BRIEF = 2  # samples between closing and opening up to which a contact is fitted as one dent
-SHARPEST = 0.02  # samples: a time constant below this cannot be told from none
+LEAD = 4  # samples of the fit before a crossing
+GRID_POINTS = 25  # grid points a parameter in the search for a start
+N_STARTS = 3  # best grid points from which the fit is started
+MAX_LENGTH = 3.0  # longest contact, samples
+MAX_MISFIT = 12.0  # rms misfit in units of the noise beyond which the samples show no single pulse
+MAX_SHAPE_ERROR = 0.03  # largest error of the pulse's shape, fraction of the swing, where closings differ in shape
+PULSE_TOLERANCE = 0.02  # difference of two pulses, fraction of the swing, within which both are possible
+DEGENERATE_SAMPLES = 0.05  # spread of the possible edges above which it replaces the fit's uncertainty
+SHORT_SAMPLES = 2  # samples between closing and opening up to which a contact is fitted as one pulse
+MIN_TAU_SAMPLES = 0.02  # time constant below which an edge is sharp
 
 
-def brief_contact(
+def short_contact(
     fraction: Floats,
     noise: float,
     tau_samples: tuple[float, float],
     begin: tuple[float, float],
     prior: tuple[float, float] | None = None,
 ) -> tuple[float, float, float, float] | None:
-    """Closing and opening of one brief contact, in samples from the window's first, each with its uncertainty.
+    """Closing and opening of one short contact, in samples from the window's first, each with its uncertainty.
 
     Parameters
     ----------
     fraction : array, shape (n,)
-        Fraction of the swing, 1 open, around the dent.
+        Fraction of the swing, 1 open, around the pulse.
     noise : float
-        Its standard deviation.
+        Standard deviation of ``fraction``.
     tau_samples : tuple of float
         Time constants of closing and opening, in samples.
     begin : tuple of float
-        Between which places the closing is looked for.
+        Bounds of the closing's place.
     prior : tuple of float, optional
-        The impact's time according to the accelerometer, and its uncertainty, in samples.
+        Impact in the accelerometer, and its uncertainty, in samples.
 
     Returns
     -------
     close, close_sigma, open, open_sigma : float
-        None where no single dent looks like this (a contact that bounces).
+        None where no single pulse fits (a contact that bounces).
     """
-    tau = (max(tau_samples[0], SHARPEST), max(tau_samples[1], SHARPEST))
+    tau = (max(tau_samples[0], MIN_TAU_SAMPLES), max(tau_samples[1], MIN_TAU_SAMPLES))
 
     def misfit(p: Floats) -> Floats:
         own = (fraction - rc_pulse(fraction.size, p[0], p[1], tau)) / noise
         return own if prior is None else np.append(own, (p[0] - prior[0]) / prior[1])
 
-    close, length = np.meshgrid(np.linspace(*begin, STARTS), np.linspace(0.02, LONGEST, STARTS))
+    close, length = np.meshgrid(np.linspace(*begin, GRID_POINTS), np.linspace(0.02, MAX_LENGTH, GRID_POINTS))
     grid = np.column_stack([close.ravel(), length.ravel()])
     if prior is not None:
-        fine = np.linspace(0.01, LONGEST, 8 * STARTS)
+        fine = np.linspace(0.01, MAX_LENGTH, 8 * GRID_POINTS)
         grid = np.concatenate([grid, np.column_stack([np.full(fine.size, prior[0]), fine])])
     costs = ((fraction - rc_pulse(fraction.size, grid[:, :1], grid[:, 1:], tau)) ** 2).sum(axis=1) / noise**2
     if prior is not None:
         costs += ((grid[:, 0] - prior[0]) / prior[1]) ** 2
-    bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, LONGEST + 1.0])
-    chosen = np.clip(grid[np.argsort(costs)[:3]], *bounds)
+    bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, MAX_LENGTH + 1.0])
+    chosen = np.clip(grid[np.argsort(costs)[:N_STARTS]], *bounds)
     tries = [least_squares(misfit, start, bounds=bounds, x_scale=0.1) for start in chosen]
     best = min(tries, key=lambda t: float(t.cost))
-    if 2.0 * best.cost / (fraction.size - 2) > MOST_MISFIT**2:
+    if 2.0 * best.cost / (fraction.size - 2) > MAX_MISFIT**2:
         return None
-    # where the samples cannot tell (both edges between the same two), the edges lie within their sample all the same
+    # prior: edges uniform within their sample, for samples that do not determine both
     slopes = np.asarray(best.jac)
     information = slopes.T @ slopes / max(1.0, 2.0 * best.cost / (fraction.size - 2)) + 12.0 * np.eye(2)
     covariance = np.linalg.inv(information)
     open_variance = covariance[0, 0] + 2 * covariance[0, 1] + covariance[1, 1]
     fit = float(best.x[0]), float(np.sqrt(covariance[0, 0])), float(best.x.sum()), float(np.sqrt(open_variance))
-    return fit if prior is not None else _ridge(fraction, tau, begin, fit)
+    return fit if prior is not None else _degenerate(fraction, tau, begin, fit)
 
 
-def _ridge(
+def _degenerate(
     fraction: Floats, tau: tuple[float, float], begin: tuple[float, float], fit: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """The fit, or the spread of all pairs that match the samples to `ALIKE`, where these reach far beyond it."""
-    close, length = np.meshgrid(np.linspace(*begin, 4 * STARTS), np.linspace(0.01, LONGEST, 8 * STARTS))
+    """The fit, or mean and spread of all pairs that match to `PULSE_TOLERANCE`, where these spread far."""
+    close, length = np.meshgrid(np.linspace(*begin, 4 * GRID_POINTS), np.linspace(0.01, MAX_LENGTH, 8 * GRID_POINTS))
     pairs = np.column_stack([close.ravel(), length.ravel()])
     model = rc_pulse(fraction.size, pairs[:, :1], pairs[:, 1:], tau)
-    weight = np.exp(-0.5 * (((fraction - model) / ALIKE) ** 2).sum(axis=1))
+    weight = np.exp(-0.5 * (((fraction - model) / PULSE_TOLERANCE) ** 2).sum(axis=1))
     if weight.sum() < 1e-12:
         return fit
     weight /= weight.sum()
@@ -98,20 +100,20 @@ def _ridge(
     c, o = float(weight @ pairs[:, 0]), float(weight @ opening)
     c_sigma = float(np.sqrt(weight @ (pairs[:, 0] - c) ** 2))
     o_sigma = float(np.sqrt(weight @ (opening - o) ** 2))
-    close_out = (c, c_sigma) if c_sigma > FAR_APART else fit[:2]
-    open_out = (o, o_sigma) if o_sigma > FAR_APART else fit[2:]
+    close_out = (c, c_sigma) if c_sigma > DEGENERATE_SAMPLES else fit[:2]
+    open_out = (o, o_sigma) if o_sigma > DEGENERATE_SAMPLES else fit[2:]
     return close_out[0], close_out[1], open_out[0], open_out[1]
 
 
 def rc_pulse(n: int, close: npt.ArrayLike, length: npt.ArrayLike, tau: tuple[float, float]) -> Floats:
-    """Fraction of the swing at samples ``0 ... n - 1`` around a contact of ``length`` from ``close`` (samples)."""
+    """Fraction of the swing at samples ``0 ... n - 1`` for a contact of ``length`` from ``close``, in samples."""
     since = np.arange(n) - np.asarray(close)
     closed = np.clip(since, 0.0, length)
     depth = -np.expm1(-closed / tau[0])
     return np.asarray(1.0 - depth * np.exp(-np.maximum(since - length, 0.0) / tau[1]))
 
 
-def refine_brief(
+def refine_short_contacts(
     edges: Edges,
     crossings: Crossings,
     levels: Levels,
@@ -119,37 +121,37 @@ def refine_brief(
     impacts: Impacts,
     rate_hz: float,
 ) -> Edges:
-    """Edges with every brief contact fitted as one dent; a dip becomes a closing and an opening.
+    """Edges with every short contact fitted as one pulse; a dip becomes a closing and an opening.
 
     Parameters
     ----------
     edges, crossings
-        Of the whole recording, equal in length.
+        All of the recording, equal in length.
     levels
-        Of the circuit.
+        Levels of the circuit.
     shapes : tuple of EdgeShape
-        Of opening and closing edges.
+        Opening and closing edges.
     impacts
-        The accelerometer's, on the axis of the edges.
+        Impacts in the accelerometer, on the edges' time axis.
     rate_hz
         Sampling rate.
     """
     kind, sample = edges.kind, crossings.sample
-    pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & (np.diff(sample) <= BRIEF))
+    pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & (np.diff(sample) <= SHORT_SAMPLES))
     noise = levels.noise_v / abs(levels.swing_v)
-    unlike = max(noise, min(noise * shapes[1].chi, UNLIKE))  # a contact that bounces leaves no clean dent
+    shape_error = max(noise, min(noise * shapes[1].chi, MAX_SHAPE_ERROR))  # a bouncing contact leaves no clean pulse
     tau = (shapes[1].tau_s * rate_hz, shapes[0].tau_s * rate_hz)
-    if max(tau) < 5.0 * SHARPEST:  # sharp edges leave no dent to fit
+    if max(tau) < 5.0 * MIN_TAU_SAMPLES:  # sharp edges leave no pulse to fit
         return edges
     time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
     added = []
     for k in np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)])):
         start = int(sample[k]) - LEAD
-        after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the next contact is none of this one's
-        n = int(min(LEAD + AFTER, (after[0] - start - 1) if after.size else FAR))
+        after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the window ends before the next contact
+        n = min(LEAD + AFTER, int(after[0]) - start - 1) if after.size else LEAD + AFTER
         own = crossings.window[k, BEFORE - LEAD :][: max(n, LEAD + 2)].astype(np.float64)
         prior = _prior(impacts, start, float(sample[k]), rate_hz)
-        fit = brief_contact(own, noise if prior is None else unlike, tau, (LEAD - 2.5, float(LEAD)), prior)
+        fit = short_contact(own, noise if prior is None else shape_error, tau, (LEAD - 2.5, float(LEAD)), prior)
         if fit is None:
             continue
         closing, opening = (start + fit[0]) / rate_hz, (start + fit[2]) / rate_hz
@@ -170,11 +172,11 @@ def refine_brief(
 
 
 def _prior(impacts: Impacts, start: int, sample: float, rate_hz: float) -> tuple[float, float] | None:
-    """The accelerometer's impact at this dent, in samples of the window; None where it saw none."""
+    """Impact in the accelerometer at this contact, in samples of the window; None without one."""
     if not impacts.time_s.size:
         return None
     k = int(np.argmin(np.abs(impacts.time_s * rate_hz - sample + 0.5)))
     place = float(impacts.time_s[k] * rate_hz)
-    if abs(place - sample + 0.5) > BRIEF + 1:
+    if abs(place - sample + 0.5) > SHORT_SAMPLES + 1:
         return None
     return place - start, max(float(impacts.uncertainty_s[k]) * rate_hz, 1e-3)

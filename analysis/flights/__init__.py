@@ -1,1 +1,4 @@
-"""TODO what flights is for."""
+"""Single pass over a recording, the table of flights, their classification, and their comparison with the model.
+
+Other rooms take `assemble`, `table`, `scan`, `classify`, `compare` and `plausibility`.
+"""

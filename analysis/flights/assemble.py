@@ -1,7 +1,7 @@
-"""From the single pass to the table of flights.
+"""Assembly of the table of flights from the single pass.
 
-The rule kept here: continuity edges make the flights; the second witness only splits what they leave whole. Nothing is
-dropped: what is doubtful is marked.
+Contact edges bound the flights; impacts in the accelerometer only split the intervals between them. Doubtful flights
+are flagged, not dropped.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.edges import CLOSES, DIP, OPENS, SHARP, Edges, time_edges
-from analysis.events.impact_detection import NO_IMPACTS, Impacts, calibrate, combine_with_impacts
-from analysis.events.short_contacts import refine_brief
+from analysis.events.crossings import CLOSES, DIP, OPENS
+from analysis.events.edges import SHARP, Edges, time_edges
+from analysis.events.impact_detection import NO_IMPACTS, Impacts
+from analysis.events.sensor_offset import calibrate, combine_with_impacts
+from analysis.events.short_contacts import refine_short_contacts
 from analysis.flights.scan import Progress, Scan, scan
 from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.plate.motion import PlateMotion
+from analysis.statistics import nearest
 from daq.recording import Recording
 from daq.setup.setup import Setup
 
@@ -24,19 +27,22 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 _Table = tuple[Floats, Floats, Floats, Floats, Floats, Ints, EdgeReport]
 
-GLITCH_S = 2e-4  # an opening shorter than this is no flight
-BOUNCE_S = 4e-4  # nor is one shorter than this that comes within BOUNCE_AFTER_S of a landing
+GLITCH_S = 2e-4  # shortest flight
+BOUNCE_S = 4e-4  # shortest flight within BOUNCE_AFTER_S of a landing: shorter ones are contact bounce
 BOUNCE_AFTER_S = 2e-3
-INSTANT_S = 1.5e-3  # a contact this short may be an impact's closure alone: the ball may have left as it landed
-RESTED_S = 3e-4  # a ball seen to lie this long where the plate pushes has come to rest
-REBOUND_CONTACT_S = 5e-3  # contacts shorter than this may be rebounds
-SOON_CYCLES = 0.5  # of the forcing: a rebound that is back sooner makes a double hit
-PUSHING = 0.8  # -a_p / g below this at take-off: the plate was pushing, a resting ball would have stayed
-HIDDEN = 0.1  # of the flight's height: how far below the plate the ideal path may dip before a landing is suspected
+INSTANT_S = 1.5e-3  # contact time of an impact alone: after a shorter contact the ball may have left as it landed
+RESTED_S = 3e-4  # contact time after which the ball is at rest
+REBOUND_CONTACT_S = 5e-3  # longest contact of a rebound
+SOON_CYCLES = 0.5  # flight time of a double hit, in forcing periods, at most
+PUSHING = 0.8  # -a_p / g at take-off below which a ball at rest would have stayed
+HIDDEN_DEPTH = 0.1  # depth of the ideal path below the plate, over the flight's height, that implies a landing
+HIDDEN_POINTS, HIDDEN_BEFORE = 33, 27  # points of a flight, and those far enough from its own landing
+SPLIT_SAMPLES, STRENGTH_SAMPLES = 3.0, 4.0  # distance from an edge within which an impact is the edge's own
+MATCH_SIGMAS = 4.0  # the same in standard deviations of the impact's time
 
 
 def flights_of(recording: Recording, *, progress: Progress | None = None) -> Flights:
-    """Everything the recording says about the ball's flights and the plate, in one pass and bounded memory.
+    """Flights and plate motion of a recording, in one pass and bounded memory.
 
     Parameters
     ----------
@@ -54,7 +60,7 @@ def flights_of(recording: Recording, *, progress: Progress | None = None) -> Fli
 
 
 def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Flights:
-    """Flights from what the pass found."""
+    """Flights and their flags from the result of the pass."""
     takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, rate_hz, n_samples)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
@@ -85,26 +91,26 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
 
 
 def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
-    """Intervals in the air with both witnesses heard, and what the witnesses were worth."""
+    """Intervals in the air by both detectors, and the detectors' quality."""
     levels = found.survey.levels
     if levels is None:
         nothing = np.zeros(0)
-        silent = EdgeReport(None, SHARP, SHARP, None, 0)
-        return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), silent
+        report = EdgeReport(None, SHARP, SHARP, None, 0)
+        return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), report
     edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
     end_s = n_samples / rate_hz
     takeoff, landing, _, landing_sigma, flags = _intervals(edges, found.starts_open, end_s)
     whole = (flags & (FlightFlag.FALSE | FlightFlag.CUT)) == 0
     impacts, offset = NO_IMPACTS, None
-    if found.survey.waveform is not None:
+    if found.survey.template is not None:
         own = takeoff[whole], landing[whole], landing_sigma[whole]
         impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s)
-    edges = refine_brief(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
+    edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
-    table = _split(*_intervals(edges, found.starts_open, end_s), impacts, 3.0 / rate_hz)
+    table = _split(*_intervals(edges, found.starts_open, end_s), impacts, SPLIT_SAMPLES / rate_hz)
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
-    strength = _strength(landing, impacts, 4.0 / rate_hz)
+    strength = _strength(landing, impacts, STRENGTH_SAMPLES / rate_hz)
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
     report = EdgeReport(levels, opening, closing, offset, dips, found.missed.size)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
@@ -143,12 +149,12 @@ def _split(
     impacts: Impacts,
     reach_s: float,
 ) -> tuple[Floats, Floats, Floats, Floats, Ints]:
-    """Cut intervals in the air at impacts inside them (not at their ends: those are the edges' own)."""
+    """Intervals in the air split at impacts inside them; impacts near their ends belong to the edges."""
     if takeoff.size == 0 or impacts.time_s.size == 0:
         return takeoff, landing, takeoff_sigma, landing_sigma, flags
     host = np.searchsorted(takeoff, impacts.time_s) - 1
     inside = host >= 0
-    margin = np.maximum(reach_s, 4.0 * impacts.uncertainty_s)
+    margin = np.maximum(reach_s, MATCH_SIGMAS * impacts.uncertainty_s)
     h = np.maximum(host, 0)
     inside &= (impacts.time_s > takeoff[h] + margin) & (impacts.time_s < landing[h] - margin)
     inside &= (flags[h] & FlightFlag.FALSE) == 0
@@ -156,17 +162,16 @@ def _split(
     starts, ends = np.concatenate([takeoff, at]), np.concatenate([landing, at])
     start_sigma, end_sigma = np.concatenate([takeoff_sigma, sigma]), np.concatenate([landing_sigma, sigma])
     start_order, end_order = np.argsort(starts, kind="stable"), np.argsort(ends, kind="stable")
-    by_witness_start = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[start_order]
-    by_witness_end = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[end_order]
+    split_start = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[start_order]
+    split_end = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[end_order]
     out = np.concatenate([flags, flags[h] & ~int(FlightFlag.CUT)])[start_order]
-    out[by_witness_start | by_witness_end] |= FlightFlag.WITNESS
-    # a cut interval passes its mark to the piece that touches the cut
+    out[split_start | split_end] |= FlightFlag.ACCELEROMETER
     out = _pass_cut(out, starts[start_order], ends[end_order], takeoff, landing, flags)
     return starts[start_order], ends[end_order], start_sigma[start_order], end_sigma[end_order], out
 
 
 def _pass_cut(out: Ints, starts: Floats, ends: Floats, takeoff: Floats, landing: Floats, flags: Ints) -> Ints:
-    """Only the first piece of an interval cut at its start, or the last of one cut at its end, stays cut."""
+    """Flag `CUT` only on the first part of an interval cut at its start, and the last of one cut at its end."""
     cut = np.flatnonzero(flags & FlightFlag.CUT)
     out &= ~int(FlightFlag.CUT)
     for i in cut:
@@ -175,13 +180,11 @@ def _pass_cut(out: Ints, starts: Floats, ends: Floats, takeoff: Floats, landing:
 
 
 def _strength(landing: Floats, impacts: Impacts, reach_s: float) -> Floats:
-    """Strength of the accelerometer's impact at each landing; NaN where it saw none."""
+    """Strength of the accelerometer's impact at each landing; NaN without one."""
     if impacts.time_s.size == 0:
         return np.full(landing.size, np.nan)
-    after = np.minimum(np.searchsorted(impacts.time_s, landing), impacts.time_s.size - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.where(np.abs(impacts.time_s[before] - landing) < np.abs(impacts.time_s[after] - landing), before, after)
-    return np.where(np.abs(impacts.time_s[nearer] - landing) < reach_s, impacts.strength[nearer], np.nan)
+    partner = nearest(impacts.time_s, landing)
+    return np.where(np.abs(impacts.time_s[partner] - landing) < reach_s, impacts.strength[partner], np.nan)
 
 
 def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_hz: float) -> tuple[Ints, Ints]:
@@ -198,7 +201,7 @@ def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_h
 
 
 def _gaps(found: Scan, takeoff: Floats, landing: Floats) -> Ints:
-    """Flag `GAP` where samples were lost, or made up, in the flight or at its edges."""
+    """Flag `GAP` where samples were lost or filled in during the flight or at its edges."""
     margin_s = 2.0 / found.plate.rate_hz
     at_s = found.plate.gaps[:, 0] / found.plate.rate_hz
     touched = np.zeros(takeoff.size, dtype=np.bool_)
@@ -213,14 +216,14 @@ def _missed(found: Scan, landing: Floats, rate_hz: float) -> Ints:
     flags = np.zeros(landing.size, dtype=np.int64)
     if found.survey.coupling is None:
         return flags
-    evidence = np.concatenate([found.missed, found.plate.gaps[:, 0]])
-    touched = np.searchsorted(landing, evidence / rate_hz)
+    suspects = np.concatenate([found.missed, found.plate.gaps[:, 0]])
+    touched = np.searchsorted(landing, suspects / rate_hz)
     flags[touched[touched < landing.size]] = int(FlightFlag.UNSURE)
     return flags
 
 
 def unseen_contact_s(report: EdgeReport, rate_hz: float) -> float:
-    """Longest contact between two samples that leaves no visible dent in the continuity voltage."""
+    """Longest contact between two samples that leaves no visible dip in the contact voltage."""
     if report.levels is None:
         return 0.0
     dip = max(1.0 - float(report.levels.thresholds()[2]), 1e-3)
@@ -230,7 +233,7 @@ def unseen_contact_s(report: EdgeReport, rate_hz: float) -> float:
 def _unseen_contacts(
     plate: PlateMotion, g: float, takeoff: Floats, takeoff_sigma: Floats, landing: Floats, step: Ints, unseen_s: float
 ) -> tuple[Floats, Floats]:
-    """Take-offs right at a landing where the plate was still pushing: the ball lay there for a moment nobody saw."""
+    """Take-offs at a landing where the plate was still pushing, moved by half an undetectable contact time."""
     at_landing = np.append(False, np.abs(takeoff[1:] - landing[:-1]) < 1e-12)
     if unseen_s == 0.0 or not at_landing.any():
         return takeoff, takeoff_sigma
@@ -240,8 +243,8 @@ def _unseen_contacts(
 
 
 def _unresolved(strength: Floats, flags: Ints, report: EdgeReport) -> Ints:
-    """Flag `UNSURE` the last piece of a chatter: it ends with the circuit, after bounces too small to be told apart."""
-    if report.witness is None:
+    """Flag `UNSURE` on the last part of a chatter, which ends after bounces too small to be resolved."""
+    if report.sensor_offset is None:
         return np.zeros(flags.size, dtype=np.int64)
     silent = ((flags & int(FlightFlag.DOUBLE_HIT)) != 0) & np.isnan(strength) & ((flags & int(FlightFlag.CUT)) == 0)
     return np.where(silent, int(FlightFlag.UNSURE), 0).astype(np.int64)
@@ -265,7 +268,7 @@ def _launch_flags(
     step: Ints,
     true: npt.NDArray[np.bool_],
 ) -> Ints:
-    """Flags `RELAUNCHED` (where the ball had just landed the plate fell away) and `DOUBLE_HIT` (it pushed)."""
+    """Flags `RELAUNCHED` (the plate fell away faster than g at the landing) and `DOUBLE_HIT` (it was pushing)."""
     flags = np.zeros(takeoff.size, dtype=np.int64)
     brief = true & (contact < REBOUND_CONTACT_S)
     if not brief.any():
@@ -282,7 +285,7 @@ def _launch_flags(
 def _hidden(
     plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Ints, flags: Ints
 ) -> Ints:
-    """Flag `UNSURE` where a ball that left at rest, falling freely, would have met the plate well before it landed."""
+    """Flag `UNSURE` where a ball leaving from rest in free flight would have met the plate well before its landing."""
     out = np.zeros(takeoff.size, dtype=np.int64)
     skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT | FlightFlag.RELAUNCHED
     rest = ((flags & int(skip)) == 0) & ((contact > RESTED_S) | np.isnan(contact))
@@ -293,17 +296,17 @@ def _hidden(
         motion = fitted.forcing()
         index = np.flatnonzero(rest & (step == k))
         start = plate.true_time_s(takeoff[index])[:, None]
-        since = np.linspace(0.0, 1.0, 33)[None, 1:] * (landing - takeoff)[index, None]
+        since = np.linspace(0.0, 1.0, HIDDEN_POINTS)[None, 1:] * (landing - takeoff)[index, None]
         moved = motion.position_at(start + since) - motion.position_at(start)
         height = motion.velocity_at(start) * since - 0.5 * g * since**2 - moved
-        early = height[:, :27]
-        suspicious = early.min(axis=1) < -HIDDEN * np.maximum(np.abs(height).max(axis=1), 1e-6)
+        early = height[:, :HIDDEN_BEFORE]
+        suspicious = early.min(axis=1) < -HIDDEN_DEPTH * np.maximum(np.abs(height).max(axis=1), 1e-6)
         out[index[suspicious]] |= int(FlightFlag.UNSURE)
     return out
 
 
 def _gammas(found: Scan, step: Ints) -> Floats:
-    """Gamma of each flight's step: measured on the plate, else what the rig says it achieved, else what was asked."""
+    """Gamma of each flight's step: measured on the plate, else achieved according to the rig, else asked for."""
     best = np.array(
         [
             plate.gamma

@@ -1,6 +1,6 @@
-"""What the flights of a step amount to: an n-cycle, irregular, or too little to tell; modes; forbidden bands.
+"""Classification of the flights of a step: n-cycle, irregular or undecided; modes; forbidden bands; changes.
 
-The rule kept here: every verdict comes with the statistic it rests on, and a step with too few flights is undecided.
+Every class comes with its statistic, and a step with too few flights is undecided.
 """
 
 from __future__ import annotations
@@ -17,18 +17,23 @@ from analysis.plate.motion import StepPlate
 
 Floats = npt.NDArray[np.float64]
 
-LONGEST = 8  # flights of the longest cycle looked for
-REPEATS = 3  # cycles that must be seen
-TIGHT = 5.0  # times the measurement's own uncertainty within which flights repeat
-SLACK = 0.004  # of a forcing period: jitter allowed in a cycle whatever its cause
-LOOSE = 0.25  # of the flights' own spread above which nothing repeats
-LOCKED = 0.001  # of a forcing period: how close to a whole number a locked 1-cycle's flight is
-MODE_WIDTH = 0.02  # of a forcing period: width with which modes are told apart
+MAX_CYCLE = 8  # flights of the longest cycle looked for
+MIN_REPEATS = 3  # cycles needed
+MIN_IRREGULAR = MIN_REPEATS * MAX_CYCLE // 2  # flights needed to call a step irregular
+REPEAT_SIGMAS = 5.0  # change in units of the measurement's uncertainty within which flights repeat
+CYCLE_JITTER = 0.004  # change within which flights repeat in any case, in forcing periods
+IRREGULAR_PART = 0.25  # change above which nothing repeats, in units of the flights' spread
+IRREGULAR_MARGIN = 2.0  # the same in units of the change allowed in a cycle
+LOCKED = 0.001  # distance of a locked 1-cycle's flight time from a whole number of forcing periods
+MODE_WIDTH = 0.02  # smoothing width of the distribution of flight times, in forcing periods
+MODE_SIGMAS = 3.0  # the same, at least, in units of the measurement's uncertainty
+MODE_HEIGHT = 0.1  # height of a mode above its valleys, in units of the highest
+MEDIAN_CHANGE = 0.954  # median change of a flight time per flight, over the uncertainty: sqrt(2) * 0.6745
 
 
 @dataclass(frozen=True)
 class StepClass:
-    """The verdict on one step.
+    """Class of one step.
 
     Attributes
     ----------
@@ -40,11 +45,11 @@ class StepClass:
     locked : bool
         A 1-cycle whose flight lasts a whole number of forcing periods.
     flights, double_hits : int
-        True flights in the hold, double hits apart: the cycle is that of the flights between them.
+        True flights in the hold; double hits are counted separately and are not part of the cycle.
     repeat_s : float
-        The statistic: median change of a flight time after one cycle of the best n, per flight; NaN without flights.
+        Median change of a flight time after one cycle of the best n, per flight; NaN without flights.
     expected_s : float
-        What the measurement's uncertainty alone makes of it.
+        The same from the measurement's uncertainty alone.
     spread_s : float
         The same between flights taken at random.
     modes : int
@@ -67,19 +72,19 @@ class StepClass:
 
     @property
     def label(self) -> str:
-        """For a person."""
+        """Label for tables."""
         if self.kind != "cycle":
             return self.kind
         return f"{self.n}-cycle{' locked' if self.locked else ''}"
 
 
 def classify(flights: Flights) -> tuple[StepClass, ...]:
-    """The verdict on every step of the recording."""
+    """Class of every step of the recording."""
     return tuple(_classify_step(flights, step) for step in range(len(flights.plate.steps)))
 
 
 def _classify_step(flights: Flights, step: int) -> StepClass:
-    """The verdict on one step."""
+    """Class of one step."""
     poor = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
     chosen = (flights.step == step) & ~flights.has(poor)
     rebound = flights.has(FlightFlag.DOUBLE_HIT)
@@ -97,22 +102,22 @@ def _classify_step(flights: Flights, step: int) -> StepClass:
     own = float(np.median(sigma))
     pairs = np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)]
     spread = float(np.median(pairs)) if pairs.size else nan
-    mean, modes = float(tau.mean()), count_modes(tau, max(MODE_WIDTH * period, 3.0 * own))
-    repeats = np.array([_repeat(tau, n) for n in range(1, LONGEST + 1)])
-    allowed = max(TIGHT * own, SLACK * period)
+    mean, modes = float(tau.mean()), count_modes(tau, max(MODE_WIDTH * period, MODE_SIGMAS * own))
+    repeats = np.array([_repeat(tau, n) for n in range(1, MAX_CYCLE + 1)])
+    allowed = max(REPEAT_SIGMAS * own, CYCLE_JITTER * period)
     n = next((k + 1 for k, r in enumerate(repeats) if r < allowed), 0)
     best = float(np.nanmin(repeats)) if np.isfinite(repeats).any() else nan
     if n:
         kind, best = "cycle", float(repeats[n - 1])
-    elif tau.size >= REPEATS * LONGEST // 2 and best > LOOSE * spread and best > 2.0 * allowed:
+    elif tau.size >= MIN_IRREGULAR and best > IRREGULAR_PART * spread and best > IRREGULAR_MARGIN * allowed:
         kind = "irregular"
     whole = mean / period
     locked = n == 1 and abs(whole - round(whole)) < LOCKED and round(whole) > 0
-    return StepClass(step, kind, n, locked, tau.size, doubles, best, 0.954 * own, spread, modes, mean)
+    return StepClass(step, kind, n, locked, tau.size, doubles, best, MEDIAN_CHANGE * own, spread, modes, mean)
 
 
 def _in_air(flights: Flights, plate: StepPlate) -> bool:
-    """Whether the circuit says that the ball was in the air through part of the hold (a landing nobody saw, then)."""
+    """Whether the contact circuit was open in part of the hold (a landing was missed, then)."""
     rate_hz = flights.plate.rate_hz
     begin, end = plate.first_sample / rate_hz, plate.last_sample / rate_hz
     true = ~flights.has(FlightFlag.FALSE)
@@ -120,8 +125,8 @@ def _in_air(flights: Flights, plate: StepPlate) -> bool:
 
 
 def _repeat(tau: Floats, n: int) -> float:
-    """Median change of a flight time over ``n`` flights (per flight); NaN below `REPEATS` cycles."""
-    if tau.size < REPEATS * n:
+    """Median change of a flight time over ``n`` flights (per flight); NaN below `MIN_REPEATS` cycles."""
+    if tau.size < MIN_REPEATS * n:
         return float("nan")
     return float(np.median(np.abs(tau[n:] - tau[:-n])) / np.sqrt(2.0))
 
@@ -137,7 +142,7 @@ def count_modes(tau: Floats, width: float) -> int:
     valley = 0.0
     for i, k in enumerate(peaks):
         after = density[k : peaks[i + 1]].min() if i + 1 < peaks.size else 0.0
-        if density[k] - max(valley, after) > 0.1 * density.max():
+        if density[k] - max(valley, after) > MODE_HEIGHT * density.max():
             kept += 1
         valley = after
     return kept
@@ -154,7 +159,7 @@ class BandTest:
     observed : int
         Flights inside, by more than their uncertainty.
     expected : float
-        What the flights just below and above the band would lead to expect if nothing forbade it.
+        Flights expected from those just below and above the band, if it were not forbidden.
     p_value : float
         Chance of so few or fewer.
     """
@@ -168,7 +173,7 @@ class BandTest:
 
 
 def band_test(flights: Flights, step: int, low_s: float, high_s: float) -> BandTest:
-    """Count the flights of a step in a forbidden band against its neighbourhood (half its width on either side)."""
+    """Poisson test of the flights in a forbidden band against its neighbourhood (half its width on either side)."""
     chosen = (flights.step == step) & flights.good()
     tau, sigma = flights.duration_s[chosen], flights.uncertainty_s[chosen]
     half = 0.5 * (high_s - low_s)
@@ -189,7 +194,7 @@ class Change:
 
 
 def changes(classes: tuple[StepClass, ...], gammas: Floats) -> tuple[Change, ...]:
-    """Typed changes along the run; undecided steps are passed over, so the bracket widens there."""
+    """Typed changes along the run; undecided steps are skipped, which widens the bracket."""
     out = []
     last: tuple[StepClass, float] | None = None
     for own, gamma in zip(classes, gammas, strict=True):
@@ -202,7 +207,7 @@ def changes(classes: tuple[StepClass, ...], gammas: Floats) -> tuple[Change, ...
 
 
 def _type(before: StepClass, after: StepClass) -> str:
-    """The name of a change, in the model's words."""
+    """Type of a change, as in `model.bifurcations`."""
     if before.kind == "rest":
         return "take-off"
     if after.kind == "rest":

@@ -1,7 +1,7 @@
-"""A recording held against the model: ideal plus declared effects, step by step, and the first bifurcation.
+"""Comparison of a recording with the model: ideal plus declared effects, step by step, and the first bifurcation.
 
-The rule kept here: like with like. The model flies over the plate that was measured, its state is carried from step to
-step as on the bench, and where the recording has no second witness the instrument's blindness is put on the model too.
+The model flies over the measured plate, and its state is carried from step to step as on the bench. Where the
+accelerometer shows no impacts, the model's flights are passed through the contact circuit's limits too.
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ from model.tones import Forcing
 
 Floats = npt.NDArray[np.float64]
 
-MOST_GAMMA = 500.0  # of a plate: beyond what shakers reach, with room
-FLIGHTS = 2048  # flown before a step is called chaotic
-CYCLES_SHOWN = 4  # cycles put through the instrument
-NEAR_SAMPLES = 1.0
-SHORT = 0.02  # of the longest predicted flight: what is shorter is a bounce
+MAX_GAMMA = 500.0  # largest gamma of a plate, beyond what shakers reach
+MAX_FLIGHTS = 2048  # flights computed before a step is called chaotic
+CYCLES_SHOWN = 4  # cycles passed through the contact sensor's limits
+MATCH_SAMPLES = 1.0  # distance to a predicted flight time that counts as a match
+BOUNCE_PART = 0.02  # longest bounce, in units of the longest predicted flight
 BIFURCATION_STEPS = 200
-STARTS = ("take-off", "rest")  # of the model; an integrated ball may come back to rest just above its threshold
-SEEN = 4.0  # standard deviations by which a harmonic stands out
+STARTS = ("take-off", "rest")  # changes of the model at its start; an integrated ball may come back to rest there
+HARMONIC_SIGMAS = 4.0  # amplitude over its uncertainty from which a harmonic belongs to the motion
+SENSITIVE_SAMPLES = 1.0 / 3.0  # shift of a flight time by the uncertainty of gamma that is too large to judge
+BIFURCATION_RANGE = 1.2  # upper end of the search for the first bifurcation, in units of the largest gamma
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,12 @@ class StepComparison:
     ----------
     step : int
     gamma, gamma_peak : float
-        As the accelerometer shows them.
+        Measured by the accelerometer.
     measured : StepClass
     predicted : str
-        The model's attractor in words.
+        Label of the model's attractor.
     predicted_s : array
-        Flight times of one predicted cycle as the instrument would show them (of some flights where chaotic).
+        Flight times of one predicted cycle as the sensors would show them (of some flights where chaotic).
     periodic : bool
         Whether the model predicts a cycle.
     mean_ratio : float
@@ -58,10 +60,10 @@ class StepComparison:
         Rms distance of measured flights to the nearest predicted time, in periodic windows; NaN elsewhere.
     within_sample : float
         Fraction of measured flights within one sample of a predicted time, in periodic windows; NaN elsewhere.
-    doubt : str
-        Why a periodic step cannot judge the model, empty when it can: ``sensitive`` (the uncertainty of gamma alone
-        moves the prediction by a third of a sample or more: grazing, or a bifurcation next to it) or ``unsettled``
-        (the predicted cycle attracts so slowly that the settle time does not reach it).
+    unfit_reason : str
+        Reason why a periodic step cannot test the model, empty when it can. ``sensitive``: the uncertainty of gamma
+        alone moves the prediction by `SENSITIVE_SAMPLES` or more (grazing, or a bifurcation nearby). ``unsettled``:
+        the predicted cycle attracts so slowly that the settle time does not reach it.
     bands : tuple of BandTest
         The ideal model's forbidden bands, tested.
     """
@@ -76,7 +78,7 @@ class StepComparison:
     mean_ratio: float
     rms_s: float
     within_sample: float
-    doubt: str
+    unfit_reason: str
     bands: tuple[BandTest, ...]
 
 
@@ -106,10 +108,10 @@ class FirstBifurcation:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A whole recording against the model.
+    """Comparison of a whole recording with the model.
 
     ``short_by`` is one minus the median ratio of flight times, over the steps in which both are cycles (all, where
-    there are none); ``within_sample`` is over the flights of periodic steps without doubt.
+    there are none); ``within_sample`` is over the flights of periodic steps without `unfit_reason`.
     """
 
     steps: tuple[StepComparison, ...]
@@ -125,16 +127,18 @@ class Comparison:
 
 
 def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcing, float]:
-    """The measured forcing with its first tone at phase zero, and its gamma with ``b = 1`` for the setup's tones.
+    """Measured forcing with its first tone at phase zero, and its gamma with ``b = 1`` for the setup's tones.
 
-    Gamma is what the accelerometer shows; where it is declared to read too much, the tones are by so much smaller.
-    Where the plate is declared to move at harmonics, those that were measured belong to its motion.
+    The tones are divided by the accelerometer's declared gain error; gamma is as measured. With a declared harmonic
+    distortion the significant measured harmonics are part of the forcing.
     """
     multiples = list(plate.forcing_multiples)
     if "harmonic_distortion" in effects:
         sigma = plate.acceleration.amplitude_sigma()
         size = np.abs(plate.acceleration.amplitudes)
-        multiples += [m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > SEEN * sigma[i]]
+        multiples += [
+            m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > HARMONIC_SIGMAS * sigma[i]
+        ]
     rows = [plate.multiples.index(m) for m in multiples]
     z = plate.acceleration.amplitudes[rows] / reading(effects)
     n = np.array(multiples, dtype=float)
@@ -146,9 +150,9 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
 
 
 def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, Forcing, float]:
-    """The ball with those of ``effects`` that act on it, over the plate that was measured; its forcing and gamma.
+    """Ball with those of ``effects`` that act on it, over the measured plate; its forcing and gamma.
 
-    Effects between drive and plate are in the measured motion already.
+    Effects between drive and plate are part of the measured motion.
     """
     forcing, gamma = forcing_of(plate, setup, effects)
     own = of_the_ball(effects)
@@ -156,12 +160,12 @@ def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, For
 
 
 def _check_plausible(flights: Flights) -> None:
-    """Refuse a plate that no shaker moves so: its scale is wrong, and its flights would be followed for hours."""
+    """Refuse a plate motion beyond any shaker: its scale is wrong, and its flights would take hours to compute."""
     for plate in flights.plate.steps:
-        if plate is not None and plate.gamma > MOST_GAMMA:
+        if plate is not None and plate.gamma > MAX_GAMMA:
             raise ValueError(
                 f"step {plate.step}: the accelerometer reads gamma = {plate.gamma:.4g}; no shaker goes beyond "
-                f"{MOST_GAMMA:g}: check channels.accelerometer.sensitivity and its unit, or pass a --profile"
+                f"{MAX_GAMMA:g}: check channels.accelerometer.sensitivity and its unit, or pass a --profile"
             )
 
 
@@ -172,40 +176,42 @@ def compare(
     effects: Effects | None = None,
     steps_table: npt.NDArray[np.void] | None = None,
 ) -> Comparison:
-    """Hold a recording's flights against the model.
+    """Compare a recording's flights with the model.
 
     Parameters
     ----------
     flights : Flights
     setup : Setup
     effects : dict, optional
-        Effects of the model by name; the setup's declared ones where not given.
+        Effects of the model by name; by default the setup's declared ones.
     steps_table : STEP_DTYPE array, optional
-        The recording's; tells how long each step settled.
+        Step table of the recording, with each step's settle time.
 
     Raises
     ------
     ValueError
-        For effects that the model does not know, or a plate beyond `MOST_GAMMA`.
+        For effects that the model does not know, or a plate beyond `MAX_GAMMA`.
     """
     _check_plausible(flights)
     declared = resolve(setup.declared_values() if effects is None else effects)
     classes = classify(flights)
     steps, last = [], AT_REST
+    settle = steps_table["settle_cycles"] if steps_table is not None else np.zeros(0)
     for plate, own in zip(flights.plate.steps, classes, strict=True):
         if plate is None or not plate.gamma > 0:
             continue
         ball, forcing, gamma = ball_on(plate, setup, declared)
-        found = attractor(ball, gamma, last, FLIGHTS)
-        around = [attractor(ball, max(gamma + d * plate.gamma_uncertainty, 0.0), last, FLIGHTS) for d in (-1.0, 1.0)]
-        settled = steps_table["settle_cycles"][plate.step] if steps_table is not None and len(steps_table) else np.nan
+        found = attractor(ball, gamma, last, MAX_FLIGHTS)
+        near = [max(gamma + d * plate.gamma_uncertainty, 0.0) for d in (-1.0, 1.0)]
+        around = [attractor(ball, g, last, MAX_FLIGHTS) for g in near]
+        settled = float(settle[plate.step]) if settle.size else np.nan
         last = found.last
-        doubt = _doubt(found, around, 1.0 / (3.0 * flights.plate.rate_hz) * plate.omega_radps, float(settled))
-        steps.append(_step(flights, plate, own, found, forcing, doubt))
+        unfit = _unfit_reason(found, around, SENSITIVE_SAMPLES / flights.plate.rate_hz * plate.omega_radps, settled)
+        steps.append(_step(flights, plate, own, found, forcing, unfit))
     gammas = np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
     order = _order(gammas)
     seen = changes(tuple(classes[i] for i in order), gammas[order])
-    chosen = [s for s in steps if s.periodic and s.measured.flights and s.predicted_s.size and not s.doubt]
+    chosen = [s for s in steps if s.periodic and s.measured.flights and s.predicted_s.size and not s.unfit_reason]
     count = sum(s.measured.flights for s in chosen)
     inside = sum(s.within_sample * s.measured.flights for s in chosen if np.isfinite(s.within_sample))
     alike = [s.mean_ratio for s in steps if np.isfinite(s.mean_ratio) and s.measured.kind == "cycle" and s.periodic]
@@ -225,14 +231,14 @@ def compare(
 
 
 def _order(gammas: Floats) -> npt.NDArray[np.int64]:
-    """The steps along the ramp: as they came where gamma turns once at most, by gamma where they were shuffled."""
+    """Order of the steps along the ramp: in time where gamma turns at most once, by gamma where they are shuffled."""
     known = gammas[np.isfinite(gammas)]
     turns = np.count_nonzero(np.diff(np.sign(np.diff(known))))
     return np.arange(len(gammas)) if turns <= 1 else np.argsort(gammas, kind="stable")
 
 
-def _doubt(found: Attractor, around: list[Attractor], allowed: float, settle_cycles: float) -> str:
-    """Why a predicted cycle cannot be held against the flights to ``allowed`` (phase); empty when it can."""
+def _unfit_reason(found: Attractor, around: list[Attractor], allowed: float, settle_cycles: float) -> str:
+    """Reason why a predicted cycle cannot be compared to within ``allowed`` (phase); empty when it can."""
     if found.kind == "chaotic" or found.tau.size == 0:
         return ""
     for other in around:
@@ -246,21 +252,21 @@ def _doubt(found: Attractor, around: list[Attractor], allowed: float, settle_cyc
 
 
 def _step(
-    flights: Flights, plate: StepPlate, own: StepClass, found: Attractor, forcing: Forcing, doubt: str
+    flights: Flights, plate: StepPlate, own: StepClass, found: Attractor, forcing: Forcing, unfit: str
 ) -> StepComparison:
-    """One step's figures."""
-    predicted = seen_by_instrument(found, plate.frequency_hz, flights)
+    """Comparison of one step."""
+    predicted = as_detected(found, plate.frequency_hz, flights)
     good = (flights.step == plate.step) & flights.good()
     tau = flights.duration_s[good]
     periodic = found.kind != "chaotic"
     proper = flights.duration_s[good & ~flights.has(FlightFlag.DOUBLE_HIT)]
-    launched = predicted[predicted > SHORT * predicted.max()] if predicted.size else predicted
+    launched = predicted[predicted > BOUNCE_PART * predicted.max()] if predicted.size else predicted
     ratio = float(proper.mean() / launched.mean()) if proper.size and launched.size else float("nan")
     rms, within = float("nan"), float("nan")
     if periodic and tau.size and predicted.size:
         distance = np.abs(tau[:, None] - predicted[None, :]).min(axis=1)
         rms = float(np.sqrt(np.mean(distance**2)))
-        within = float(np.mean(distance <= NEAR_SAMPLES / flights.plate.rate_hz))
+        within = float(np.mean(distance <= MATCH_SAMPLES / flights.plate.rate_hz))
     unit = 1.0 / plate.omega_radps
     bands = tuple(
         band_test(flights, plate.step, float(low) * unit, float(high) * unit)
@@ -278,26 +284,26 @@ def _step(
         ratio,
         rms,
         within,
-        doubt if periodic else "",
+        unfit if periodic else "",
         bands,
     )
 
 
-def seen_by_instrument(found: Attractor, frequency_hz: float, flights: Flights) -> Floats:
-    """Flight times (s) of an attractor as this recording's instrument shows them.
+def as_detected(found: Attractor, frequency_hz: float, flights: Flights) -> Floats:
+    """Flight times (s) of an attractor as this recording's sensors show them.
 
-    With the accelerometer as second witness every flight is seen; without it `model.contact_sensor` merges those whose
+    With impacts in the accelerometer every flight is detected. Without them `model.contact_sensor` merges flights whose
     contact in between is too short for the sampled circuit.
     """
     unit = 1.0 / (2.0 * np.pi * frequency_hz)
-    if flights.edges.witness is not None or found.tau.size == 0:
+    if flights.edges.sensor_offset is not None or found.tau.size == 0:
         return np.asarray(found.tau * unit)
     tau = np.tile(found.tau, CYCLES_SHOWN)
     phase = np.tile(found.phase, CYCLES_SHOWN)
     takeoff = np.empty(tau.size)
     landed = 0.0
     for i in range(tau.size):
-        wait = np.mod(phase[i] - landed + 1e-6, 2.0 * np.pi) - 1e-6  # rounding must not turn no wait into a turn
+        wait = np.mod(phase[i] - landed + 1e-6, 2.0 * np.pi) - 1e-6  # rounding must not turn zero into a whole period
         takeoff[i] = landed + max(wait, 0.0)
         landed = takeoff[i] + tau[i]
     takeoff_s, landing_s = takeoff * unit, np.minimum((takeoff + tau) * unit, np.append(takeoff[1:] * unit, np.inf))
@@ -314,7 +320,7 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
     if not plates:
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
-    low, high = min(p.gamma for p in plates), 1.2 * max(p.gamma for p in plates)
+    low, high = min(p.gamma for p in plates), BIFURCATION_RANGE * max(p.gamma for p in plates)
     found = [b for b in observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS]
     if not found:
         return FirstBifurcation(measured, "", nan, nan)

@@ -1,7 +1,7 @@
-"""The single pass: contact crossings, impact candidates and folded tones from one reading of the recording.
+"""Single pass over a recording: contact crossings, impacts and the plate's normal equations.
 
-The rule kept here: a survey of a few pieces learns what this rig looks like (levels, noise, edge shapes, the waveform
-of an impact); then every sample is looked at once.
+A survey of a few pieces measures levels, noise and the impact template first. Then every sample is read once, in three
+stages: raw volts, contact voltage as a fraction of its swing, and accelerometer less the impacts found.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
-from analysis.events.edges import OPENS, Crossings, CrossingScan, Levels, measure_levels
+from analysis.events.crossings import OPENS, Crossings, CrossingScan
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
-from analysis.events.impact_template import Waveform, white_noise
-from analysis.events.template_estimate import learn
-from analysis.plate.accumulator import StepAccumulator
+from analysis.events.impact_template import ImpactTemplate, white_noise
+from analysis.events.levels import Levels, measure_levels
+from analysis.events.template_estimate import estimate_template
+from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.motion import PlateMotion
-from analysis.signals.stream import PAD, Piece, pieces, survey_pieces
+from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
 from daq.recording import Recording
 from daq.recording.tables import STEP_DTYPE, BlockFlag
 from daq.setup.errors import InputError
@@ -28,30 +29,57 @@ from daq.setup.setup import FAR_OUTSIDE
 Ints = npt.NDArray[np.int64]
 Progress = Callable[[float], None]  # part done, 0 to 1
 
-LEAST_SAMPLES = 32  # of a recording that is analysed
-DEFAULT_MASK_S = 2e-3  # left out after an impact where the accelerometer does not show how long it rings
+MIN_SAMPLES = 32  # samples of a recording, at least
+DEFAULT_MASK_S = 2e-3  # mask after an impact where the accelerometer does not show how long it rings
+NO_CIRCUIT = Levels(0.0, 1.0, 0.1)  # levels of a scan that is never used
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What a look at a few pieces said about the rig; ``coupling`` is that of an AC-coupled contact circuit."""
+    """Properties of the rig measured on a few pieces.
+
+    Attributes
+    ----------
+    levels : Levels or None
+        None without a contact circuit.
+    noise_v : float
+        White noise of the accelerometer.
+    template : ImpactTemplate or None
+        None where the accelerometer shows no impacts.
+    coupling : Coupling or None
+        High-pass of an AC-coupled contact circuit.
+    """
 
     levels: Levels | None
     noise_v: float
-    waveform: Waveform | None
+    template: ImpactTemplate | None
     coupling: Coupling | None = None
 
     @property
     def mask_s(self) -> float:
-        """How long after an impact the accelerometer is left out."""
-        return DEFAULT_MASK_S if self.waveform is None else self.waveform.ring_s
+        """Time after an impact that is masked in the accelerometer."""
+        return DEFAULT_MASK_S if self.template is None else self.template.ring_s
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Everything one pass found; ``missed`` are samples by which an edge of the contact must have been missed.
+    """Result of the pass.
 
-    ``filled_spans_s``, shape (n, 2), are spans in seconds whose samples, or whose drive, nobody vouches for.
+    Attributes
+    ----------
+    survey : Survey
+    steps : STEP_DTYPE array
+        Frequencies filled in.
+    crossings : Crossings
+    starts_open : bool
+        Contact circuit open at the first sample.
+    impacts : Impacts
+        On the accelerometer's time axis.
+    plate : PlateMotion
+    missed : int array, shape (k,)
+        Samples at which an edge of the contact is known to have been missed.
+    filled_spans_s : array, shape (n, 2)
+        Intervals whose samples or drive were filled in by the recorder.
     """
 
     survey: Survey
@@ -88,9 +116,15 @@ def _channels(recording: Recording) -> tuple[str, ...]:
 
 
 def survey(recording: Recording) -> Survey:
-    """Levels, noise and the impact's waveform from a few pieces."""
+    """Levels, noise and the impact template from a few pieces.
+
+    Raises
+    ------
+    InputError
+        When the recording is too short, or its volts are far outside a channel's range.
+    """
     channels = tuple(name for name in _channels(recording) if name != "drive")
-    cycle = max(round(recording.rate_hz / recording.setup.forcing.frequency_hz), LEAST_SAMPLES)
+    cycle = max(round(recording.rate_hz / recording.setup.forcing.frequency_hz), MIN_SAMPLES)
     if recording.n_samples < cycle:
         raise InputError(
             f"{recording.path}: wanted at least {cycle} samples (a cycle of the forcing at "
@@ -99,16 +133,16 @@ def survey(recording: Recording) -> Survey:
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
     noise = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in looked]))
-    waveform = learn(looked, noise, resolved_steps(recording), recording.rate_hz)
+    template = estimate_template(looked, noise, resolved_steps(recording), recording.rate_hz)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
-        return Survey(None, noise, waveform)
+        return Survey(None, noise, template)
     volts = [p.own("continuity").astype(np.float64) for p in looked]
     if contact.coupling == "ac":
         coupling = measure_coupling(volts, contact.swing_v, recording.rate_hz)
-        return Survey(coupling.levels, noise, waveform, coupling)
+        return Survey(coupling.levels, noise, template, coupling)
     sample = np.concatenate(volts)
-    return Survey(measure_levels(sample, contact.closed_v.value, contact.open_v.value), noise, waveform)
+    return Survey(measure_levels(sample, contact.closed_v.value, contact.open_v.value), noise, template)
 
 
 def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tuple[str, ...]) -> None:
@@ -123,50 +157,70 @@ def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tup
             )
 
 
-def _fraction(piece: Piece, levels: Levels) -> npt.NDArray[np.float32]:
-    """Continuity as a fraction of the swing: 0 closed, 1 open."""
+def _open_fraction(piece: Piece, levels: Levels) -> Volts:
+    """Contact voltage as a fraction of the swing: 0 closed, 1 open."""
     volts = piece.channels["continuity"]
     return (volts - np.float32(levels.closed_v)) * np.float32(1.0 / levels.swing_v)
 
 
 def scan(recording: Recording, progress: Progress | None = None) -> Scan:
-    """Read the recording once and find everything.
+    """Crossings, impacts and plate motion of a recording in one pass.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open.
+    progress : callable, optional
+        Called with the part done, 0 to 1, after each piece.
 
     Raises
     ------
     InputError
-        When there is no accelerometer channel.
+        When there is no accelerometer channel, or the survey refuses the recording.
     """
     channels = _channels(recording)
     known = survey(recording)
-    steps = resolved_steps(recording)
-    contact = CrossingScan(known.levels) if known.levels is not None else None
-    witness = ImpactScan(known.waveform, recording.rate_hz) if known.waveform is not None else None
-    restorer = LevelRestorer(known.coupling, recording.rate_hz) if known.coupling is not None else None
-    folder = StepAccumulator(recording, steps, known.mask_s)
-    starts_open = False
+    steps, rate_hz = resolved_steps(recording), recording.rate_hz
+    contact = CrossingScan(known.levels or NO_CIRCUIT)
+    restorer = LevelRestorer(known.coupling, rate_hz) if known.coupling is not None else None
+    detector = ImpactScan(known.template, rate_hz) if known.template is not None else None
+    accumulator = StepAccumulator(recording, steps, known.mask_s)
     for piece in pieces(recording, channels):
-        hits = [np.zeros(0, np.int64)]
-        if contact is not None and known.levels is not None:
-            fraction = _fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
-            piece.channels["continuity"] = fraction
+        acceleration_v, drive_v = piece.channels["accelerometer"], piece.channels.get("drive")
+        fraction, landings = None, [np.zeros(0, np.int64)]
+        if known.levels is not None:
+            fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
             found = contact.add(fraction, piece.first, PAD, piece.count)
-            hits.append(found.sample[found.kind != OPENS])
-            if piece.first == 0:
-                starts_open = contact.started_open
-        if witness is not None:
-            hits.append(witness.add(piece.channels["accelerometer"], piece.first, PAD, piece.count))
-            witness.subtract(piece.channels["accelerometer"], piece.first, PAD)
-        folder.add(piece, np.concatenate(hits))
+            landings.append(found.sample[found.kind != OPENS])
+        if detector is not None:
+            landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
+            acceleration_v = detector.without_impacts(acceleration_v, piece.first, PAD)
+        own = (None if x is None else piece.trim(x) for x in (drive_v, fraction))
+        accumulator.add(PlatePiece(piece.first, piece.trim(acceleration_v), *own), np.concatenate(landings))
         if progress is not None:
             progress(piece.last / recording.n_samples)
-    empty = CrossingScan(Levels(0.0, 1.0, 0.1))
-    seen = NO_IMPACTS if witness is None else witness.impacts()
-    plate = PlateMotion(folder.finish(), _noise_mps2(recording, known), recording.rate_hz, recording.gaps)
-    missed = np.array([] if restorer is None else restorer.missed, np.int64)
+    return Scan(
+        survey=known,
+        steps=steps,
+        crossings=contact.crossings(),
+        starts_open=contact.started_open,
+        impacts=NO_IMPACTS if detector is None else detector.impacts(),
+        plate=PlateMotion(accumulator.finish(), _noise_mps2(recording, known), rate_hz, recording.gaps),
+        missed=np.array([] if restorer is None else restorer.missed, np.int64),
+        filled_spans_s=_filled_spans_s(recording),
+    )
+
+
+def plate_of(recording: Recording, *, progress: Progress | None = None) -> PlateMotion:
+    """Plate motion in every step of a recording: see `analysis.plate.motion.StepPlate`."""
+    return scan(recording, progress).plate
+
+
+def _filled_spans_s(recording: Recording) -> npt.NDArray[np.float64]:
+    """Intervals of the recording that the recorder filled in, (n, 2)."""
     filled = recording.blocks[recording.blocks["flags"] & BlockFlag.FILLED != 0]
-    spans = np.column_stack([filled["first_sample"], filled["first_sample"] + filled["n_samples"]]) / recording.rate_hz
-    return Scan(known, steps, (contact or empty).crossings(), starts_open, seen, plate, missed, spans)
+    ends = filled["first_sample"] + filled["n_samples"]
+    return np.asarray(np.column_stack([filled["first_sample"], ends]) / recording.rate_hz)
 
 
 def _noise_mps2(recording: Recording, known: Survey) -> float:

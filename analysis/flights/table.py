@@ -1,7 +1,7 @@
-"""The table of flights as a value: columns, flags, what may be compared, and its CSV.
+"""Table of flights as a value: columns, flags, selection of comparable flights, and CSV.
 
-The rule kept here: nothing is dropped. A false flight is marked, a double hit is marked, a boundary that only the
-accelerometer saw is marked, and an interval in the air that hides a landing nobody saw is marked as unsure.
+No flight is dropped: false flights, double hits, boundaries from the accelerometer alone and flights that may hide an
+undetected landing are flagged.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.edges import EdgeShape, Levels
-from analysis.events.impact_detection import SensorOffset
+from analysis.events.edges import EdgeShape
+from analysis.events.levels import Levels
+from analysis.events.sensor_offset import SensorOffset
 from analysis.plate.motion import PlateMotion
 from daq.recording.whole_file import whole
 
@@ -24,7 +25,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class FlightFlag(enum.IntFlag):
-    """What is to be known about a flight before it is used."""
+    """Flags of a flight."""
 
     FALSE = 1
     """Contact bounce or a glitch, not a flight."""
@@ -32,7 +33,7 @@ class FlightFlag(enum.IntFlag):
     """Left the plate while the plate was pushing, by rebound, and was back within half a forcing period."""
     RELAUNCHED = 4
     """Took off where it had just landed, launched by the plate at once."""
-    WITNESS = 8
+    ACCELEROMETER = 8
     """A boundary comes from the accelerometer."""
     GAP = 16
     """Touches lost samples."""
@@ -48,9 +49,9 @@ class FlightFlag(enum.IntFlag):
 class Flights:
     """Flights of a recording, arrays of equal length in order of take-off, and the plate they flew over.
 
-    Times in seconds on the recording's axis, uncertainties one standard deviation, phases in [0, 2 pi) of
-    ``phi = w t`` (0 where the first tone's displacement crosses zero going up; NaN where the plate is unknown).
-    ``contact_s`` is how long the ball lay on the plate before the flight (0: launched at once; NaN: not seen).
+    Times are seconds on the recording's axis, uncertainties one standard deviation. Phases in [0, 2 pi) are those of
+    ``phi = w t``, 0 where the first tone's displacement crosses zero going up; NaN where the plate is unknown.
+    ``contact_s`` is how long the ball lay on the plate before the flight (0: relaunched at once; NaN: unknown).
     """
 
     takeoff_s: Floats
@@ -97,25 +98,25 @@ class Flights:
 
 @dataclass(frozen=True)
 class EdgeReport:
-    """What the edges and the second witness were worth in this recording.
+    """Quality of the edges and of the accelerometer as a second detector.
 
     Attributes
     ----------
     levels : Levels or None
         None where there is no continuity channel.
     opening, closing : EdgeShape
-    witness : WitnessOffset or None
+    sensor_offset : SensorOffset or None
         None where the accelerometer shows no impacts.
     dips : int
-        Contacts that only dented the continuity voltage.
+        Contacts too short to cross the threshold of the contact voltage.
     missed : int
-        Edges that an AC-coupled circuit must have had and did not show.
+        Edges of an AC-coupled circuit that are known to have been missed.
     """
 
     levels: Levels | None
     opening: EdgeShape
     closing: EdgeShape
-    witness: SensorOffset | None
+    sensor_offset: SensorOffset | None
     dips: int
     missed: int = 0
 

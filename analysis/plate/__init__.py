@@ -1,1 +1,4 @@
-"""TODO what plate is for."""
+"""Accelerometer and drive to the plate's motion in each step, with covariance.
+
+Other rooms take `accumulator`, `motion`, `fit_mask`, `phasors`, `mains_lines`, and `multiples_of` of `step_state`.
+"""

@@ -1,7 +1,7 @@
-"""A step's tones in contact and in flight apart: what the ball's weight on the table changes.
+"""Joint tone fit with separate contact and flight amplitudes: the ball's weight on the table changes the tones.
 
-The rule kept here: one joint fit; contact has an extra amplitude of each forcing tone and an extra offset, the
-harmonics are common. It is solved when it is asked for.
+Contact has an extra amplitude of each forcing tone and an extra offset; the harmonics are common to both. The fit is
+solved on request.
 """
 
 from __future__ import annotations
@@ -12,12 +12,25 @@ import numpy as np
 
 from daq.lock_in import LockIn, ToneFit
 
-LEAST_APART = 60  # block means on each side that contact and flight are told apart by
+MIN_BLOCKS = 60  # block means needed in contact and in flight
+MAX_CONDITION = 1e6  # condition number of the scaled normal matrix above which the two cannot be separated
 
 
 @dataclass(frozen=True)
 class ContactFlightFit:
-    """Normal equations of contact and of everything (volts), which tones are the forcing's, and the scale to m/s^2."""
+    """Normal equations of contact and of the whole step, and their scale to m/s^2.
+
+    Attributes
+    ----------
+    contact, total : LockIn
+        In volts.
+    rows : tuple of int
+        Rows of the forcing's tones among the fitted ones.
+    rms_v : float
+        Residual of the step's fit.
+    factor, zero_v : float
+        Acceleration is ``factor * (volts - zero_v)``.
+    """
 
     contact: LockIn
     total: LockIn
@@ -27,8 +40,8 @@ class ContactFlightFit:
     zero_v: float
 
     def solve(self) -> tuple[ToneFit | None, ToneFit | None]:
-        """Contact and flight in m/s^2; None where a side has too little."""
-        parts = _apart(self.contact, self.total, self.rms_v, list(self.rows))
+        """Forcing tones and offset in contact and in flight, m/s^2; None where either has too few blocks."""
+        parts = _joint_fit(self.contact, self.total, self.rms_v, list(self.rows))
         contact, flight = (None if part is None else scaled(part, self.factor, self.zero_v) for part in parts)
         return contact, flight
 
@@ -46,19 +59,16 @@ def scaled(fit: ToneFit, factor: float, offset: float) -> ToneFit:
     )
 
 
-def _apart(contact: LockIn, total: LockIn, rms: float, rows: list[int]) -> tuple[ToneFit | None, ToneFit | None]:
-    """The tones ``rows`` and the offset in contact and in flight: one joint fit in which contact has an extra of each.
-
-    The harmonics are common to both, so what the ball's weight on the table changes is not put into them.
-    """
-    if min(contact.n, total.n - contact.n) < LEAST_APART:
+def _joint_fit(contact: LockIn, total: LockIn, rms: float, rows: list[int]) -> tuple[ToneFit | None, ToneFit | None]:
+    """Tones ``rows`` and the offset in contact and in flight, in volts, the harmonics common to both."""
+    if min(contact.n, total.n - contact.n) < MIN_BLOCKS:
         return None, None
     columns = [0, *(c for r in rows for c in (2 * r + 1, 2 * r + 2))]
     beside = contact.gram[:, columns]
     gram = np.block([[total.gram, beside], [beside.T, contact.gram[np.ix_(columns, columns)]]])
     scale = 1.0 / np.sqrt(np.diag(gram))
     scaled = gram * np.outer(scale, scale)
-    if np.linalg.cond(scaled) > 1e6:
+    if np.linalg.cond(scaled) > MAX_CONDITION:
         return None, None
     inverse = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale), dtype=np.float64)
     solution = inverse @ np.concatenate([total.rhs[:, 0], contact.rhs[columns, 0]])

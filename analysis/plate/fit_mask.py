@@ -1,7 +1,7 @@
-"""Which stretches of a step a tone fit has seen, and what least squares over just these make of any motion.
+"""Unmasked time intervals of each step, and the least-squares projection of a motion onto the fitted tones over them.
 
-The rule kept here: what a mask leaves out is left out of the prediction, too; a tone is a pair of turns
-``exp(i w t)`` and ``exp(-i w t)``.
+A tone is a pair of complex exponentials ``exp(i w t)`` and ``exp(-i w t)``. Predictions use the same intervals as the
+fits, so masked samples never enter either.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
-NEAR = 1e-4  # radians over a stretch, below which two turns are one
-SLIGHT = 1e-9  # added to normal equations whose diagonal is 1
+MIN_PHASE_RAD = 1e-4  # phase difference over an interval below which two exponentials count as equal
+RIDGE = 1e-9  # added to normal equations whose diagonal is 1
 
 
 @dataclass(frozen=True)
 class FitIntervals:
-    """Stretches that fits have seen, none of them across the bounds of a window or of a contact; arrays (r,).
+    """Unmasked intervals, none of them across the bounds of a window or of a contact; arrays (r,).
 
     Attributes
     ----------
     step
         Row of the step, in order.
     span_s
-        From when to when, on the time axis of the tones' phases, (r, 2).
+        Begin and end on the time axis of the tones' phases, (r, 2).
     window
-        Row of the window that the stretch is part of; -1 for none.
+        Row of the window that the interval is part of; -1 for none.
     contact
         Whether the ball lay on the plate all the while.
     """
@@ -47,7 +47,7 @@ class FitIntervals:
 
     @classmethod
     def whole(cls, span_s: Array) -> Self:
-        """Each step with nothing left out, ``span_s`` (m, 2)."""
+        """One unmasked interval a step, ``span_s`` (m, 2)."""
         m = len(span_s)
         return cls(np.arange(m), span_s, np.full(m, -1), np.zeros(m, dtype=np.bool_))
 
@@ -67,7 +67,7 @@ class FitIntervals:
     def of_blocks(
         cls, first: int, keep: NDArray[np.bool_], window: Ints, contact: NDArray[np.bool_], block_s: float
     ) -> Self:
-        """Of consecutive blocks (n,) from number ``first`` on: which are kept, in which window, on the plate."""
+        """Intervals of consecutive blocks from number ``first`` on: ``keep``, ``window`` and ``contact`` are (n,)."""
         label = np.where(keep, 2 * window + contact, -3)
         starts = np.flatnonzero(np.diff(label, prepend=-4))
         ends = np.append(starts[1:], len(label))
@@ -78,19 +78,19 @@ class FitIntervals:
 
     @cached_property
     def seconds(self) -> Array:
-        """Length of each stretch."""
+        """Length of each interval."""
         return np.asarray(self.span_s[:, 1] - self.span_s[:, 0])
 
     @cached_property
     def in_windows(self) -> Self:
-        """The windows' stretches, ordered by window, which takes the place of the step."""
+        """Intervals within windows, ordered by window; the window takes the place of the step."""
         rows = np.flatnonzero(self.window >= 0)
         rows = rows[np.argsort(self.window[rows], kind="stable")]
         return type(self)(self.window[rows], self.span_s[rows], self.window[rows], self.contact[rows])
 
     @cached_property
     def in_contact(self) -> Self:
-        """The stretches in contact."""
+        """Intervals in contact."""
         rows = self.contact
         return type(self)(self.step[rows], self.span_s[rows], self.window[rows], self.contact[rows])
 
@@ -102,25 +102,25 @@ class FitIntervals:
         return out
 
     def projected(self, e: Array, fitted: NDArray[np.bool_], others: Array, w: float = 0.0) -> Complex:
-        """What least squares with turns ``e`` (n, a), those that are ``fitted``, make of turns ``others + w`` (n, b).
+        """Least-squares projections of exponentials ``others + w`` (n, b) on those of ``e`` (n, a) that are ``fitted``.
 
-        Shape (n, a, b), zero for what is not fitted.
+        Angular frequencies in rad/s. Shape (n, a, b), zero for what is not fitted.
         """
         gram = self.overlaps(e, e) * (fitted[:, :, None] & fitted[:, None, :])
         return solved(gram, self.overlaps(e, others + w) * fitted[:, :, None])
 
 
 def solved(gram: Complex, side: Complex) -> Complex:
-    """Solutions of normal equations (n, a, a) with right sides (n, a, b); unknowns that nothing bears on are zero."""
+    """Solutions of normal equations (n, a, a) with right sides (n, a, b); undetermined unknowns are zero."""
     size = np.sqrt(np.abs(np.diagonal(gram, axis1=1, axis2=2)))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    scaled = gram * scale[:, :, None] * scale[:, None, :] + SLIGHT * np.eye(gram.shape[1])
+    scaled = gram * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(gram.shape[1])
     return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * side))
 
 
 @njit(error_model="numpy")
 def _overlaps(step, span_s, e, others, out):  # type: ignore[no-untyped-def]
-    """Add the stretches' integrals to ``out`` (n, a, b): from both ends' turns, each calculated once."""
+    """Add the intervals' integrals to ``out`` (n, a, b), from the exponentials at both ends."""
     a, b = e.shape[1], others.shape[1]
     ends, starts = np.empty((2, a), dtype=np.complex128), np.empty((2, b), dtype=np.complex128)
     for r in range(step.shape[0]):
@@ -133,7 +133,7 @@ def _overlaps(step, span_s, e, others, out):  # type: ignore[no-untyped-def]
         for i in range(a):
             for j in range(b):
                 apart = others[n, j] - e[n, i]
-                if abs(apart) * length < NEAR:
+                if abs(apart) * length < MIN_PHASE_RAD:
                     out[n, i, j] += length * np.exp(1j * apart * middle)
                 else:
                     turned = starts[1, j] * ends[1, i] - starts[0, j] * ends[0, i]

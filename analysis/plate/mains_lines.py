@@ -1,7 +1,7 @@
-"""The mains line of a step at its own frequency: mains wander, and an exact 50 or 60 Hz would miss part of the motion.
+"""Mains line of a step at its measured frequency: mains wander, and an exact 50 or 60 Hz would miss part of the motion.
 
-The rule kept here: a line is moved only where it stands out of the step, from where the steps before left it; how far
-its frequency is still unknown stays in the covariance of all tones.
+A line's frequency is refined only where its amplitude is significant, starting from the steps before. The remaining
+frequency uncertainty is part of the covariance of all tones.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MAINS_HZ = (50.0, 60.0)
-FARTHEST_HZ = 0.3  # from the nominal frequency: a free-running generator and a clock that is off
-WANDER_HZ = 0.1  # one standard deviation, before anything has been heard
-WALK_HZ = 0.002  # by which mains wander within a second
-STANDS_OUT = 6.0  # sigmas of the amplitude, from which a line is moved
-APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
-LEAST_CYCLES = 5.0  # of a line that is fitted
-LOBE = 0.25  # cycles over a step by which a line may be off and still be seen where it was looked for
-NEAR = 0.1  # cycles over a step between the trial frequencies: the misfit is a parabola there
-BIN_S = 0.2  # summed before a long step is searched: short against a turn of `FARTHEST_HZ`
-SETTLED = 0.1  # of its uncertainty, by which a line may still move
-ROUNDS = 8
+MAX_OFFSET_HZ = 0.3  # largest distance from the nominal frequency: a free-running generator, a clock that is off
+PRIOR_SIGMA_HZ = 0.1  # standard deviation of a line's frequency before any measurement
+WALK_HZ = 0.002  # random walk of the mains frequency within a second
+SIGNIFICANT = 6.0  # amplitude over its uncertainty from which a line's frequency is refined
+MIN_CYCLES_APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
+MIN_CYCLES = 5.0  # cycles of a line within a step, to be fitted
+LOBE = 0.25  # cycles over a step by which a line may be off and still be found from its start
+TRIAL_CYCLES = 0.1  # cycles over a step between the trial frequencies: the misfit is a parabola there
+BIN_S = 0.2  # bin of a long step's search, short against a beat of `MAX_OFFSET_HZ`
+CONVERGED = 0.1  # last change of the frequency over its uncertainty
+MAX_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
 class MainsLine:
-    """A mains line: where it is looked for, where it was heard, how well that is known, and when.
+    """Mains line: nominal frequency, measured frequency with its uncertainty, and the time of the measurement.
 
-    ``slopes`` (k,) are the changes of all the step's fitted tones with the line's frequency; None: not moved.
+    ``slopes`` (k,) are the changes of all the step's fitted tones with the line's frequency; None: not measured.
     """
 
     nominal_hz: float
@@ -45,18 +45,18 @@ class MainsLine:
     slopes: Complexes | None = None
 
     def later(self, at_s: float) -> MainsLine:
-        """What is known of it in another step."""
+        """Prior of the line in another step: the uncertainty grows as a random walk."""
         sigma = float(np.hypot(self.sigma_hz, WALK_HZ * np.sqrt(abs(at_s - self.at_s))))
-        return replace(self, sigma_hz=min(sigma, WANDER_HZ), at_s=at_s, slopes=None)
+        return replace(self, sigma_hz=min(sigma, PRIOR_SIGMA_HZ), at_s=at_s, slopes=None)
 
     @property
     def reach_hz(self) -> float:
-        """How far from `hz` it may be."""
-        return min(3.0 * self.sigma_hz, FARTHEST_HZ)
+        """Half width of the search around `hz`."""
+        return min(3.0 * self.sigma_hz, MAX_OFFSET_HZ)
 
 
-def doubted(fit: ToneFit, lines: Sequence[MainsLine], factor: float) -> ToneFit:
-    """The fit with what the lines' uncertain frequencies add to its covariance; ``factor`` from volts to its unit."""
+def with_frequency_uncertainty(fit: ToneFit, lines: Sequence[MainsLine], factor: float) -> ToneFit:
+    """The fit with the lines' frequency uncertainties in its covariance; ``factor`` from volts to its unit."""
     covariance = fit.covariance
     for line in lines:
         if line.slopes is not None:
@@ -65,22 +65,22 @@ def doubted(fit: ToneFit, lines: Sequence[MainsLine], factor: float) -> ToneFit:
     return replace(fit, covariance=covariance)
 
 
-def line_of(nominal_hz: float) -> MainsLine:
-    """A line of which nothing has been heard yet."""
-    return MainsLine(nominal_hz, nominal_hz, WANDER_HZ, 0.0)
+def unmeasured_line(nominal_hz: float) -> MainsLine:
+    """Prior of a line at its nominal frequency."""
+    return MainsLine(nominal_hz, nominal_hz, PRIOR_SIGMA_HZ, 0.0)
 
 
 def lines_apart(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) -> list[float]:
-    """Those of the lines that a step of this length can tell from its tones."""
-    long_enough = [hz for hz in lines_hz if hz * length_s > LEAST_CYCLES]
-    return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > APART / length_s]
+    """Lines that a step of this length can separate from its tones."""
+    long_enough = [hz for hz in lines_hz if hz * length_s > MIN_CYCLES]
+    return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_CYCLES_APART / length_s]
 
 
-def heard_hz(residual: Floats, time_s: Floats, line: MainsLine, length_s: float) -> float:
-    """Where the line is strongest in a long step's ``residual`` at ``time_s``, both (n,)."""
-    turned = residual * np.exp(-2j * np.pi * line.hz * time_s)
+def strongest_hz(residual: Floats, time_s: Floats, line: MainsLine, length_s: float) -> float:
+    """Frequency near the line's at which ``residual`` (n,) at ``time_s`` (n,) of a long step is strongest."""
+    demodulated = residual * np.exp(-2j * np.pi * line.hz * time_s)
     bins = np.floor((time_s - time_s[0]) / BIN_S).astype(np.int64)
-    sums = np.bincount(bins, turned.real) + 1j * np.bincount(bins, turned.imag)
+    sums = np.bincount(bins, demodulated.real) + 1j * np.bincount(bins, demodulated.imag)
     middles_s = (np.arange(len(sums)) + 0.5) * BIN_S
     count = int(np.ceil(line.reach_hz * length_s / LOBE))
     off_hz = np.arange(-count, count + 1) * LOBE / length_s
@@ -88,7 +88,7 @@ def heard_hz(residual: Floats, time_s: Floats, line: MainsLine, length_s: float)
     return float(line.hz + off_hz[np.argmax(strength)])
 
 
-def moved(
+def refined_line(
     line: MainsLine,
     place: int,
     fit_at: Callable[[float], ToneFit],
@@ -96,42 +96,42 @@ def moved(
     others_hz: Floats,
     length_s: float,
 ) -> MainsLine:
-    """The line where the step's data and what is known of it beforehand want it together.
+    """The line at the maximum of its posterior: Gauss-Newton steps of the fit's misfit plus the Gaussian prior.
 
     Parameters
     ----------
     line
-        What is known beforehand; returned as it is where the line does not stand out, or comes too near another tone.
+        Prior; returned unchanged where the line is not significant or comes too near another tone.
     place
-        Of the line among the fitted tones.
+        Row of the line among the fitted tones.
     fit_at
-        The fit of all tones with the line at a frequency, in volts.
+        Fit of all tones with the line at a given frequency, in volts.
     begin_hz
-        Where to begin.
+        Start of the iteration.
     others_hz
         All other tones of the step, shape (k - 1,).
     length_s
-        Of the step.
+        Length of the step.
     """
-    hz, h = begin_hz, NEAR / length_s
-    for _ in range(ROUNDS):
+    hz, h = begin_hz, TRIAL_CYCLES / length_s
+    for _ in range(MAX_ITERATIONS):
         middle = fit_at(hz)
-        if not abs(middle.amplitudes[place]) > STANDS_OUT * middle.amplitude_sigma()[place]:
+        if not abs(middle.amplitudes[place]) > SIGNIFICANT * middle.amplitude_sigma()[place]:
             return line
         left, right = fit_at(hz - h), fit_at(hz + h)
         misfit = [_misfit(f) / max(middle.rms**2, 1e-300) for f in (left, middle, right)]
-        bend = max((misfit[0] - 2.0 * misfit[1] + misfit[2]) / h**2, 0.0) + 2.0 / line.sigma_hz**2
+        curvature = max((misfit[0] - 2.0 * misfit[1] + misfit[2]) / h**2, 0.0) + 2.0 / line.sigma_hz**2
         slope = (misfit[2] - misfit[0]) / (2.0 * h) + 2.0 * (hz - line.hz) / line.sigma_hz**2
-        step = float(np.clip(-slope / bend, -2.0 * h, 2.0 * h))
+        step = float(np.clip(-slope / curvature, -2.0 * h, 2.0 * h))
         hz += step
-        if abs(hz - line.nominal_hz) > FARTHEST_HZ or np.abs(others_hz - hz).min() < APART / length_s:
+        if abs(hz - line.nominal_hz) > MAX_OFFSET_HZ or np.abs(others_hz - hz).min() < MIN_CYCLES_APART / length_s:
             return line
-        sigma = float(np.sqrt(2.0 / bend))
-        if abs(step) < SETTLED * sigma:
+        sigma = float(np.sqrt(2.0 / curvature))
+        if abs(step) < CONVERGED * sigma:
             return replace(line, hz=hz, sigma_hz=sigma, slopes=(right.amplitudes - left.amplitudes) / (2.0 * h))
     return line
 
 
 def _misfit(fit: ToneFit) -> float:
-    """Sum of squares that a fit leaves."""
+    """Residual sum of squares of a fit."""
     return fit.rms**2 * (fit.n - 2 * len(fit.amplitudes) - 1)

@@ -1,7 +1,6 @@
-"""Accelerometer volts to what the plate really did: every tone of every step, against the drive.
+"""Measured plate motion as a value: tones of every step with their covariance, windows, slow motion, phase.
 
-The rule kept here: an amplitude is stated with its covariance, impacts are masked for as long as they ring, and what
-belongs to contact and to flight is also fitted apart. Phases refer to sample 0 of the recording; positive is up.
+Phases refer to sample 0 of the recording; positive is up.
 """
 
 from __future__ import annotations
@@ -19,56 +18,64 @@ from model.tones import Plate
 
 Floats = npt.NDArray[np.float64]
 TWO_PI = 2.0 * np.pi
-CHANCE = 1e-5  # of a slow line in noise alone, below which it is reported
+FALSE_ALARM = 1e-5  # probability of a slow line in noise alone, below which it is reported
+MIN_VALUES = 16  # values of the slow residual needed for a spectrum
+MIN_BINS = 8  # bins of the spectrum needed for its background
+MAX_LINES = 3
+PADDING = 4  # zero padding of the spectrum
+LINE_BINS = 12  # bins on either side of a line that belong to it
+BELOW_FORCING = 0.9  # upper end of the search, in units of the forcing frequency
 
 
 @dataclass(frozen=True)
-class Line:
-    """A line in the plate's motion below the forcing: frequency, amplitude, and odds of seeing it in noise alone."""
+class SpectralLine:
+    """Line in the plate's motion below the forcing."""
 
     frequency_hz: float
     amplitude_mps2: float
-    false_alarm: float
 
 
 @dataclass(frozen=True)
 class SlowMotion:
-    """What is left of the acceleration below the forcing, at a low rate: ``mps2`` at ``time_s``; NaN: masked."""
+    """Residual acceleration below the forcing at a low rate, ``mps2`` at ``time_s``; NaN: masked."""
 
     time_s: Floats
     mps2: Floats
 
 
-def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[Line, ...]:
-    """Lines below 0.9 of the forcing that stand out of the residual's background, strongest first, at most three."""
+def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...]:
+    """Significant spectral lines below the forcing, strongest first, at most `MAX_LINES`.
+
+    The false-alarm probability is that of the largest of independent exponentially distributed powers.
+    """
     known = np.isfinite(slow.mps2)
-    if known.sum() < 16:
+    if known.sum() < MIN_VALUES:
         return ()
     step_s = float(np.median(np.diff(slow.time_s)))
     x = np.where(known, slow.mps2 - np.nanmean(slow.mps2), 0.0) * np.hanning(slow.mps2.size)
     gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
-    spectrum = np.abs(np.fft.rfft(x, 4 * x.size)) / gain
-    f = np.fft.rfftfreq(4 * x.size, step_s)
-    band = (f > 2.0 / (x.size * step_s)) & (f < 0.9 * frequency_hz)
-    if band.sum() < 8:
+    spectrum = np.abs(np.fft.rfft(x, PADDING * x.size)) / gain
+    f = np.fft.rfftfreq(PADDING * x.size, step_s)
+    band = (f > 2.0 / (x.size * step_s)) & (f < BELOW_FORCING * frequency_hz)
+    if band.sum() < MIN_BINS:
         return ()
     power = np.where(band, spectrum, 0.0) ** 2
     background = float(np.median(power[band])) / np.log(2.0)
     cells = max(band.sum() / 8.0, 1.0)
     found = []
-    for _ in range(3):
+    for _ in range(MAX_LINES):
         k = int(np.argmax(power))
         chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
-        if chance > CHANCE:
+        if chance > FALSE_ALARM:
             break
-        found.append(Line(float(f[k]), float(np.sqrt(power[k])), float(chance)))
-        power[max(k - 12, 0) : k + 13] = 0.0
+        found.append(SpectralLine(float(f[k]), float(np.sqrt(power[k]))))
+        power[max(k - LINE_BINS, 0) : k + LINE_BINS + 1] = 0.0
     return tuple(found)
 
 
 @dataclass(frozen=True)
 class Windows:
-    """The tones' amplitudes within a step, a few cycles at a time: slow modulation shows here.
+    """Amplitudes of the forcing's tones within windows of a few cycles: the slow modulation of a step.
 
     Attributes
     ----------
@@ -78,9 +85,9 @@ class Windows:
     amplitudes : complex array, shape (w, tones)
         m/s^2, same phase reference as the step's fit; NaN where too much is masked.
     uncertainty_mps2 : array, shape (w, tones)
-        Of each quadrature, from the noise within windows.
+        Uncertainty of each quadrature, from the noise within windows.
     drive_v, drive_uncertainty_v : arrays, shape (w, tones)
-        The drive's own, V; zeros where it was not recorded.
+        Amplitudes of the drive, V; zeros where it was not recorded.
     """
 
     time_s: Floats
@@ -90,12 +97,12 @@ class Windows:
     drive_v: npt.NDArray[np.complex128]
     drive_uncertainty_v: Floats
 
-    def swell(
+    def relative_amplitude(
         self, tones: npt.NDArray[np.complex128], drive: npt.NDArray[np.complex128] | None = None
     ) -> tuple[Floats, Floats]:
-        """By how much all tones together are larger than ``tones`` (tones,), relatively, and its uncertainty, (w,).
+        """Relative deviation of all tones together from ``tones`` (tones,) in each window, and its uncertainty, (w,).
 
-        With the step's ``drive`` amplitudes (tones,), what the drive itself asks for in a window is no deviation.
+        With the step's ``drive`` amplitudes (tones,), the deviation is that beyond the drive's own in the window.
         """
         power, wanted = float(np.sum(np.abs(tones) ** 2)), np.broadcast_to(tones, self.amplitudes.shape)
         variance = np.sum(np.abs(tones) ** 2 * self.uncertainty_mps2**2, axis=1)
@@ -116,17 +123,19 @@ class StepPlate:
     first_sample, last_sample : int
         The part that was fitted, ``[first, last)``.
     frequency_hz, frequency_uncertainty_hz : float
-        Of the first tone, on the recording's clock (measured on the drive where that tells more than the step table).
+        First tone on the recording's clock, measured where the drive or the accelerometer shows a difference.
     nominal_hz : float
-        The step table's.
+        Frequency of the step table.
     ratio : int
         c.
     multiples : tuple of int
-        Which multiple of the frequency each of the first fitted tones is; mains lines follow after them.
+        Multiple of the frequency of each fitted tone; mains lines follow after them.
     acceleration : ToneFit
         m/s^2, masked after impacts.
     drive : ToneFit or None
         V, looped back; None where it was not recorded.
+    contact_flight : ContactFlightFit
+        Separate amplitudes in contact and in flight, see `contact` and `flight`.
     gamma, gamma_uncertainty : float
         ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
     gamma_peak : float
@@ -139,8 +148,8 @@ class StepPlate:
         Fraction of the hold left out after impacts.
     windows : Windows
     slow : SlowMotion
-    kept : Kept
-        What of the hold the fits have seen.
+    intervals : FitIntervals
+        Unmasked times of the hold.
     """
 
     step: int
@@ -153,7 +162,7 @@ class StepPlate:
     multiples: tuple[int, ...]
     acceleration: ToneFit
     drive: ToneFit | None
-    sides: ContactFlightFit
+    contact_flight: ContactFlightFit
     gamma: float
     gamma_uncertainty: float
     gamma_peak: float
@@ -162,25 +171,25 @@ class StepPlate:
     masked: float
     windows: Windows
     slow: SlowMotion
-    kept: FitIntervals
+    intervals: FitIntervals
 
     @cached_property
-    def _apart(self) -> tuple[ToneFit | None, ToneFit | None]:
-        return self.sides.solve()
+    def _solved(self) -> tuple[ToneFit | None, ToneFit | None]:
+        return self.contact_flight.solve()
 
     @property
     def contact(self) -> ToneFit | None:
-        """The forcing's tones and the offset in contact, m/s^2; None where there is too little of either side."""
-        return self._apart[0]
+        """Forcing tones and offset in contact, m/s^2; None where contact or flight is too short."""
+        return self._solved[0]
 
     @property
     def flight(self) -> ToneFit | None:
-        """The same in flight."""
-        return self._apart[1]
+        """Forcing tones and offset in flight, m/s^2; None where contact or flight is too short."""
+        return self._solved[1]
 
     @cached_property
-    def lines(self) -> tuple[Line, ...]:
-        """Lines below the forcing that stand out of the background, strongest first, at most three."""
+    def lines(self) -> tuple[SpectralLine, ...]:
+        """Significant spectral lines below the forcing, strongest first."""
         return slow_lines(self.slow, self.frequency_hz)
 
     @property
@@ -199,21 +208,21 @@ class StepPlate:
         """``(1,)`` at c = 1, else ``(1, c)``."""
         return (1,) if self.ratio == 1 else (1, self.ratio)
 
-    def swell(self) -> tuple[Floats, Floats]:
+    def relative_amplitude(self) -> tuple[Floats, Floats]:
         """Relative deviation of the forcing's amplitude in each window beyond the drive's own; its uncertainty."""
         rows = [self.multiples.index(m) for m in self.forcing_multiples]
         drive = None if self.drive is None else self.drive.amplitudes[rows]
-        return self.windows.swell(self.acceleration.amplitudes[rows], drive)
+        return self.windows.relative_amplitude(self.acceleration.amplitudes[rows], drive)
 
     def plate(self, significance: float = 4.0) -> Plate:
-        """The fitted motion: the forcing's tones, and harmonics and mains lines that stand out by ``significance``."""
+        """Fitted motion: the forcing's tones, and harmonics and mains lines above ``significance`` sigma."""
         fit = self.acceleration
         strong = np.abs(fit.amplitudes) > significance * fit.amplitude_sigma()
         strong[[i for i, m in enumerate(self.multiples) if m in self.forcing_multiples]] = True
         return Plate(TWO_PI * fit.frequencies_hz[strong], fit.amplitudes[strong])
 
     def forcing(self) -> Plate:
-        """The forcing's tones alone, as measured."""
+        """Fitted motion at the forcing's tones alone."""
         rows = [self.multiples.index(m) for m in self.forcing_multiples]
         fit = self.acceleration
         return Plate(TWO_PI * fit.frequencies_hz[rows], fit.amplitudes[rows])
@@ -221,7 +230,18 @@ class StepPlate:
 
 @dataclass(frozen=True)
 class PlateMotion:
-    """The plate over a whole recording; ``steps[k]`` is None where a step has too little to fit."""
+    """Plate motion over a whole recording.
+
+    Attributes
+    ----------
+    steps : tuple of StepPlate or None
+        None where a step is too short to be fitted.
+    noise_mps2 : float
+        White noise of the accelerometer.
+    rate_hz : float
+    gaps : int array, shape (k, 2)
+        Sample before which samples were lost, and how many.
+    """
 
     steps: tuple[StepPlate | None, ...]
     noise_mps2: float
@@ -270,8 +290,8 @@ class PlateMotion:
                 if len(fitted.forcing_multiples) == 1:
                     omega[1, k] = 0.0
         row_of = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
-        turned = np.exp(1j * omega[:, row_of] * self.true_time_s(time_s))
-        return np.asarray((z[:, row_of] * turned).real.sum(axis=0))
+        rotation = np.exp(1j * omega[:, row_of] * self.true_time_s(time_s))
+        return np.asarray((z[:, row_of] * rotation).real.sum(axis=0))
 
     def _table(self) -> tuple[Floats, Floats]:
         omega = np.array([np.nan if s is None else s.omega_radps for s in self.steps])

@@ -1,6 +1,6 @@
-"""Tones as turns: shifted, swelling, and their means over whole spans, in closed form.
+"""Closed-form sums of complex exponentials: frequency shifts, amplitude modulation, means over intervals.
 
-The rule kept here: a tone is a pair of turns ``exp(i w t)`` and ``exp(-i w t)``.
+A tone is a pair of complex exponentials ``exp(i w t)`` and ``exp(-i w t)``.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def turns(omega: Array) -> Array:
-    """Angular frequencies of a constant and of tones (n, k) in both senses, (n, 2 k + 1)."""
+def signed_frequencies(omega: Array) -> Array:
+    """Angular frequencies of a constant and of tones (n, k) with both signs, (n, 2 k + 1)."""
     return np.column_stack([np.zeros(len(omega)), omega, -omega])
 
 
 def modulated_projection(up: Complex, down: Complex, phase: Array) -> Complex:
     """Projections of tones times ``sin(w t + phase)``, from those shifted up and down by w, (n, a, b)."""
-    turn = np.exp(1j * phase)[:, None, None]
-    return np.asarray((turn * up - np.conj(turn) * down) / 2j)
+    rotation = np.exp(1j * phase)[:, None, None]
+    return np.asarray((rotation * up - np.conj(rotation) * down) / 2j)
 
 
 def two_sided(z: Complex) -> Complex:
-    """Real tones (n, 2) as amplitudes of turns in both senses, (n, 4)."""
+    """Amplitudes of real tones (n, 2) at both signs of their frequencies, (n, 4)."""
     return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)
 
 
 def mean_phasor(span_s: Array, w: Array) -> Complex:
-    """Mean of ``exp(i w t)`` over spans (n, 2) at each of ``w`` (f,), (f, n)."""
+    """Mean of ``exp(i w t)`` over intervals (n, 2) at each of ``w`` (f,), (f, n)."""
     middle, half = span_s.mean(axis=1), 0.5 * np.diff(span_s, axis=1)[:, 0]
     return np.asarray(np.exp(1j * w[:, None] * middle) * np.sinc(w[:, None] * half / np.pi))

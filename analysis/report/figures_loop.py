@@ -17,6 +17,7 @@ from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
 from analysis.report.style import AFTER, BEFORE, FLOOR, figure
 from analysis.report.wording import plain
+from analysis.statistics import mad_sigma
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ def draw_errors(loop: ClosedLoop, folder: Path, badge: str) -> None:
         for s in range(m):
             rows = ev.judged & (ev.measured.step == s) & np.isfinite(x)
             if rows.any():
-                out[s] = 1.4826e6 * np.median(np.abs(x[rows]))
+                out[s] = 1e6 * mad_sigma(x[rows])
         return out
 
     floor = np.array(

@@ -14,6 +14,7 @@ from analysis.loop.verdict import Failed
 from analysis.report.wording import microseconds, plain, probability, rejected_in_words
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import KINDS
+from analysis.statistics import mad_sigma
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects.registry import effect
 
@@ -52,7 +53,7 @@ def _what_was_off(loop: ClosedLoop, limits: Thresholds) -> list[str]:
             continue
         middle = float(np.median(known))
         when = "later" if middle > 0 else "earlier"
-        size = 1.4826 * float(np.median(np.abs(known)))
+        size = mad_sigma(known)
         out.append(
             f"{event} came {microseconds(abs(middle))} us {when} than the declared model says (median); they miss it "
             f"by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."

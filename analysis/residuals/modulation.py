@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
-from analysis.plate.phasors import mean_phasor, modulated_projection, turns, two_sided
+from analysis.plate.phasors import mean_phasor, modulated_projection, signed_frequencies, two_sided
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
+from analysis.statistics import mad_sigma
 from model.integrator.one_step import PlateSteps
 
 Array = NDArray[np.float64]
@@ -200,7 +201,7 @@ class AmplitudeModulation:
             if len(self._pitches) >= KEPT:
                 self._pitches.clear()
             w, of = 2.0 * np.pi * hz, self.window_step
-            e, own = turns(self.omega_radps), turns(self.omega_radps[:, :2])
+            e, own = signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, :2])
             windows = self.kept.in_windows
             every, forced = _in_both_senses(self.seen_mps2 != 0.0), _in_both_senses(self._forced)
             up, down = (self.kept.projected(e, every, own[:, 1:], x)[:, 1:] for x in (w, -w))
@@ -321,7 +322,9 @@ class AmplitudeModulation:
     @cached_property
     def _others(self) -> Complex:
         """What windows make of the tones beyond the forcing's two, (w, 4, b)."""
-        own, others = (turns(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None)))
+        own, others = (
+            signed_frequencies(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None))
+        )
         forced = _in_both_senses(self._forced)[self.window_step]
         return self.kept.in_windows.projected(own, forced, others[:, 1:])[:, 1:]
 
@@ -373,7 +376,9 @@ def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
 def _kept(fitted: Sequence[StepPlate]) -> FitIntervals:
     """What the fits of all steps have seen; windows of steps that have too few of them are none."""
     count = [len(s.windows.time_s) if len(s.windows.time_s) >= LEAST_WINDOWS else 0 for s in fitted]
-    parts = [replace(s.kept, window=np.where(n > 0, s.kept.window, -1)) for s, n in zip(fitted, count, strict=True)]
+    parts = [
+        replace(s.intervals, window=np.where(n > 0, s.intervals.window, -1)) for s, n in zip(fitted, count, strict=True)
+    ]
     return FitIntervals.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
 
 
@@ -395,4 +400,4 @@ def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:
 def _scatter(x: Array) -> float:
     """Robust standard deviation of what is finite; 0 where there is too little."""
     x = x[np.isfinite(x)]
-    return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) >= LEAST else 0.0
+    return mad_sigma(x - np.median(x)) if len(x) >= LEAST else 0.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from analysis.events.edge_jitter import with_jitter
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
-from analysis.plate.measure import StepPlate
+from analysis.plate.motion import StepPlate
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
@@ -214,7 +214,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
     sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
     sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
     weak = np.full(len(judged), np.inf)
-    if flights.edges.witness is not None:
+    if flights.edges.sensor_offset is not None:
         weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)

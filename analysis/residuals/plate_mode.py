@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals, solved
-from analysis.plate.phasors import turns
+from analysis.plate.phasors import signed_frequencies
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
 from model.integrator.one_step import PlateSteps, Predicted
@@ -169,7 +169,7 @@ class Ringing:
     @cached_property
     def _turns(self) -> Array:
         """The constant and both senses of every tone, (m, 1 + 2 k)."""
-        return turns(self.omega_radps[:, 1:])
+        return signed_frequencies(self.omega_radps[:, 1:])
 
     def _fitted(self, tones: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which turns a fit of the constant and of ``tones`` (n, k) has, (n, 1 + 2 k)."""

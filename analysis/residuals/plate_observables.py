@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.plate.measure import StepPlate
+from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
 from model.effects.registry import registry
 from model.tones import STANDARD_GRAVITY_MPS2
@@ -198,7 +198,7 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[f
             )
         )
     if len(s.windows.time_s) >= LEAST_WINDOWS:
-        for value, sigma in zip(*s.swell(), strict=True):
+        for value, sigma in zip(*s.relative_amplitude(), strict=True):
             rows.append((MODULATION, i, value, float(np.hypot(sigma, SYSTEMATIC)), 0.0, asked, first))
     return rows
 

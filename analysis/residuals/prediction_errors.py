@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.statistics import MAD_TO_SIGMA
 from model.integrator.one_step import Predicted
 
 Array = NDArray[np.float64]
 
 GRAZING = 6.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
 REACH_SIGMAS = 3.0  # within which a measured number may be off
-ROBUST = 1.4826
 DRAWS, CHANCE = 4000, 1e-3  # of noise, for what it hardly exceeds
 
 
@@ -116,8 +116,8 @@ def held_out_errors(
         _rms_us(landing),
         1e6 * low,
         1e6 * high,
-        1e6 * ROBUST * float(np.median(np.abs(landing))),
-        1e6 * ROBUST * float(np.median(np.abs(opening))) if len(opening) else float("nan"),
+        1e6 * MAD_TO_SIGMA * float(np.median(np.abs(landing))),
+        1e6 * MAD_TO_SIGMA * float(np.median(np.abs(opening))) if len(opening) else float("nan"),
         _rms_us(opening),
         float(np.median(relative)),
         len(rows),

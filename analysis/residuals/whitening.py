@@ -26,6 +26,7 @@ from analysis.residuals.noise_model import (
     robust_loss,
 )
 from analysis.residuals.plate_observables import PlateData
+from analysis.statistics import mad_sigma
 from kernels import njit
 
 Array = NDArray[np.float64]
@@ -228,7 +229,7 @@ class _Blocks:
         """The excess raised while residuals scatter by more than a unit once what a step shares is taken out."""
         for _ in range(RAISES):
             z, _ = self.unit(both(excess))
-            scale = 1.4826 * float(np.median(np.abs(z[rows]))) if rows.sum() >= ENOUGH_EVENTS else 0.0
+            scale = mad_sigma(z[rows]) if rows.sum() >= ENOUGH_EVENTS else 0.0
             if scale <= RAISED_FROM:
                 break
             typical = float(np.median(np.hypot(self.edges[rows], excess)))

@@ -1,1 +1,4 @@
-"""TODO what signals is for."""
+"""Recordings as pieces of volts in bounded memory.
+
+Other rooms take `stream`.
+"""

@@ -1,7 +1,6 @@
-"""A recording piece by piece, in one pass and bounded memory, however long it is.
+"""Recordings read piece by piece, as float32 volts, in bounded memory.
 
-The rule kept here: every sample is read once (the survey of a long recording reads a few pieces more), as float32
-volts, in pieces that overlap just enough for what looks around an event.
+Pieces carry neighbouring samples on both sides for detectors that need the surroundings of an event.
 """
 
 from __future__ import annotations
@@ -15,17 +14,19 @@ import numpy.typing as npt
 from daq.recording import Recording
 from kernels import njit
 
-PIECE = 1 << 17
-SURVEY_PIECE = 1 << 16
-PAD = 128  # samples of neighbours on both sides of a piece
-SURVEY_PIECES = 5
+PIECE = 1 << 17  # samples of a piece
+PAD = 128  # neighbouring samples on both sides of a piece
+SURVEY_PIECE, SURVEY_PIECES = 1 << 16, 5  # samples and number of the pieces of a survey
 
 Volts = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples ``first, ..., first + count - 1`` with ``PAD`` neighbours (edge values repeated at the ends)."""
+    """Raw volts of samples ``first, ..., first + count - 1`` and ``PAD`` neighbours on both sides.
+
+    Edge values are repeated at the ends of the recording.
+    """
 
     first: int
     count: int
@@ -36,9 +37,13 @@ class Piece:
         """One past the last sample."""
         return self.first + self.count
 
+    def trim(self, x: Volts) -> Volts:
+        """``x`` (count + 2 PAD,) without the neighbours."""
+        return x[PAD : PAD + self.count]
+
     def own(self, channel: str) -> Volts:
-        """The piece's own samples of a channel, without neighbours."""
-        return self.channels[channel][PAD : PAD + self.count]
+        """Samples of a channel without the neighbours."""
+        return self.trim(self.channels[channel])
 
 
 def read_piece(recording: Recording, channels: tuple[str, ...], first: int, count: int) -> Piece:

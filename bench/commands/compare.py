@@ -27,7 +27,7 @@ def command(
     Example: bench compare run.h5 --profile better.toml --figures pictures
     """
     from analysis.flights.compare import compare
-    from analysis.flights.plausibility import doubts
+    from analysis.flights.plausibility import plausibility_warnings
     from analysis.report.gamma import gamma_scale
     from bench.commands.reprocess import draw, with_progress
     from bench.outputs import JSON, File, Folder, check_outputs
@@ -52,7 +52,7 @@ def command(
             held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
             if figures is not None:
                 draw(opened, table, figures)
-            odd = doubts(opened, table.plate)
+            odd = plausibility_warnings(opened, table.plate)
             write_json(as_json(held) | {"doubts": odd}, json)
             if json != "-":
                 scale = gamma_scale(opened.setup.forcing, held.ratio)
@@ -106,7 +106,7 @@ def _step_json(own: StepComparison) -> dict[str, Any]:
         "flights": own.measured.flights,
         "double_hits": own.measured.double_hits,
         "predicted": own.predicted,
-        "doubt": own.doubt or None,
+        "doubt": own.unfit_reason or None,
         "predicted_flight_times_s": own.predicted_s.tolist(),
         "mean_ratio": _finite(own.mean_ratio),
         "rms_s": _finite(own.rms_s),
@@ -142,7 +142,7 @@ def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> N
         model = s.predicted.replace("with ", "").replace(", period ", " p").replace("at rest on the plate", "at rest")
         shown.add_row(
             str(s.step), f"{scale.factor * s.gamma:.4f}", s.measured.label, model,
-            str(s.measured.flights), ratio, rms, "?" if s.doubt else "",
+            str(s.measured.flights), ratio, rms, "?" if s.unfit_reason else "",
         )  # fmt: skip
     console = Console()
     console.print(shown)
@@ -158,8 +158,8 @@ def doubts(held: Comparison) -> list[str]:
     }
     found: dict[str, list[str]] = {}
     for s in held.steps:
-        if s.doubt:
-            found.setdefault(s.doubt, []).append(str(s.step))
+        if s.unfit_reason:
+            found.setdefault(s.unfit_reason, []).append(str(s.step))
     return [f"? {name} ({why.get(name, name)}): step {', '.join(steps)}" for name, steps in found.items()]
 
 

@@ -27,7 +27,7 @@ def command(
     Example: bench reprocess run.h5 --flights flights.csv --figures pictures
     """
     from analysis.flights.classify import classify
-    from analysis.flights.plausibility import doubts
+    from analysis.flights.plausibility import plausibility_warnings
     from analysis.flights.table import write_csv
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
@@ -46,7 +46,7 @@ def command(
                 write_csv(table, flights)
             if figures is not None:
                 draw(opened, table, figures)
-            odd = doubts(opened, table.plate)
+            odd = plausibility_warnings(opened, table.plate)
             write_json(as_json(opened, table, classes) | {"doubts": odd}, json)
             if json != "-":
                 _print(opened, table, classes)
@@ -88,7 +88,7 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
     from analysis.flights.assemble import FlightFlag
 
     report = table.edges
-    witness = report.witness
+    witness = report.sensor_offset
     return {
         "recording": opened.path.name,
         "simulated": bool(opened.attrs.get("simulated")),
@@ -196,7 +196,7 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
     print_lines(*notes)
     counts = ", ".join(f"{f.name} {int(table.has(f).sum())}" for f in FlightFlag if table.has(f).any())
     print_lines(f"{len(table)} intervals in the air; flags: {counts or 'none'}")
-    witness = table.edges.witness
+    witness = table.edges.sensor_offset
     if table.edges.levels is None:
         print_lines("no continuity channel: only the plate was analysed")
     elif witness is None:

@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from analysis.events.impact_detection import ONSET_S
+from analysis.events.sensor_offset import ONSET_S
 from analysis.flights.assemble import Flights, flights_of
-from analysis.plate.measure import StepPlate
+from analysis.plate.motion import StepPlate
 from bench.commands.plan import planned, refusal
 from bench.commands.ramp import record
 from daq.recording import open_recording
@@ -89,7 +89,7 @@ def contact(profile: Profile, backend: Backend) -> list[Measured]:
     if channel is None:
         raise InputError("channels.continuity: the profile has no contact circuit to calibrate")
     _, flights = _run(profile, backend, CONTACT_PEAKS)
-    levels, witness = flights.edges.levels, flights.edges.witness
+    levels, witness = flights.edges.levels, flights.edges.sensor_offset
     seen = int(np.count_nonzero(flights.good()))
     if levels is None or seen < LEAST_PAIRS:
         raise InputError(f"contact: {seen} flights were seen, wanted {LEAST_PAIRS}; is the block on, the wire whole?")

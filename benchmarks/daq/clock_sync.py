@@ -79,7 +79,7 @@ def events(ppm: float, ppm_per_minute: float) -> None:
           f"rate {rows['rate'][0] * 1e6:.4f} to {rows['rate'][-1] * 1e6:.4f} ppm, "
           f"known to {rows['rate_uncertainty'].max() * 1e6:.4f} ppm; "
           f"frequency of the steps {steps['frequency_hz'][0]:.6f} to {steps['frequency_hz'][-1]:.6f} Hz")  # fmt: skip
-    seen = ~flights.has(FlightFlag.FALSE | FlightFlag.WITNESS | FlightFlag.CUT)
+    seen = ~flights.has(FlightFlag.FALSE | FlightFlag.ACCELEROMETER | FlightFlag.CUT)
     for name, own in (("take-offs", flights.takeoff_s[seen]), ("landings", flights.landing_s[seen])):
         true = np.array(device.events["left_s" if name == "take-offs" else "landed_s"]) - begin_s
         for label, times in (("by the map", played_s(own, rows, gaps, RATE_HZ)), ("nominal", nominal(own, rows))):

@@ -3,7 +3,7 @@
     python -m benchmarks.rig.amplitude_loop [--quick]
 
 Worst relative error of a tone's amplitude and worst error of its phase over the holds of all steps of a ramp, the ball
-bouncing. Two judges that are not the loop: the analysis (`analysis.plate.measure`), and a twin: the same plant, given
+bouncing. Two judges that are not the loop: the analysis (`analysis.flights.scan`), and a twin: the same plant, given
 the same drive bit for bit, whose sensor has neither noise nor ringing, fitted with nothing masked.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.plate.measure import plate_of
+from analysis.flights.scan import plate_of
 from bench.profiles.find import load
 from daq.lock_in import fit_tones
 from daq.recording import Recording, RecordingWriter, open_recording

@@ -125,7 +125,7 @@ def compare(path: Path, events: Path) -> None:
         lag_ms = 1e3 * float(recording.steps["first_sample"][0]) / RATE_HZ
         jumps = int(np.count_nonzero(recording.clock_readings["jump"]))
     true = np.load(events)
-    seen = ~flights.has(FlightFlag.FALSE | FlightFlag.WITNESS | FlightFlag.CUT)
+    seen = ~flights.has(FlightFlag.FALSE | FlightFlag.ACCELEROMETER | FlightFlag.CUT)
     print(f"flights {len(flights)}, frames the server skipped {int(true['skipped'])}, jumps of the clocks {jumps}; "
           f"rate {rows['rate'][0] * 1e6:.3f} to {rows['rate'][-1] * 1e6:.3f} ppm, "
           f"known to {rows['rate_uncertainty'].max() * 1e6:.3f}, "

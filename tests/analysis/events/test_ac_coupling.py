@@ -10,7 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from analysis.events.ac_coupling import USUAL_CORNER_HZ, Coupling, LevelRestorer, measure_coupling
-from analysis.events.edges import CLOSES, OPENS, Crossings, CrossingScan, Levels, time_edges
+from analysis.events.crossings import CLOSES, OPENS, Crossings, CrossingScan
+from analysis.events.edges import time_edges
+from analysis.events.levels import Levels
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.signals.stream import PAD, Piece
 from daq.recording import RecordingWriter, open_recording
@@ -148,7 +150,9 @@ def twins(make, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, P
         channels = recording.setup.channels.model_copy(update={"continuity": continuity})
         setup = recording.setup.model_copy(update={"channels": channels})
         crept = volts.copy()
-        plain = edges.good() & ~edges.has(FlightFlag.WITNESS) & (edges.contact_s > 5e-3) & (edges.duration_s > 2e-2)
+        plain = (
+            edges.good() & ~edges.has(FlightFlag.ACCELEROMETER) & (edges.contact_s > 5e-3) & (edges.duration_s > 2e-2)
+        )
         crept_at = edges.takeoff_s[plain][5]
         at, until = round(crept_at * RATE), round(edges.landing_s[plain][5] * RATE) - 4
         crept[at - 1 : until] = np.linspace(0.0, 5.0, until - at + 1)
@@ -195,7 +199,7 @@ def test_after_lost_samples_the_next_landing_is_not_trusted(
     gap_s = at / RATE
     after = torn.landing_s > gap_s
     assert torn.has(FlightFlag.UNSURE)[after][0]
-    later = np.flatnonzero(after & ~torn.has(FlightFlag.WITNESS))[2:]  # of the contact circuit alone
+    later = np.flatnonzero(after & ~torn.has(FlightFlag.ACCELEROMETER))[2:]  # of the contact circuit alone
     true = whole.landing_s[whole.landing_s > gap_s + lost / RATE]
     off = np.abs(torn.landing_s[later][:, None] + lost / RATE - true[None, :]).min(axis=1)
     assert later.size > 10 and off.max() < 5e-5

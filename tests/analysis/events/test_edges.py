@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.edges import CLOSES, DIP, OPENS, CrossingScan, Levels, measure_levels, time_edges
+from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
+from analysis.events.edges import time_edges
+from analysis.events.levels import Levels, measure_levels
 
 RATE = 20000.0
 

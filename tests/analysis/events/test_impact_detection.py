@@ -1,4 +1,4 @@
-"""Impacts from piece to piece."""
+"""Impacts detected in successive pieces."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.events.impact_detection import ImpactScan
-from analysis.events.impact_template import LEAD, Waveform, echo_samples, learn_waveform
+from analysis.events.impact_template import LEAD, ImpactTemplate, echo_samples, template_from_snippets
 from analysis.signals.stream import PAD
 
 RATE_HZ = 20000.0
@@ -20,20 +20,20 @@ def ringing(n: int, at: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def waveform() -> Waveform:
+def waveform() -> ImpactTemplate:
     """Learnt from lone impacts."""
     rng = np.random.default_rng(0)
     at = 400.0 + 700.0 * np.arange(40) + rng.random(40)
     volts = ringing(29000, at, rng)
     first = np.ceil(at).astype(int)
     snippets = np.array([volts[b - LEAD : b - LEAD + echo_samples(RATE_HZ)] for b in first], dtype=np.float64)
-    learnt = learn_waveform(snippets, first - at, 0.003, RATE_HZ, np.array([25.37]))
+    learnt = template_from_snippets(snippets, first - at, 0.003, RATE_HZ, np.array([25.37]))
     assert learnt is not None
     return learnt
 
 
 @pytest.mark.parametrize("early", range(2, 34, 4))
-def test_no_impact_is_heard_before_itself_at_the_end_of_a_piece(waveform: Waveform, early: int) -> None:
+def test_no_impact_is_detected_before_itself_at_the_end_of_a_piece(waveform: ImpactTemplate, early: int) -> None:
     """A piece that ends shortly before an impact begins does not take the echo of the filter for one."""
     rng = np.random.default_rng(1)
     volts = ringing(4000, np.array([2000.3]), rng)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.events.impact_template import ECHO, FINE, LEAD, _known_part, learn_waveform
+from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, ringing_part, template_from_snippets
 
 RATE_HZ = 20_000.0
 
@@ -12,9 +12,9 @@ def test_a_brief_impact_keeps_its_onset_in_the_noise_of_few_landings() -> None:
     """Ten landings whose mean is noisier than a tenth of the peak: the onset is the spike's, and nothing follows it."""
     rng = np.random.default_rng(5)
     spike, noise = np.array([-12.0, 7.0, -4.0, 2.0, -1.0]), 0.4
-    snippets = noise * rng.standard_normal((10, ECHO))
+    snippets = noise * rng.standard_normal((10, MIN_ECHO))
     snippets[:, LEAD : LEAD + len(spike)] += spike * rng.uniform(0.3, 1.0, (10, 1))
-    waveform = learn_waveform(snippets, rng.uniform(0.0, 1.0, 10), noise, RATE_HZ, np.array([25.0]))
+    waveform = template_from_snippets(snippets, rng.uniform(0.0, 1.0, 10), noise, RATE_HZ, np.array([25.0]))
     assert waveform is not None
     loud = np.flatnonzero(np.abs(waveform.fine) > 0.3 * np.abs(waveform.fine).max()) / FINE - LEAD
     assert loud.min() == pytest.approx(0.5, abs=1.0)
@@ -29,7 +29,7 @@ def test_what_goes_on_slowly_under_an_impact_is_no_part_of_it() -> None:
     rings = np.where(lag_s > 0.0, 30.0 * np.exp(-lag_s / 1e-3) * np.sin(2.0 * np.pi * 1700.0 * lag_s), 0.0)
     swings = np.where(lag_s > 0.0, -1.5 + 60.0 * lag_s, 0.0)
     snippets = rings + swings + 0.1 * rng.standard_normal((60, echo))
-    waveform = learn_waveform(snippets, np.full(60, 0.5), 0.1, RATE_HZ, np.array([25.0]))
+    waveform = template_from_snippets(snippets, np.full(60, 0.5), 0.1, RATE_HZ, np.array([25.0]))
     assert waveform is not None
     middle = slice((LEAD + 40) * FINE, (LEAD + 80) * FINE)
     mean = float(np.mean(waveform.fine[middle])) / float(np.max(np.abs(waveform.fine)))
@@ -40,11 +40,11 @@ def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
     """Landings at one place between samples, and a weak one at another: the waveform is that of the strong ones."""
     rng = np.random.default_rng(7)
     size = np.append(np.ones(60), 0.02)
-    snippets = 0.02 * rng.standard_normal((61, ECHO))
+    snippets = 0.02 * rng.standard_normal((61, MIN_ECHO))
     snippets[:, LEAD : LEAD + 5] += size[:, None] * np.array([-12.0, 7.0, -4.0, 2.0, -1.0])
     snippets[:, LEAD + 5 :] += -1.0  # the plate's own, whatever the landing
     fractions = np.append(np.full(60, 0.5), 0.05)
-    waveform = learn_waveform(snippets, fractions, 0.02, RATE_HZ, np.array([25.0]))
+    waveform = template_from_snippets(snippets, fractions, 0.02, RATE_HZ, np.array([25.0]))
     assert waveform is not None
     largest = float(np.max(np.abs(waveform.fine)))
     assert np.max(np.abs(waveform.fine[(LEAD + 10) * FINE :])) < 0.2 * largest
@@ -55,6 +55,6 @@ def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
     points = np.arange(128 * FINE)
     slow = -4e-5 * np.maximum(points - LEAD * FINE, 0) / FINE
     ring = np.where((points > LEAD * FINE) & (points < (LEAD + 8) * FINE), np.cos(points / 5.0), 0.0)
-    known = _known_part(ring + slow, 3e-4, 20000.0)
+    known = ringing_part(ring + slow, 3e-4, 20000.0)
     assert known is not None
     assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)

@@ -36,7 +36,7 @@ def flights_at(rate_hz: int, folder: Path) -> Flights:
 def test_a_cards_rate_shows_the_same_flights(tmp_path: Path, rate_hz: int) -> None:
     """As many flights, as many launched again as they landed (the accelerometer's word), of the same lengths."""
     usual, card = flights_at(20000, tmp_path), flights_at(rate_hz, tmp_path)
-    assert card.edges.witness is not None
+    assert card.edges.sensor_offset is not None
     for flag in (FlightFlag.RELAUNCHED, FlightFlag.SETTLING):
         assert np.count_nonzero(card.has(flag)) == pytest.approx(np.count_nonzero(usual.has(flag)), abs=2)
     assert card.good().sum() == pytest.approx(usual.good().sum(), abs=2)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, Flights, flights_of, write_csv
+from analysis.statistics import nearest
 from daq.recording import open_recording
 
 RATE = 20000.0
@@ -18,12 +19,6 @@ def read(path: Path) -> Flights:
     """All flights of a recording."""
     with open_recording(path) as recording:
         return flights_of(recording)
-
-
-def nearest(times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """For each wanted time the index of the nearest one."""
-    after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1)
-    return np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after)
 
 
 def found(flights: Flights, true: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -47,14 +42,14 @@ def test_nearly_all_true_flights_of_the_ideal_rig_are_found(make, ratio: int) ->
     for pull in (landing, takeoff):
         assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.25)
     # a good part of them was invisible to the contact circuit
-    assert flights.has(FlightFlag.WITNESS).mean() > 0.1
+    assert flights.has(FlightFlag.ACCELEROMETER).mean() > 0.1
 
 
-def test_without_a_second_witness_nothing_breaks_and_hidden_landings_are_suspected(make) -> None:
+def test_without_impacts_in_the_accelerometer_nothing_breaks_and_hidden_landings_are_suspected(make) -> None:
     """An accelerometer that shows no impacts: relaunched flights merge, and the merged ones are marked as unsure."""
     made = make([1.9, 2.0, 2.1], truth=True, rig={"ring_g_s_per_m": 0.0})
     flights, true = read(made.path), made.true_flights()
-    assert flights.edges.witness is None
+    assert flights.edges.sensor_offset is None
     merged = [
         np.count_nonzero((true[:, 0] > a - 1e-4) & (true[:, 1] < b + 1e-4)) > 1
         for a, b in zip(flights.takeoff_s, flights.landing_s, strict=True)
@@ -78,11 +73,11 @@ def test_contact_bounce_is_kept_and_marked(make) -> None:
 
 
 def test_a_late_contact_circuit_is_measured_against_the_accelerometer(make) -> None:
-    """A circuit that reports both edges half a millisecond late: the two witnesses differ by that."""
+    """A circuit that reports both edges half a millisecond late: the two sensors differ by that."""
     made = make([0.8, 1.1, 1.4], effects={"contact_latency": {"delay_s": 5e-4}})
-    witness = read(made.path).edges.witness
-    assert witness is not None
-    assert witness.offset_s == pytest.approx(-5e-4, abs=5e-6)
+    offset = read(made.path).edges.sensor_offset
+    assert offset is not None
+    assert offset.offset_s == pytest.approx(-5e-4, abs=5e-6)
 
 
 def test_an_elastic_ball_makes_double_hits_and_no_false_offset(make) -> None:
@@ -90,9 +85,9 @@ def test_an_elastic_ball_makes_double_hits_and_no_false_offset(make) -> None:
     effects = {"coulomb_friction": {"mu_up": 0.3, "mu_down": 0.3}, "restitution": {"e0": 0.514}}
     flights = read(make([0.7, 0.9, 1.1], effects=effects).path)
     assert flights.has(FlightFlag.DOUBLE_HIT).sum() > 20
-    witness = flights.edges.witness
-    assert witness is not None
-    assert abs(witness.offset_s) < 1e-4
+    offset = flights.edges.sensor_offset
+    assert offset is not None
+    assert abs(offset.offset_s) < 1e-4
 
 
 def test_flights_know_their_step_and_what_cuts_them(make) -> None:

@@ -55,7 +55,7 @@ def test_flight_times_in_periodic_windows_are_the_models(make, ratio: int, gamma
     made = make(gammas, ratio=ratio, settle=20, hold=40)
     with open_recording(made.path) as recording:
         held = compare(flights_of(recording), recording.setup, steps_table=recording.steps)
-    judged = [s for s in held.steps if s.periodic and not s.doubt]
+    judged = [s for s in held.steps if s.periodic and not s.unfit_reason]
     assert len(judged) >= len(gammas) - 1
     assert held.periodic_flights > 50
     assert held.within_sample >= 0.99

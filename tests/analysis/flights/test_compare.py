@@ -1,6 +1,7 @@
 """Declared effects of plate and instruments, in a comparison and in a profile given to it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,3 +70,13 @@ def test_an_integrated_ball_has_the_bifurcation_of_the_exact_one(make: Callable[
         integrated = compare(flights, recording.setup, effects=trace, steps_table=recording.steps)
     assert exact.first.predicted_type == integrated.first.predicted_type == "lock"
     assert integrated.first.predicted_gamma == pytest.approx(exact.first.predicted_gamma, abs=2e-4)
+
+
+def test_a_plate_at_a_million_g_is_not_compared(make: Callable[..., Any]) -> None:
+    """A plate beyond any shaker is refused with the scale to check, not computed for minutes."""
+    with open_recording(make(np.array([0.6, 0.8])).path) as recording:
+        flights, setup = flights_of(recording), recording.setup
+    steps = (None, replace(flights.plate.steps[1], gamma=1e6))
+    wrong = replace(flights, plate=replace(flights.plate, steps=steps))
+    with pytest.raises(ValueError, match=r"step 1: the accelerometer reads gamma = 1e\+06.*sensitivity"):
+        compare(wrong, setup)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.plate.mains_lines import WANDER_HZ, heard_hz, line_of, moved
-from analysis.plate.measure import plate_of
+from analysis.flights.scan import plate_of
+from analysis.plate.mains_lines import PRIOR_SIGMA_HZ, refined_line, strongest_hz, unmeasured_line
 from daq.lock_in import ToneFit, fit_tones
 from daq.recording import open_recording
 
@@ -50,8 +50,8 @@ def _fit_at(x: np.ndarray):
 def test_a_long_step_finds_a_line_many_turns_off(hz: float) -> None:
     """Over 40 s a line 0.2 Hz off is eight turns away; it is found to a few millihertz, and known to as much."""
     time_s, x = _long(hz, 0.5)
-    begin_hz = heard_hz(x - np.cos(2 * np.pi * 25.37 * time_s), time_s, line_of(50.0), 40.0)
-    line = moved(line_of(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
+    begin_hz = strongest_hz(x - np.cos(2 * np.pi * 25.37 * time_s), time_s, unmeasured_line(50.0), 40.0)
+    line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
     assert line.slopes is not None
     assert abs(line.hz - hz) < 4.0 * line.sigma_hz < 2e-3
 
@@ -59,22 +59,22 @@ def test_a_long_step_finds_a_line_many_turns_off(hz: float) -> None:
 def test_noise_moves_no_line() -> None:
     """Where nothing stands out, a line stays where it was and nothing is known of it."""
     time_s, x = _long(50.0, 0.0)
-    begin_hz = heard_hz(x - np.cos(2 * np.pi * 25.37 * time_s), time_s, line_of(50.0), 40.0)
-    line = moved(line_of(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
-    assert line == line_of(50.0)
+    begin_hz = strongest_hz(x - np.cos(2 * np.pi * 25.37 * time_s), time_s, unmeasured_line(50.0), 40.0)
+    line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
+    assert line == unmeasured_line(50.0)
 
 
 def test_a_line_keeps_away_from_the_forcing() -> None:
     """What stands at a harmonic of the forcing is no mains line, however near 50 Hz it is."""
     x = np.cos(2 * np.pi * 50.1 * np.arange(2000) / RATE_HZ)
     x += 0.01 * np.random.default_rng(1).standard_normal(x.size)
-    line = moved(line_of(50.0), 1, _fit_at(x), 50.0, np.array([25.05, 50.1]), 2.0)
-    assert line == line_of(50.0)
+    line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), 50.0, np.array([25.05, 50.1]), 2.0)
+    assert line == unmeasured_line(50.0)
 
 
 def test_what_is_known_of_a_line_fades() -> None:
     """A second later a line is nearly where it was; an hour later it may be anywhere again."""
-    line = line_of(50.0)
+    line = unmeasured_line(50.0)
     near = type(line)(50.0, 49.96, 0.003, 10.0)
     assert near.later(11.0).sigma_hz < 0.004
-    assert near.later(3610.0).sigma_hz == WANDER_HZ
+    assert near.later(3610.0).sigma_hz == PRIOR_SIGMA_HZ

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.plate.measure import plate_of
+from analysis.flights.scan import plate_of
 from daq.recording import open_recording
 
 G = 9.80665

@@ -1,0 +1,110 @@
+"""Crossings of the contact voltage through a hysteresis, with the samples around each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.events.levels import Levels
+from kernels import njit
+
+Ints = npt.NDArray[np.int64]
+
+BEFORE, AFTER = 12, 8  # samples kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
+CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
+CLOSES, OPENS, DIP = -1, 1, 0  # kinds of crossing
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Changes of state of the contact voltage, with the samples around each.
+
+    Attributes
+    ----------
+    sample : int64 array, shape (n,)
+        First sample past the hysteresis threshold (for a dip: its lowest sample).
+    kind : int8 array, shape (n,)
+        `OPENS`, `CLOSES` or `DIP` (a contact too short to reach the threshold).
+    window : float32 array, shape (n, BEFORE + AFTER)
+        Fraction of the swing around the crossing: 0 closed, 1 open.
+    """
+
+    sample: Ints
+    kind: npt.NDArray[np.int8]
+    window: npt.NDArray[np.float32]
+
+
+class CrossingScan:
+    """Hysteresis over successive pieces of the contact voltage, as fractions of the swing."""
+
+    def __init__(self, levels: Levels) -> None:
+        self.thresholds = levels.thresholds()
+        self.state = np.array([-1, 0], dtype=np.int64)  # state, sample of the lowest value of a dip
+        self.lowest = np.array([2.0])
+        self.started_open = False
+        self._found: list[Crossings] = []
+
+    def add(self, fraction: npt.NDArray[np.float32], first: int, pad: int, count: int) -> Crossings:
+        """Scan ``fraction[pad : pad + count]``, sample ``first`` being ``fraction[pad]``; new crossings."""
+        if self.state[0] < 0 and count:
+            self.started_open = bool(fraction[pad] > 0.5)
+        where = np.empty(count, dtype=np.int64)
+        kind = np.empty(count, dtype=np.int8)
+        n = _scan(fraction[pad : pad + count], self.thresholds, self.state, self.lowest, first, where, kind)
+        where, kind = where[:n].copy(), kind[:n].copy()
+        index = np.clip((where - first + pad)[:, None] + np.arange(-BEFORE, AFTER), 0, fraction.size - 1)
+        found = Crossings(where, kind, fraction[index])
+        self._found.append(found)
+        return found
+
+    def crossings(self) -> Crossings:
+        """All crossings so far, in order."""
+        if not self._found:
+            return Crossings(np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros((0, BEFORE + AFTER), np.float32))
+        merged = Crossings(
+            np.concatenate([c.sample for c in self._found]),
+            np.concatenate([c.kind for c in self._found]),
+            np.concatenate([c.window for c in self._found]),
+        )
+        self._found = [merged]
+        return merged
+
+
+@njit(error_model="numpy")
+def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
+    """Hysteresis over one piece; ``state`` and ``lowest`` persist between pieces."""
+    low, high, dip = thresholds
+    settled = 0.5 * (1.0 + dip)
+    s, s_dip = state
+    least = lowest[0]
+    n = 0
+    for i in range(x.shape[0]):
+        v = x[i]
+        if s == CLOSED:
+            if v > high:
+                s = OPENING
+                where[n], kind[n] = first + i, OPENS
+                n += 1
+        elif s < 0:
+            s = OPENING if v > 0.5 else CLOSED
+        elif v < low:
+            s = CLOSED
+            where[n], kind[n] = first + i, CLOSES
+            n += 1
+        elif s == OPENING:
+            if v > settled:  # a noisy slow edge may pass the dip's threshold more than once
+                s = OPEN
+        elif s == OPEN:
+            if v < dip:
+                s, s_dip, least = DIPPING, first + i, v
+        elif v < least:
+            s_dip, least = first + i, v
+        elif v > dip:
+            s = OPEN
+            where[n], kind[n] = s_dip, DIP
+            n += 1
+    state[0], state[1] = s, s_dip
+    lowest[0] = least
+    return n

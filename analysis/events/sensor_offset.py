@@ -1,0 +1,132 @@
+"""Offset in time between accelerometer and contact circuit, measured on landings that both detect.
+
+Where the landings do not agree on one offset, none is applied. Once it is known, both sensors' times of a landing are
+combined by their uncertainties.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.events.crossings import CLOSES
+from analysis.events.edges import Edges
+from analysis.events.impact_detection import Impacts
+from analysis.events.impact_template import SHORTEST_MASK_S
+from analysis.statistics import mad_sigma, nearest
+
+Floats = npt.NDArray[np.float64]
+
+REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
+ONSET_S = 2e-6  # uncertainty of the template's onset, where no edge confirms it
+SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
+MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
+MIN_PAIRS = 3  # landings needed
+HALF_WIDTH = 1.35  # width of the half of a normal distribution about its centre, in standard deviations
+CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
+MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
+MIN_VARIETY = 0.3  # relative range of impact strengths below which a chatter cannot be excluded
+CHATTER_SPREAD = 0.25  # spread of a chatter's length over that of the impact strengths, relative
+
+
+@dataclass(frozen=True)
+class SensorOffset:
+    """Accelerometer times relative to contact edges, on landings that both detect.
+
+    Attributes
+    ----------
+    offset_s, uncertainty_s : float
+        Accelerometer minus electrical edge (negative for a late contact circuit), and its standard error. They are 0
+        and infinity where the landings do not agree on one (a ball that chatters before the circuit stays closed).
+    pairs : int
+        Landings used.
+    """
+
+    offset_s: float
+    uncertainty_s: float
+    pairs: int
+
+
+def calibrate(
+    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, edge_bias_s: float
+) -> tuple[Impacts, SensorOffset]:
+    """Impacts on the time axis of the contact edges, and the offset between the sensors.
+
+    Flights with a single impact, within `REACH_S` of the edge, are used. They must agree with each other, as the
+    offset of an instrument is the same for all.
+
+    Parameters
+    ----------
+    impacts : Impacts
+        On the accelerometer's time axis.
+    takeoff_s, landing_s, landing_sigma_s : arrays, shape (n,)
+        Flights by the contact circuit.
+    edge_bias_s : float
+        Error that all edges may share.
+    """
+    unknown = SensorOffset(0.0, np.inf, 0)
+    if landing_s.size == 0 or impacts.time_s.size == 0:
+        return _with_bias(impacts, 1.0, ONSET_S), unknown
+    begin = np.searchsorted(impacts.time_s, takeoff_s - REACH_S + SHORTEST_MASK_S)
+    end = np.searchsorted(impacts.time_s, landing_s + REACH_S)
+    lone = np.flatnonzero(end - begin == 1)
+    partner = begin[lone]
+    d = impacts.time_s[partner] - landing_s[lone]
+    own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
+    near = np.abs(d) < REACH_S
+    d, own = d[near], own[near]
+    if d.size < MIN_PAIRS:
+        return _with_bias(impacts, 1.0, ONSET_S), unknown
+    ordered = np.sort(d)
+    width = ordered[(d.size - 1) // 2 + np.arange(d.size - (d.size - 1) // 2)] - ordered[: d.size - (d.size - 1) // 2]
+    k = int(np.argmin(width))
+    centre = float(np.median(ordered[k : k + (d.size - 1) // 2 + 1]))
+    spread = max(float(width[k]) / HALF_WIDTH, float(np.median(own)))
+    if spread > MAX_SPREAD_S or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
+        return _with_bias(impacts, 1.0, ONSET_S), unknown
+    core = np.abs(d - centre) < CORE_SPREADS * spread
+    weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
+    centre = float(np.average(d[core], weights=weight))
+    left = (d[core] - centre) / own[core]
+    factor = max(1.0, mad_sigma(left))  # where the stated uncertainties are too small
+    own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
+    offset = SensorOffset(centre, own_sigma, int(core.sum()))
+    moved = Impacts(impacts.time_s - centre, impacts.uncertainty_s, impacts.strength)
+    return _with_bias(moved, factor, own_sigma), offset
+
+
+def _with_bias(impacts: Impacts, factor: float, bias_s: float) -> Impacts:
+    """Impacts with their uncertainties multiplied by ``factor``, and a common error added."""
+    return Impacts(impacts.time_s, np.hypot(factor * impacts.uncertainty_s, bias_s), impacts.strength)
+
+
+def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
+    """Whether a late edge may be the end of a chatter rather than a slow circuit.
+
+    A chatter's length grows with the impact's speed; a circuit's delay does not. Where all impacts are equally strong
+    the two cannot be told apart, and a long delay is not accepted.
+    """
+    if abs(offset_s) < SMALL_OFFSET_S:
+        return False
+    low, middle, high = np.quantile(strength, [0.1, 0.5, 0.9])
+    variety = (high - low) / middle
+    return bool(variety < MIN_VARIETY or spread_s / abs(offset_s) > CHATTER_SPREAD * variety)
+
+
+def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -> Edges:
+    """Closings averaged with the accelerometer's impacts by inverse variance."""
+    closing = np.flatnonzero(edges.kind == CLOSES)
+    if not closing.size or not impacts.time_s.size:
+        return edges
+    time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
+    partner = nearest(impacts.time_s, time_s[closing])
+    own = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)
+    difference = impacts.time_s[partner] - time_s[closing]
+    same = np.abs(difference) < MATCH_SIGMAS * np.hypot(own, sigma[closing])
+    chosen, own = closing[same], own[same]
+    share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
+    time_s[chosen] += share * difference[same]
+    sigma[chosen] = sigma[chosen] * own / np.hypot(sigma[chosen], own)
+    return Edges(time_s, sigma, edges.kind)

@@ -1,0 +1,108 @@
+"""State of one step's fit while the recording streams by: block means, normal equations, amplitudes within windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.plate.fit_mask import FitIntervals
+from analysis.plate.mains_lines import MainsLine
+from daq.lock_in import LockIn, ToneFit
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Ints = npt.NDArray[np.int64]
+
+HARMONICS = 5
+MASK_PARTS = (0.25, 0.35, 0.5, 0.7, 1.0)  # lengths of the masks after an impact, as parts of the longest
+N_MASK_LEVELS = len(MASK_PARTS) + 1  # a block's mask level is the number of masks that it is clear of
+CONTACT, NEITHER, FLIGHT = range(3)
+N_BLOCK_CLASSES = 3 * N_MASK_LEVELS
+
+
+def multiples_of(ratio: int) -> tuple[int, ...]:
+    """Multiples of the forcing that are fitted: harmonics of the first tone to `HARMONICS`, and of the second to 3."""
+    return tuple(sorted(set(range(1, HARMONICS + 1)) | {ratio * k for k in (1, 2, 3)}))
+
+
+@dataclass(frozen=True)
+class Span:
+    """Consecutive block means from block ``first`` on (counted from sample 0, lost samples included).
+
+    ``values`` (n, 2) are accelerometer and drive in volts. ``block_class`` (n,) is the block's place (contact,
+    neither, flight) times `N_MASK_LEVELS`, plus its mask level.
+    """
+
+    first: int
+    values: Floats
+    block_class: npt.NDArray[np.int8]
+
+    def clear(self, mask_level: int) -> npt.NDArray[np.bool_]:
+        """Blocks outside the chosen mask, (n,)."""
+        return self.block_class % N_MASK_LEVELS >= mask_level
+
+
+@dataclass(frozen=True)
+class ChunkFit:
+    """Slow residual and windowed amplitudes of one chunk of a step, in volts.
+
+    Attributes
+    ----------
+    slow_s, slow : arrays, shape (s,)
+        Times, and the mean residual of the accelerometer there; NaN where all is masked.
+    time_s : array, shape (w,)
+        Middle of each window of a few cycles.
+    amplitudes : complex array, shape (w, tones, channels)
+    spread : array, shape (w, tones)
+        Uncertainty of an amplitude in units of its channel's noise.
+    noise : array, shape (channels,)
+        Residual rms within windows: slow amplitude modulation does not count.
+    fits : tuple of ToneFit
+        The step's fit of accelerometer and of drive when the chunk was closed.
+    intervals : FitIntervals
+        Times outside the mask.
+    """
+
+    slow_s: Floats
+    slow: Floats
+    time_s: Floats
+    amplitudes: Complexes
+    spread: Floats
+    noise: Floats
+    fits: tuple[ToneFit, ToneFit]
+    intervals: FitIntervals
+
+
+@dataclass
+class StepState:
+    """Accumulated state of one step: open spans, tones, normal equations and closed chunks."""
+
+    step: int
+    nominal_hz: float
+    ratio: int
+    first_sample: int
+    last_sample: int
+    hold_s: float
+    spans: list[Span] = field(default_factory=list)
+    blocks: int = 0
+    frequency_hz: float = np.nan
+    frequency_uncertainty_hz: float = np.inf
+    multiples: tuple[int, ...] = ()
+    mains: tuple[MainsLine, ...] = ()
+    lock_in: LockIn | None = None
+    mask_level: int = N_MASK_LEVELS
+    chunks: list[ChunkFit] = field(default_factory=list)
+
+    @property
+    def rows(self) -> list[int]:
+        """Rows of the forcing's tones among the fitted ones."""
+        return [self.multiples.index(m) for m in sorted({1, self.ratio}) if m in self.multiples]
+
+    def clear_classes(self, places: tuple[int, ...] = (CONTACT, NEITHER, FLIGHT)) -> Ints:
+        """Block classes of the given places outside the chosen mask."""
+        return np.array(
+            [p * N_MASK_LEVELS + level for p in places for level in range(self.mask_level, N_MASK_LEVELS)],
+            dtype=np.int64,
+        )

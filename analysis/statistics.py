@@ -1,0 +1,23 @@
+"""Robust statistics and matching in time that several rooms of the analysis share."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+MAD_TO_SIGMA = 1.4826  # standard deviation of normal deviations over their median absolute value
+
+
+def mad_sigma(deviations: npt.ArrayLike) -> float:
+    """Standard deviation of normal ``deviations`` (n,) about zero, from their median absolute value."""
+    return MAD_TO_SIGMA * float(np.median(np.abs(deviations)))
+
+
+def nearest(sorted_values: Floats, wanted: Floats) -> npt.NDArray[np.int64]:
+    """Index of the entry of ``sorted_values`` (n >= 1,) nearest to each of ``wanted`` (m,); the later one of a tie."""
+    after = np.minimum(np.searchsorted(sorted_values, wanted), sorted_values.size - 1)
+    before = np.maximum(after - 1, 0)
+    earlier = np.abs(sorted_values[before] - wanted) < np.abs(sorted_values[after] - wanted)
+    return np.where(earlier, before, after)

@@ -1,0 +1,47 @@
+"""Tone fits over lost samples, and block means on the grid that counts them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.flights.scan import plate_of
+from analysis.plate.accumulator import PlatePiece, block_width
+from daq.recording import RecordingWriter, open_recording
+from daq.recording.tables import Block
+
+RATE_HZ, FREQUENCY_HZ = 20000.0, 25.37
+
+
+def test_blocks_begin_on_a_grid_that_counts_lost_samples() -> None:
+    """A piece whose first sample is number 7 of the run has its first block of four at sample 8."""
+    piece = PlatePiece(4, np.arange(12, dtype=np.float32), None, None)
+    acceleration, drive, fraction = piece.means(4, 3)
+    np.testing.assert_array_equal(acceleration, [2.5, 6.5])
+    assert drive is None and fraction is None
+
+
+@pytest.mark.parametrize("lost", [(7, 13), (7, 14), (20, 20)])
+def test_a_tone_keeps_its_phase_over_two_gaps(make, tmp_path: Path, lost: tuple[int, int]) -> None:
+    """Two gaps within a piece, their sum a whole number of blocks or not: the fit is as good as without gaps."""
+    with open_recording(make([0.4], hold=40).path) as source:
+        codes = np.column_stack([source.codes(name) for name in source.channels])
+        assert block_width(RATE_HZ, source.steps) == 20
+        cuts = np.array([0, 12000, 20000, len(codes)])
+        path = tmp_path / "gaps.h5"
+        with RecordingWriter(
+            path, source.setup, profile_text="", channels=source.channels, backend="test", simulated=True
+        ) as writer:
+            for k, missing in enumerate((0, *lost)):
+                own = codes[cuts[k] + missing : cuts[k + 1]]
+                writer.append(Block(int(cuts[k] - sum(lost[: max(k - 1, 0)])), own, lost_before=missing))
+            for step in source.steps:
+                writer.mark_step(step)
+        (whole,) = plate_of(source).steps
+    with open_recording(path) as torn:
+        (step,) = plate_of(torn).steps
+    assert whole is not None and step is not None
+    assert step.acceleration.rms == pytest.approx(whole.acceleration.rms, rel=0.05)
+    assert abs(step.tone(1)[0] - whole.tone(1)[0]) < 5.0 * whole.acceleration.amplitude_sigma()[0]
