@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.plate.measure import PlateMotion
-from daq.importers.diagnostics import GAMMAS, plate_doubts
+from daq.importers.diagnostics import GAMMAS, plate_warnings
 from daq.recording import Recording
 
 UNEVEN_SAMPLES = 1.0
@@ -26,5 +26,5 @@ def doubts(recording: Recording, plate: PlateMotion) -> list[str]:
     steps = [s for s in plate.steps if s is not None]
     if "drive" in recording.channels and steps:
         rows = [(s.gamma_drive, s.gamma, s.gamma_uncertainty) for s in steps]
-        said += plate_doubts(np.array(rows, [(name, np.float64) for name in GAMMAS]), recording.setup)
+        said += plate_warnings(np.array(rows, [(name, np.float64) for name in GAMMAS]), recording.setup)
     return said

@@ -45,7 +45,7 @@ def command(
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
-    from daq.setup.calibration_age import doubts
+    from daq.setup.calibration_age import calibration_warnings
     from daq.setup.errors import InputError
 
     try:
@@ -63,7 +63,7 @@ def command(
         _, _, faults = planned(checked)
         if faults:
             raise InputError(refusal(profile, faults))
-        for doubt in doubts(checked, datetime.date.today()):
+        for doubt in calibration_warnings(checked, datetime.date.today()):
             warn(f"{profile}: {doubt}")
         backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
         summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-",

@@ -56,7 +56,7 @@ def _pauses(base: Timebase) -> list[str]:
     ]
 
 
-def rate_doubts(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[str]:
+def rate_warnings(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[str]:
     """Where sample rate or forcing frequency is not what the profile expects; ``setup`` as the profile has it."""
     said = []
     expected = setup.sampling.rate_hz
@@ -76,7 +76,7 @@ def rate_doubts(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[s
     return said
 
 
-def range_doubts(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
+def range_warnings(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
     """Channels that read more than their range."""
     said = []
     for role, peak in peak_v.items():
@@ -91,7 +91,7 @@ def is_dead(achieved: Floats, sigma: Floats) -> bool:
     return bool(len(achieved) and np.median(achieved - NOISE_SIGMAS * sigma) <= 0.0)
 
 
-def plate_doubts(steps: NDArray[np.void], setup: Setup) -> list[str]:
+def plate_warnings(steps: NDArray[np.void], setup: Setup) -> list[str]:
     """Where the plate does not do what the drive asks: a dead accelerometer, exchanged channels, a wrong scale.
 
     Parameters
@@ -123,7 +123,7 @@ def plate_doubts(steps: NDArray[np.void], setup: Setup) -> list[str]:
     return [f"{both}: is g_per_volt or the sensitivity wrong, or are two channels exchanged?"]
 
 
-def contact_doubts(read: Read, setup: Setup, steps: NDArray[np.void]) -> list[str]:
+def contact_warnings(read: Read, setup: Setup, steps: NDArray[np.void]) -> list[str]:
     """What is odd about the contact circuit: it never moves, or says flight where the ball cannot but rest."""
     circuit = setup.channels.continuity
     if circuit is None or circuit.coupling == "ac" or not len(steps):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importers.columns import TIME_UNITS_S, Column
+from daq.importers.formats.columns import TIME_UNITS_S, Column
 from daq.importers.timebase import Times
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
-from daq.importers.diagnostics import contact_doubts, plate_doubts, range_doubts, rate_doubts, remarks
+from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
+from daq.importers.formats.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.timebase import Timebase, timebase_of
@@ -108,10 +108,10 @@ def import_recording(
         intake = take_in(source, columns, scales, setup, writer, progress)
         base = _timebase(source, writer, intake, columns.get("time"), setup, rate)
         steps, from_drive = _find(writer, scales, setup, base, intake, progress)
-        doubts = [*rate_doubts(base.rate_hz, setup, steps), *range_doubts(intake.peak_v, setup)]
-        doubts += plate_doubts(steps, setup) if from_drive else []
+        doubts = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
+        doubts += plate_warnings(steps, setup) if from_drive else []
         if "continuity" in scales:
-            doubts += contact_doubts(_volts(writer, scales, "continuity"), setup, steps)
+            doubts += contact_warnings(_volts(writer, scales, "continuity"), setup, steps)
         setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
         late = _late_attributes(source, columns, setup, base, intake, extra)
         writer.check(steps, _blocks(base, writer.n_samples), **late)

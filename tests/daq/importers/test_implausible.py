@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.importers.columns import open_source, parse_map
-from daq.importers.csv_kernel import parse_rows
+from daq.importers.formats.columns import parse_map
+from daq.importers.formats.csv_kernel import parse_rows
+from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportSummary, import_recording
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated

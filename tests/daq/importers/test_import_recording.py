@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
 from daq.export.export import export
-from daq.importers.columns import assign, open_source, parse_map, split_name
+from daq.importers.formats.columns import assign, parse_map, split_name
+from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportSummary, import_recording
 from daq.recording import open_recording, verify
 from daq.setup.errors import InputError

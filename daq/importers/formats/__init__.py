@@ -1,0 +1,1 @@
+"""TODO what formats is for."""
