@@ -108,57 +108,12 @@ def make_backend(
     replay: Path | None = None,
 ) -> Backend:
     """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
-    from daq.setup.errors import InputError
-
-    kind = profile.backend.kind
-    unheeded = {
-        "--replay": replay is not None and kind != "replay",
-        "--scenario": scenario is not None and kind != "simulated",
-        "--real-time": real_time and kind != "simulated",
-    }
-    for option, given in unheeded.items():
-        if given:
-            wanted = "replay" if option == "--replay" else "simulated"
-            raise InputError(f'{option}: is for backend.kind = "{wanted}"; this profile\'s is "{kind}"')
-    if profile.backend.kind == "replay":
-        from rig.backends.replay import ReplayBackend
-
-        if replay is None:
-            raise InputError("backend.kind is replay: name the recording to play by --replay REC.h5")
-        return ReplayBackend(replay)
-    if profile.backend.kind == "soundcard":
-        from rig.backends.soundcard import SoundcardBackend
-
-        return SoundcardBackend(profile)
-    if profile.backend.kind == "soundcard+serial":
-        return serial_backend(profile)
-    if profile.backend.kind == "nidaqmx":
-        from rig.backends.base import BackendError
-        from rig.backends.nidaqmx import of_profile
-
-        try:
-            return of_profile(profile)
-        except BackendError as error:
-            raise InputError(str(error)) from error
     from bench.profiles.find import find_scenario
-    from rig.backends.simulated import SimulatedBackend
-    from rig.sim.scenario import Scenario, load_scenario
+    from rig.backends.registry import open_backend
 
-    hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
-    return SimulatedBackend(profile.sampling.rate_hz, hidden, seed, real_time=real_time)
-
-
-def serial_backend(profile: Profile) -> Backend:
-    """Drive through a sound card, channels through a serial device."""
-    from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
-    from rig.backends.soundcard import SoundcardBackend
-
-    table, channels = profile.backend, profile.channels
-    every = {"continuity": channels.continuity, "accelerometer": channels.accelerometer, "drive": channels.drive}
-    ranges_v = {name: channel.range_v for name, channel in every.items() if channel is not None}
-    rate_hz = profile.sampling.rate_hz
-    reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
-    return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)
+    if scenario is not None and profile.backend.kind == "simulated":
+        scenario = find_scenario(scenario)
+    return open_backend(profile, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
 
 
 def record(

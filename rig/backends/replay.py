@@ -15,6 +15,8 @@ from daq.recording import Recording, open_recording
 from daq.recording.tables import Block
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError, checked_drive
+from rig.backends.kinds.base import OpenOptions
+from rig.profile import Profile
 
 
 class ReplayBackend:
@@ -72,3 +74,10 @@ class ReplayBackend:
         if self._recording is not None:
             self._recording.close()
             self._recording = None
+
+
+def open_replay(profile: Profile, options: OpenOptions) -> ReplayBackend:
+    """The recording that the command line names; raises `InputError` where it names none."""
+    if options.replay is None:
+        raise InputError("backend.kind is replay: name the recording to play by --replay REC.h5")
+    return ReplayBackend(options.replay)

@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.recording.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
+from daq.setup.errors import InputError
 from rig.backends.base import Backend, BackendError, checked_drive
+from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
+from rig.backends.soundcard import SoundcardBackend
+from rig.profile import Profile
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int16]
@@ -360,3 +365,15 @@ class SoundcardSerialBackend:
             self._card.exchange(tail * np.cos(0.5 * np.pi * np.arange(1, tail.size + 1) / tail.size) ** 2)
         except BackendError:
             return  # the card is gone as well; its own stop leaves 0 V
+
+
+def open_soundcard_serial(profile: Profile, options: OpenOptions) -> SoundcardSerialBackend:
+    """Drive through the profile's sound card, channels through its serial device; raises `InputError`."""
+    table, channels = profile.backend, profile.channels
+    if not isinstance(table, SoundcardSerialOptions):
+        raise InputError(f"profile {profile.name!r}: backend.kind is {table.kind}; wanted soundcard+serial")
+    every = {"continuity": channels.continuity, "accelerometer": channels.accelerometer, "drive": channels.drive}
+    ranges_v = {name: channel.range_v for name, channel in every.items() if channel is not None}
+    rate_hz = profile.sampling.rate_hz
+    reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
+    return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)

@@ -19,6 +19,8 @@ from daq.clocks.clock_sync import find_marker, start_marker
 from daq.recording.tables import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
+from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.soundcard import card_options
 from rig.backends.portaudio import CardStream, open_stream
 from rig.profile import Profile
 
@@ -57,7 +59,7 @@ class SoundcardBackend:
     scenario_sha256: str | None = None
 
     def __init__(self, profile: Profile, *, play_only: bool = False) -> None:
-        table = profile.backend
+        table = card_options(profile.backend)
         wired = {} if play_only else {k: v for k, v in table.inputs.model_dump().items() if _has(profile, k)}
         self.channels = tuple(wired)
         self.rate_hz = profile.sampling.rate_hz
@@ -203,3 +205,8 @@ class SoundcardBackend:
 def _has(profile: Profile, channel: str) -> bool:
     """Whether the profile records ``channel``."""
     return getattr(profile.channels, channel) is not None
+
+
+def open_soundcard(profile: Profile, options: OpenOptions) -> SoundcardBackend:
+    """The card that the profile names."""
+    return SoundcardBackend(profile)

@@ -31,11 +31,14 @@ class Bench:
         What the output holds.
     unplugged : bool
         Set by a test: every call then fails.
+    calls : int
+        Calls of the driver that reached the device.
     """
 
     def __init__(self, rate_hz: float, seed: int = 1) -> None:
         self.unplugged = False
         self.output_v = 0.0
+        self.calls = 0
         self._rate_hz, self._seed = rate_hz, seed
         self.reset()
         self.package = SimpleNamespace(
@@ -56,7 +59,8 @@ class Bench:
         self.clock_runs = self.armed = False
 
     def check(self) -> None:
-        """Raise what a missing device raises."""
+        """Count a call; raise what a missing device raises."""
+        self.calls += 1
         if self.unplugged:
             raise DaqError("Device is not available: it has been removed. Status Code: -88709")
 

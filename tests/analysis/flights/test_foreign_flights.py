@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from analysis.flights.assemble import flights_of
 from analysis.flights.table import Flights
 from benchmarks.plants import other_plant
-from daq.importers.formats.open import open_source
 from daq.importers.formats.columns import parse_map
+from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import open_recording
 from daq.setup.setup import Setup
