@@ -1,6 +1,6 @@
-"""A rig profile: what is measured with what (`daq.setup.setup.Setup`), and how the plate is to be moved.
+"""A rig profile: the setup of the measurement (`daq.setup.setup.Setup`), the ramp, the limits and the back end.
 
-The rule kept here: a profile is checked whole before anything uses it, and what a *rig* can do is said by its
+A profile is checked whole before anything uses it, and what a *rig* can do is said by its
 ``[limits]``, not by the parser: any frequency and any ratio c >= 1 are profiles (other people's rigs are not ours).
 """
 

@@ -142,6 +142,7 @@ def record(
     from rig.programme.ramp import plan
     from rig.programme.sequencer import largest_block
 
+    programme = plan(profile)
     options: dict[str, Any] = {
         "profile_text": text,
         "channels": backend.channels,
@@ -151,7 +152,7 @@ def record(
         "note": note,
         "extra": extra,
         "scenario_sha256": backend.scenario_sha256,
-        "expected_samples": plan(profile).n_samples,
+        "expected_samples": programme.n_samples,
     }
     if not backend.simulated:
         warm_up(profile)
@@ -159,14 +160,14 @@ def record(
     with stop_on_signals() as request, first, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
-            block_samples = largest_block(plan(profile).clock, profile.backend.block_samples)
+            block_samples = largest_block(programme.clock, profile.backend.block_samples)
             writer: RecordingWriter | RecorderProcess = RecorderProcess(
                 out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
             )
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
         try:
-            return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+            return run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)
         finally:
             if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
                 out.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
 """Sample rates that no recording of this rig can have: refused, with what to do about it.
 
-The rule kept here: a file is refused where going on would give wrong numbers without a word; what is merely odd is a
+A file is refused where going on would give wrong numbers without a word; what is merely odd is a
 remark (`daq.importers.diagnostics`).
 """
 

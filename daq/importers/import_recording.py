@@ -1,6 +1,6 @@
-"""Turn somebody's file into a recording: stream it in, find its time base, find its steps, check, rename.
+"""Import of a foreign file: rows streamed in, time base and steps found, everything checked, then renamed.
 
-The rule kept here: all or nothing. The recording appears under its name only when everything in it was read, found
+The recording appears under its name only when everything in it was read, found
 consistent, written and read back; values are stored as they came, never requantised.
 """
 
@@ -35,16 +35,16 @@ from daq.steps.tone_tracking import fit
 
 Floats = NDArray[np.float64]
 
-LEAST_HZ, MOST_HZ = 0.01, 1e8  # times are kept in nanoseconds, in 64 bits
+LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanoseconds, in 64 bits
 YEAR_9999_S = 2.5e11
-EPOCH_S = 1e9  # a larger first time is seconds since 1970
-MOST_OF = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
-SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
+EPOCH_S = 1e9  # first time from which it counts as seconds since 1970
+RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
+SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; shorter, it may be the middle of a fade
 
 
 @dataclass(frozen=True)
 class ImportSummary:
-    """What an import did: sizes, time base, steps, which column became what, and what a person should know."""
+    """Outcome of an import: size, time base, steps, column of each role, remarks."""
 
     path: Path
     n_samples: int
@@ -161,7 +161,7 @@ def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -
         source = f"column {columns['accelerometer'].name} is in {unit}"
         sensitivity = old.sensitivity.model_copy(update={"value": 1.0, "uncertainty": relative, "source": source})
         changed["accelerometer"] = old.model_copy(
-            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit], "range_v": MOST_OF[unit]}
+            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit], "range_v": RANGE_OF_UNIT[unit]}
         )
     return setup.model_copy(update={"channels": setup.channels.model_copy(update=changed)})
 
@@ -217,7 +217,7 @@ def _find(
             from_drive = role == "drive"
             found = _found(volts(role), writer.n_samples, setup, base, intake, progress)
             if not from_drive and not intake.set_values:
-                shortest = SHORTEST_FELT_CYCLES * base.rate_hz
+                shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
                 found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
     achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt

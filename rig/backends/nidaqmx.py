@@ -1,6 +1,6 @@
 """NI-DAQmx: analog output and inputs of one device on one sample clock. **Never run on hardware here.**
 
-Needs NI's driver and the extra ``shakerbench[nidaqmx]``. The rule kept here: the output runs on the inputs' own sample
+Needs NI's driver and the extra ``shakerbench[nidaqmx]``. The output runs on the inputs' own sample
 clock, so one clock counts both; an output that is late or a buffer that overflows is the driver's error, and stops the
 run. Frames come behind the drive by what lies in the output buffer, and each block says so by its place.
 """

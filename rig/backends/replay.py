@@ -1,7 +1,7 @@
 """The replay back end: a recording plays the part of the device, code for code.
 
-The rule kept here: what it returns is what was recorded, whatever is driven; it says that nothing moves
-(``simulated``), and it ends where the recording ends instead of making samples up.
+It returns the recorded frames, whatever is driven. It counts as ``simulated``, and it ends where the recording
+ends.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Serial DAQ: a thread drains the port, a sound card plays the drive, one time base joins them.
 
-The rule kept here: a sample is what the device sent, at the counter it sent it with. The thread does nothing but read
+A sample is what the device sent, at the counter it sent it with. The thread does nothing but read
 and decode; what is lost is declared, what goes silent or away is an error that names the port, and the drive then
 fades out through the card before it is let go.
 """
@@ -40,7 +40,7 @@ MARGIN_FRAMES = 2  # of the device's frames kept between what came and what is a
 FADE_S = 0.2
 WRONG_RATE = 0.02  # relative: no two quartzes differ by so much
 WINDOW_S = 0.05
-SLIPPED = 0.75  # of a sample: by so much the clocks part before a block holds a frame more or less
+SLIPPED = 0.75  # drift in samples at which a block holds a frame more or less
 
 
 class Port(Protocol):
@@ -178,7 +178,7 @@ class SerialReader:
                     raise BackendError(self._silent(patience_s))
 
     def _silent(self, waited_s: float) -> str:
-        """What to say when nothing comes."""
+        """Error message where nothing comes."""
         counts = self.counts
         if counts.stale:
             why = f"its counters do not go on ({counts.stale} stale frames): did the device start anew?"
@@ -223,7 +223,7 @@ class SoundcardSerialBackend:
     Parameters
     ----------
     card
-        Plays the drive; of what it hears only its flags are used.
+        Plays the drive; of its blocks only the flags are used.
     reader
         The serial device.
     ranges_v
@@ -268,7 +268,7 @@ class SoundcardSerialBackend:
             raise
 
     def exchange(self, drive_v: Floats) -> Block:
-        """Play ``drive_v`` and return what the serial device recorded meanwhile: as many frames, give or take a slip.
+        """Play ``drive_v`` and return what the serial device recorded meanwhile: as many frames, give or take one.
 
         Raises
         ------
@@ -283,9 +283,9 @@ class SoundcardSerialBackend:
         tracker.played(drive)
         heard = self._card.exchange(drive)
         self._played += len(drive)
-        slip = tracker.slip(self._reader.position)
-        if abs(slip - self._whole) > SLIPPED:
-            self._whole = round(slip)
+        lag = tracker.lag(self._reader.position)
+        if abs(lag - self._whole) > SLIPPED:
+            self._whole = round(lag)
         try:
             first, codes, lost = self._reader.take(self._played - self._lag - self._whole)
         except BackendError:
@@ -310,7 +310,7 @@ class SoundcardSerialBackend:
         self._reader.stop()
 
     def _join_clocks(self) -> None:
-        """Play the marker until it is heard whole; from then on both clocks are counted from here."""
+        """Play the marker until it is recorded whole; from then on both clocks are counted from here."""
         block = max(16, round(0.01 * self.rate_hz))
         quiet = np.zeros(round(QUIET_S * self.rate_hz))
         marker = start_marker(self.rate_hz)
@@ -334,16 +334,16 @@ class SoundcardSerialBackend:
             if played >= least:
                 found = find_marker(np.concatenate(pieces), marker)
         if found is None:
-            raise BackendError(self._deaf((self._reader.newest - newest) / played))
-        slip = len(quiet) - played - (begin + found)
-        self._whole, self._played, self._given = round(slip), 0, 0
+            raise BackendError(self._no_marker((self._reader.newest - newest) / played))
+        lag = len(quiet) - played - (begin + found)
+        self._whole, self._played, self._given = round(lag), 0, 0
         self._lag = -(self._reader.position + self._whole)  # the next row comes behind the drive by so much, and stays
         self._tail = np.zeros(0)
         window = max(64, round(WINDOW_S * self.rate_hz))
-        self._tracker = ClockTracker(slip, self._reader.position, window, self.rate_hz)
+        self._tracker = ClockTracker(lag, self._reader.position, window, self.rate_hz)
 
-    def _deaf(self, rows_a_sample: float) -> str:
-        """What to say when the marker was not found: it is not there, or it is stretched."""
+    def _no_marker(self, rows_a_sample: float) -> str:
+        """Error message where the marker was not found: absent, or stretched."""
         if abs(rows_a_sample - 1.0) > WRONG_RATE:
             rate_hz = rows_a_sample * self.rate_hz
             return (

@@ -1,6 +1,6 @@
 """The simulated back end: `rig.sim.plant.Plant` behind the interface of a device, at full speed or paced.
 
-The rule kept here: pacing changes when a block comes, never what is in it.
+Pacing changes when a block comes, never what is in it.
 """
 
 from __future__ import annotations

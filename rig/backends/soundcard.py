@@ -1,8 +1,8 @@
 """The sound card: drive out and three channels in, full duplex, through PortAudio (`sounddevice`).
 
-The rule kept here: everything is counted in the card's own frames since the stream began. The callback copies to and
+Everything is counted in the card's own frames since the stream began. The callback copies to and
 from a ring at the frame it is at, and nothing else; what was handed over too late is not played later, so the drive
-keeps its phase, and frames that never came are declared where they are missing. The driver's word is not asked.
+keeps its phase, and frames that never came are declared where they are missing. The driver's own reports are not used.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class SoundcardBackend:
         )
 
     def _listen(self) -> float:
-        """Play the marker and find it in the looped-back drive: samples from handing over to hearing."""
+        """Play the marker and find it in the looped-back drive: samples from handing over to recording."""
         marker = start_marker(self.rate_hz)
         piece = round(QUIET_S * self.rate_hz)
         quiet = np.zeros(piece)

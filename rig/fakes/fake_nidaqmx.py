@@ -1,8 +1,8 @@
-"""What `rig.backends.nidaqmx` uses of the package `nidaqmx`, played by the simulated rig: a strict stand-in.
+"""A strict stand-in for the parts of the package `nidaqmx` that `rig.backends.nidaqmx` uses, on the simulated rig.
 
-The rule kept here: it follows NI's manual where that is stricter than convenience: tasks are configured before they
+It follows NI's manual where that is stricter than convenience: tasks are configured before they
 start, an output on a clock that does not run waits, written samples are never played twice, and a buffer that runs dry
-or over is an error that lasts. It has no driver behind it; it proves the dialogue, not the hardware.
+or over is an error that lasts. It has no driver behind it; it tests the calls, not the hardware.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The plant as a JACK client: one input (the drive), three outputs (continuity, accelerometer, looped-back drive).
 
-The rule kept here: the plant's time is the server's. A period that the server skipped is a period the plant went
-through without a drive, and nobody heard it.
+The plant's time is the server's: a period that the server skipped is a period the plant went
+through without a drive, and its frames are lost.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The plant behind two drivers: the drive comes by JACK, frames leave by a pseudo-terminal, on a clock of their own.
 
-The rule kept here: between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
+Between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
 alone has pseudo-terminals: elsewhere this is refused.
 """
 
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
 from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
-from rig.fakes.serial_device import SerialDevice
 from rig.profile import Profile
 from rig.sim.scenario import Scenario
 from rig.virtual.jack import PlantClient
+from rig.virtual.serial_device import SerialDevice
 
 HELD_PERIODS = 4  # of frames that the device holds for a reader that is late
 
@@ -38,7 +38,7 @@ class JackSerialPlant(PlantClient):
     server
         Name of the JACK server.
     ppm, ppm_per_minute
-        As for `rig.fakes.serial_device.SerialDevice`.
+        As for `rig.virtual.serial_device.SerialDevice`.
 
     Attributes
     ----------

@@ -1,1 +1,4 @@
-"""TODO what formats is for."""
+"""Foreign files as tables of columns, one format a file.
+
+Other rooms take `open`, `columns`.
+"""
