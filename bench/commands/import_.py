@@ -46,7 +46,7 @@ def command(
     """
     from daq.importers.formats.columns import parse_map
     from daq.importers.formats.open import open_source
-    from daq.importers.import_recording import import_recording
+    from daq.importers.import_recording import ImportOptions, import_recording
     from daq.setup.errors import InputError
     from rig.profile import load_setup
 
@@ -64,9 +64,7 @@ def command(
                 out,
                 setup,
                 text,
-                mapping=parse_map(mapping),
-                rate_hz=rate,
-                note=readable(note),
+                ImportOptions(parse_map(mapping), rate, readable(note)),
                 progress=progress,
             )
     except InputError as error:

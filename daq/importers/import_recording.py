@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -54,16 +54,33 @@ class ImportSummary:
     remarks: list[str]
 
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """Choices of the caller for an import.
+
+    Attributes
+    ----------
+    mapping
+        Columns by role where their names do not tell.
+    rate_hz
+        Sample rate where there is no time column.
+    note, extra
+        Kept in the recording.
+    """
+
+    mapping: Mapping[str, Column] = field(default_factory=dict)
+    rate_hz: float | None = None
+    note: str | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
 def import_recording(
     source: Source,
     out: Path,
     setup: Setup,
     profile_text: str,
+    options: ImportOptions | None = None,
     *,
-    mapping: Mapping[str, Column] | None = None,
-    rate_hz: float | None = None,
-    note: str | None = None,
-    extra: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> ImportSummary:
     """Write ``out`` from a foreign file.
@@ -75,53 +92,56 @@ def import_recording(
     out
         Recording to create.
     setup, profile_text
-        What was measured with what, and the profile's text.
-    mapping
-        Columns by role where names do not say.
-    rate_hz
-        Sample rate where there is no time column.
-    note, extra
-        Kept in the recording.
+        Setup of the measurement, and the profile's text.
+    options
+        The caller's choices; None: all defaults.
     progress
-        Called with what is being done and how many rows are done.
+        Called with the stage and the number of rows done.
 
     Raises
     ------
     InputError
         Naming file and row of what cannot be used; nothing is left behind.
     """
-    if rate_hz is not None and not LEAST_HZ <= rate_hz <= MOST_HZ:
-        raise InputError(f"--rate {rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
-    columns = assign(source, mapping or {})
+    options = options or ImportOptions()
+    columns, rate_hz = _assigned(source, options)
     channels = [role for role in CHANNEL_ROLES if role in columns]
-    rate = rate_hz or source.rate_hz
-    if "time" not in columns and rate is None:
-        raise InputError(
-            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
-            "the sample rate with --rate HZ."
-        )
     setup = _adapted(setup, columns, channels)
-    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=note)
+    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)
     scales = {role: _scale(source, columns[role], role, setup) for role in channels}
     writer = _begun(source, columns, out, setup, scales, attributes)
     try:
         intake = take_in(source, columns, scales, setup, writer, progress)
-        base = _timebase(source, writer, intake, columns.get("time"), setup, rate)
+        base = _timebase(source, writer, intake, columns.get("time"), setup, rate_hz)
         steps, from_drive = _find(writer, scales, setup, base, intake, progress)
-        doubts = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
-        doubts += plate_warnings(steps, setup) if from_drive else []
+        warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
+        warnings += plate_warnings(steps, setup) if from_drive else []
         if "continuity" in scales:
-            doubts += contact_warnings(_volts(writer, scales, "continuity"), setup, steps)
+            warnings += contact_warnings(_volts(writer, scales, "continuity"), setup, steps)
         setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
-        late = _late_attributes(source, columns, setup, base, intake, extra)
+        late = _late_attributes(source, columns, setup, base, intake, options.extra)
         writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
         writer.abandon()
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    said = remarks(base, steps, channels, from_drive) + doubts
-    return ImportSummary(out, writer.n_samples, base, steps, named, said)
+    found = remarks(base, steps, channels, from_drive) + warnings
+    return ImportSummary(out, writer.n_samples, base, steps, named, found)
+
+
+def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column], float | None]:
+    """Columns by role, and the sample rate where it is given; raises `InputError` where neither tells the times."""
+    if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
+        raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
+    columns = assign(source, options.mapping)
+    rate_hz = options.rate_hz or source.rate_hz
+    if "time" not in columns and rate_hz is None:
+        raise InputError(
+            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
+            "the sample rate with --rate HZ."
+        )
+    return columns, rate_hz
 
 
 def _begun(
@@ -286,7 +306,7 @@ def _late_attributes(
     setup: Setup,
     base: Timebase,
     intake: Intake,
-    extra: Mapping[str, Any] | None,
+    extra: Mapping[str, Any],
 ) -> dict[str, Any]:
     started = ""
     if EPOCH_S < intake.origin_s < YEAR_9999_S:
@@ -305,7 +325,7 @@ def _late_attributes(
             f"{role}={column.name}" + (f":{column.unit}" if column.unit else "") for role, column in columns.items()
         ],
         "time_origin_s": intake.origin_s,
-        "extra_json": json.dumps(dict(extra or {})),
+        "extra_json": json.dumps(dict(extra)),
     }
 
 

@@ -32,7 +32,6 @@ from rig.programme.sequencer import Sequencer, State, Stop, change_rows, largest
 BATCH_SAMPLES = 8192  # of a simulated rig that are written together
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
-
 Recorder: TypeAlias = RecordingWriter | RecorderProcess
 """Where a run is recorded: here, or in a process of its own."""
 

@@ -24,9 +24,9 @@ from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
 from rig.fakes.fake_nidaqmx import Bench
 from rig.fakes.faults import FaultyBackend
-from rig.virtual.serial_device import SerialDevice
 from rig.fakes.serial_loopback import WiredCard, WiredPort
 from rig.sim.scenario import Scenario
+from rig.virtual.serial_device import SerialDevice
 
 RATE_HZ = 20000.0
 

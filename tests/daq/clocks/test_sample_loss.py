@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-from benchmarks.daq import losses
+from benchmarks.daq import losses, sample_path
 from daq.clocks.loss_search import NOTHING, AtOnce, Beside, Found
 from daq.clocks.sample_loss import LossDetector
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
@@ -109,21 +107,10 @@ def test_what_does_not_add_up_is_suspect(tmp_path: Path, setup: Setup) -> None:
             assert recording.attrs["expected_samples"] == expected
 
 
-def sample_path() -> ModuleType:
-    """The benchmark that counts the operations of the sample path."""
-    path = Path(__file__).parents[3] / "benchmarks" / "sample_path.py"
-    spec = importlib.util.spec_from_file_location("sample_path", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("case", ["clean", "lost", "dry", "unplugged", "storm"])
 def test_the_sample_path_does_bounded_work(case: str) -> None:
     """No block takes over a tenth of its time in counted work, whatever happens; each loss and disturbance is told."""
-    bench = sample_path()
+    bench = sample_path
     seen = bench.follow(case, seconds=6.0)
     bench.require(seen, case)
     third, half = round(2.0 * bench.RATE_HZ), round(3.0 * bench.RATE_HZ)

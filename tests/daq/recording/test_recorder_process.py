@@ -97,7 +97,7 @@ def test_the_operator_dies_the_recording_lives(tmp_path: Path) -> None:
         from daq.block import Block
         from daq.recorder import RecorderProcess
         from daq.recording import CHANNELS
-        from daq.setup import Setup
+        from daq.setup.setup import Setup
         if __name__ == "__main__":
             setup = Setup.model_validate({"name": "t", "forcing": {"frequency_hz": 25.0}, "ball": {"mass_kg": 1.0},
                 "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g"}}})

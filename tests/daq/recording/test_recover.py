@@ -79,7 +79,7 @@ def test_a_full_disk(tmp_path: Path, limit: int) -> None:
         from pathlib import Path
         import numpy as np
         from daq.recording import CHANNELS, Block, RecordingWriter
-        from daq.setup import Setup
+        from daq.setup.setup import Setup
         limit, path = int(sys.argv[1]), Path(sys.argv[2])
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         setup = {"name": "t", "forcing": {"frequency_hz": 25.0}, "ball": {"mass_kg": 1.0},
