@@ -94,8 +94,8 @@ def test_the_operator_dies_the_recording_lives(tmp_path: Path) -> None:
     script = """
         import sys, os, signal, time
         import numpy as np
-        from daq.block import Block
-        from daq.recorder import RecorderProcess
+        from daq.recording.tables import Block
+        from daq.recording.recorder_process import RecorderProcess
         from daq.recording import CHANNELS
         from daq.setup.setup import Setup
         if __name__ == "__main__":
