@@ -351,7 +351,7 @@ class SoundcardSerialBackend:
                 f"{self.rate_hz:g}; set the device's timer, or the profile, so that they agree"
             )
         return (
-            f"serial DAQ {self._reader.name}: its channel 'drive' does not hear the start marker of "
+            f"serial DAQ {self._reader.name}: its channel 'drive' does not record the start marker of "
             f"{self._marker_v:g} V; is the drive looped back into it, and not turned round?"
         )
 

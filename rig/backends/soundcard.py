@@ -196,7 +196,7 @@ class SoundcardBackend:
         if found is None:
             raise BackendError(
                 f"sound card {self._table.device!r}: input {self._table.inputs.drive} (the looped-back drive) does not "
-                f"hear the start marker of {self._table.marker_v:g} V on output {self._table.output}; is the drive "
+                f"record the start marker of {self._table.marker_v:g} V on output {self._table.output}; is the drive "
                 "looped back into it, and not turned round?"
             )
         return found - piece

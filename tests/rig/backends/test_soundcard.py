@@ -59,7 +59,7 @@ def test_the_profile_chooses_the_card(virtual_card: Profile) -> None:
     [
         ({"device": "nothing of that name"}, "cards that are there: .*shaker"),
         ({"inputs": {"continuity": 1, "accelerometer": 2, "drive": 7}}, "cannot be opened .* with 7 inputs"),
-        ({"inputs": {"continuity": 3, "accelerometer": 2, "drive": 1}}, "input 1 .* does not hear the start marker"),
+        ({"inputs": {"continuity": 3, "accelerometer": 2, "drive": 1}}, "input 1 .* does not record the start marker"),
     ],
 )
 def test_what_does_not_fit_is_said_at_the_start(virtual_card: Profile, changes: dict[str, Any], said: str) -> None:
