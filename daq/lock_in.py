@@ -1,6 +1,6 @@
 """Complex amplitudes of known tones by joint least squares: one estimator for the control loop and for the analysis.
 
-The rule kept here: a complex amplitude ``z`` at ``f`` means ``Re[z exp(i 2 pi f n / rate)]`` with ``n`` counted from
+A complex amplitude ``z`` at ``f`` means ``Re[z exp(i 2 pi f n / rate)]`` with ``n`` counted from
 sample 0 of the recording, whatever piece of it is handed in, masked or not.
 """
 

@@ -1,1 +1,4 @@
-"""Everything that moves the plate; never imports `model` or `analysis`."""
+"""The rig: everything that moves the plate; never imports `model` or `analysis`.
+
+Other rooms take `profile`.
+"""

@@ -1,6 +1,6 @@
-"""A rig profile: what is measured with what (`daq.setup.setup.Setup`), and how the plate is to be moved.
+"""A rig profile: the setup of the measurement (`daq.setup.setup.Setup`), the ramp, the limits and the back end.
 
-The rule kept here: a profile is checked whole before anything uses it, and what a *rig* can do is said by its
+A profile is checked whole before anything uses it, and what a *rig* can do is said by its
 ``[limits]``, not by the parser: any frequency and any ratio c >= 1 are profiles (other people's rigs are not ours).
 """
 
@@ -15,6 +15,8 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from daq.setup.setup import Frozen, Setup
 from daq.setup.strict_toml import load_toml, parse_toml
+from rig.backends.kinds.find import OptionsByKind
+from rig.backends.kinds.simulated import SimulatedOptions
 
 MAX_STEPS = 100_000
 MOST_RATE_HZ = 1e6
@@ -103,48 +105,13 @@ class ControlTable(Frozen):
     max_cycles: int = Field(default=1000, ge=8, description="a step that has not settled by then stops the run")
 
 
-class InputTable(Frozen):
-    """Which input of a card each channel is wired to, counted from 1."""
-
-    continuity: int = Field(default=1, ge=1)
-    accelerometer: int = Field(default=2, ge=1)
-    drive: int = Field(default=3, ge=1)
-
-
-NAMED = {"soundcard": ("device",), "soundcard+serial": ("device", "port"), "nidaqmx": ("device",)}
-"""What a kind of back end must be told by name."""
-
-
-class BackendTable(Frozen):
-    """What moves the plate."""
-
-    kind: Literal["simulated", "replay", "soundcard", "soundcard+serial", "nidaqmx"] = "simulated"
-    block_samples: int = Field(default=1024, ge=16, le=65536, description="largest block exchanged at once")
-    device: str = Field(default="", description="sound card: words of its name, see `bench devices`; NI: Dev1/ao0")
-    output: int = Field(default=1, ge=1, description="sound card: the output that drives the amplifier, from 1")
-    output_range_v: float = Field(default=10.0, gt=0, description="volts at full scale of the output")
-    inputs: InputTable = InputTable()
-    buffer_s: float = Field(default=0.02, gt=0, le=1, description="sound card: drive handed over ahead of time")
-    marker_v: float = Field(default=0.1, gt=0, description="height of the chirp that finds the loop-back at the start")
-    port: str = Field(default="", description="serial DAQ: the port's name")
-    baud: int = Field(default=2_000_000, gt=0, description="serial DAQ: bits a second")
-
-    @model_validator(mode="after")
-    def _named(self) -> Self:
-        """Refuse a kind whose device is not named."""
-        for key in NAMED.get(self.kind, ()):
-            if not getattr(self, key):
-                raise ValueError(f"{key}: missing; a {self.kind} is chosen by name; `bench devices` lists them")
-        return self
-
-
 class Profile(Setup):
     """A whole profile: the measuring part, the ramp, the limits and the back end."""
 
     ramp: RampTable
     limits: Limits
     control: ControlTable | None = None
-    backend: BackendTable = BackendTable()
+    backend: OptionsByKind = SimulatedOptions()
 
     @model_validator(mode="after")
     def _drivable(self) -> Self:
@@ -177,7 +144,7 @@ class _MeasuringProfile(Setup):
     ramp: RampTable | None = None
     limits: Limits | None = None
     control: ControlTable | None = None
-    backend: BackendTable | None = None
+    backend: OptionsByKind | None = None
 
 
 def load_profile(path: Path | str) -> tuple[Profile, str]:

@@ -10,10 +10,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.profiles.find import load
+from rig.backends.portaudio import open_stream
 from rig.profile import Profile, parse_profile
 
 Started = tuple[Profile, str, subprocess.Popen[str]]
@@ -93,6 +96,50 @@ def virtual_both(
     changes = (('kind = "soundcard"', kind), ('device = "shaker"', 'device = "both"'))
     with virtual_rig(folder, *changes, server=os.environ["JACK_DEFAULT_SERVER"]) as (profile, text, _):
         yield profile, text
+
+
+class CardTap:
+    """All that a card was given to play and all that it delivered, taken down in the driver's callback.
+
+    ``played``: (card's frame, samples, drive handed over up to before and after the call); ``heard``: frames in order;
+    ``begun``: index in ``heard`` of the first frame handed out, and the card's frame of the first drive sample.
+    """
+
+    def __init__(self) -> None:
+        self.played: list[tuple[int, np.ndarray, int, int]] = []
+        self.heard: list[np.ndarray] = []
+        self.begun = (0, 0)
+
+    def open_stream(
+        self, device: str, rate_hz: float, output: int, n_inputs: int, exchange: Any, woke: Callable[[int], None]
+    ) -> Any:
+        """`rig.backends.portaudio.open_stream` with the callback watched."""
+        ring = exchange.__self__
+        begin = ring.begin
+        self.played, self.heard = [], []
+
+        def watched(heard: np.ndarray | None, out: np.ndarray, counter: int | None) -> None:
+            before = ring.written
+            exchange(heard, out, counter)
+            self.played.append((ring.at - len(out), out.copy(), before, ring.written))
+            if heard is not None:
+                self.heard.append(heard.copy())
+
+        def noted(ahead: int) -> int:
+            frame: int = begin(ahead)
+            self.begun = ring._taken, ring.written
+            return frame
+
+        ring.begin = noted
+        return open_stream(device, rate_hz, output, n_inputs, watched, woke)
+
+
+@pytest.fixture
+def card_tap(monkeypatch: pytest.MonkeyPatch) -> CardTap:
+    """A watch on what the sound card plays and delivers, through the real driver."""
+    tap = CardTap()
+    monkeypatch.setattr("rig.backends.soundcard.open_stream", tap.open_stream)
+    return tap
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.plate.motion import PlateMotion
-from daq.importers.diagnostics import GAMMAS, plate_doubts
+from daq.importers.diagnostics import GAMMAS, plate_warnings
 from daq.recording import Recording
 
 UNEVEN_SAMPLES = 1.0  # rms deviation of the file's times from even sampling, in samples, that is worth a warning
@@ -23,5 +23,5 @@ def plausibility_warnings(recording: Recording, plate: PlateMotion) -> list[str]
     steps = [s for s in plate.steps if s is not None]
     if "drive" in recording.channels and steps:
         rows = [(s.gamma_drive, s.gamma, s.gamma_uncertainty) for s in steps]
-        found += plate_doubts(np.array(rows, [(name, np.float64) for name in GAMMAS]), recording.setup)
+        found += plate_warnings(np.array(rows, [(name, np.float64) for name in GAMMAS]), recording.setup)
     return found

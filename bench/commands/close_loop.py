@@ -143,11 +143,11 @@ def _warn_of_calibrations(recordings: list[Path]) -> None:
     """Say which scales nobody had measured lately when the recordings were made."""
     from bench.terminal.console import warn
     from daq.recording import open_recording
-    from daq.setup.calibration_age import recorded_doubts
+    from daq.setup.calibration_age import warnings_at_start
 
     for path in recordings:
         with open_recording(path) as recording:
-            for doubt in recorded_doubts(recording):
+            for doubt in warnings_at_start(recording.setup, str(recording.attrs.get("started", ""))):
                 warn(f"{path}: {doubt}")
 
 

@@ -46,7 +46,11 @@ def command(
     ports = [(port.device, port.description) for port in comports()]
     listed = [asdict(card) | {"profiles": [p.name for p in known if fits(p, card)]} for card in there]
     serial = [
-        {"port": port, "description": text, "profiles": [p.name for p in known if p.backend.port == port]}
+        {
+            "port": port,
+            "description": text,
+            "profiles": [p.name for p in known if getattr(p.backend, "port", "") == port],
+        }
         for port, text in ports
     ]
     write_json({"cards": listed, "ports": serial, "problem": why}, json)
@@ -56,8 +60,10 @@ def command(
 
 def fits(profile: Profile, card: Card) -> bool:
     """Whether the profile's sound card can be ``card``: its name, and enough channels."""
+    from rig.backends.kinds.soundcard import CardOptions
+
     table = profile.backend
-    if not table.kind.startswith("soundcard") or table.device.lower() not in card.name.lower():
+    if not isinstance(table, CardOptions) or table.device.lower() not in card.name.lower():
         return False
     inputs = table.inputs.model_dump().values() if table.kind == "soundcard" else [0]
     return card.outputs >= table.output and card.inputs >= max(inputs)

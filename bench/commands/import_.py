@@ -44,8 +44,9 @@ def command(
 
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
-    from daq.importers.columns import open_source, parse_map
-    from daq.importers.import_recording import import_recording
+    from daq.importers.formats.columns import parse_map
+    from daq.importers.formats.open import open_source
+    from daq.importers.import_recording import ImportOptions, import_recording
     from daq.setup.errors import InputError
     from rig.profile import load_setup
 
@@ -63,9 +64,7 @@ def command(
                 out,
                 setup,
                 text,
-                mapping=parse_map(mapping),
-                rate_hz=rate,
-                note=readable(note),
+                ImportOptions(parse_map(mapping), rate, readable(note)),
                 progress=progress,
             )
     except InputError as error:
@@ -80,7 +79,7 @@ def command(
 
 def _selection(channel: list[str]) -> dict[str, str]:
     """``--channel`` as ``{"": value}`` or ``{role: value}``."""
-    from daq.importers.columns import CHANNEL_ROLES
+    from daq.importers.formats.columns import CHANNEL_ROLES
     from daq.setup.errors import InputError
 
     if len(channel) == 1 and channel[0].partition("=")[0] not in CHANNEL_ROLES:
@@ -141,7 +140,7 @@ def _print(payload: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from daq.importers.columns import listed
+    from daq.importers.formats.columns import listed
 
     console = Console(highlight=False, markup=False, emoji=False)
     console.print(

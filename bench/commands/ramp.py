@@ -45,7 +45,7 @@ def command(
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
-    from daq.setup.calibration_age import doubts
+    from daq.setup.calibration_age import calibration_warnings
     from daq.setup.errors import InputError
 
     try:
@@ -63,7 +63,7 @@ def command(
         _, _, faults = planned(checked)
         if faults:
             raise InputError(refusal(profile, faults))
-        for doubt in doubts(checked, datetime.date.today()):
+        for doubt in calibration_warnings(checked, datetime.date.today()):
             warn(f"{profile}: {doubt}")
         backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
         summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-",
@@ -108,57 +108,12 @@ def make_backend(
     replay: Path | None = None,
 ) -> Backend:
     """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
-    from daq.setup.errors import InputError
-
-    kind = profile.backend.kind
-    unheeded = {
-        "--replay": replay is not None and kind != "replay",
-        "--scenario": scenario is not None and kind != "simulated",
-        "--real-time": real_time and kind != "simulated",
-    }
-    for option, given in unheeded.items():
-        if given:
-            wanted = "replay" if option == "--replay" else "simulated"
-            raise InputError(f'{option}: is for backend.kind = "{wanted}"; this profile\'s is "{kind}"')
-    if profile.backend.kind == "replay":
-        from rig.backends.replay import ReplayBackend
-
-        if replay is None:
-            raise InputError("backend.kind is replay: name the recording to play by --replay REC.h5")
-        return ReplayBackend(replay)
-    if profile.backend.kind == "soundcard":
-        from rig.backends.soundcard import SoundcardBackend
-
-        return SoundcardBackend(profile)
-    if profile.backend.kind == "soundcard+serial":
-        return serial_backend(profile)
-    if profile.backend.kind == "nidaqmx":
-        from rig.backends.base import BackendError
-        from rig.backends.nidaqmx import of_profile
-
-        try:
-            return of_profile(profile)
-        except BackendError as error:
-            raise InputError(str(error)) from error
     from bench.profiles.find import find_scenario
-    from rig.backends.simulated import SimulatedBackend
-    from rig.sim.scenario import Scenario, load_scenario
+    from rig.backends.registry import open_backend
 
-    hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
-    return SimulatedBackend(profile.sampling.rate_hz, hidden, seed, real_time=real_time)
-
-
-def serial_backend(profile: Profile) -> Backend:
-    """Drive through a sound card, channels through a serial device."""
-    from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
-    from rig.backends.soundcard import SoundcardBackend
-
-    table, channels = profile.backend, profile.channels
-    every = {"continuity": channels.continuity, "accelerometer": channels.accelerometer, "drive": channels.drive}
-    ranges_v = {name: channel.range_v for name, channel in every.items() if channel is not None}
-    rate_hz = profile.sampling.rate_hz
-    reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
-    return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)
+    if scenario is not None and profile.backend.kind == "simulated":
+        scenario = find_scenario(scenario)
+    return open_backend(profile, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
 
 
 def record(
@@ -187,6 +142,7 @@ def record(
     from rig.programme.ramp import plan
     from rig.programme.sequencer import largest_block
 
+    programme = plan(profile)
     options: dict[str, Any] = {
         "profile_text": text,
         "channels": backend.channels,
@@ -196,7 +152,7 @@ def record(
         "note": note,
         "extra": extra,
         "scenario_sha256": backend.scenario_sha256,
-        "expected_samples": plan(profile).n_samples,
+        "expected_samples": programme.n_samples,
     }
     if not backend.simulated:
         warm_up(profile)
@@ -204,14 +160,14 @@ def record(
     with stop_on_signals() as request, first, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
-            block_samples = largest_block(plan(profile).clock, profile.backend.block_samples)
+            block_samples = largest_block(programme.clock, profile.backend.block_samples)
             writer: RecordingWriter | RecorderProcess = RecorderProcess(
                 out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
             )
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
         try:
-            return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
+            return run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)
         finally:
             if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
                 out.unlink(missing_ok=True)

@@ -44,14 +44,14 @@ def command(
     from bench.terminal.console import EXIT_USAGE, fail
     from bench.terminal.signals import stop_on_signals
     from daq.setup.errors import InputError
+    from rig.backends.kinds.soundcard import card_options
     from rig.sim.scenario import Scenario, load_scenario
     from rig.virtual.jack import PlantLog, jack_server
 
     try:
         check_outputs(File("--log", log, NPZ), inputs=[profile, scenario], overwrite=overwrite)
         checked, _ = load(profile)
-        if checked.backend.kind not in ("soundcard", "soundcard+serial"):
-            raise InputError(f"{profile}: backend.kind is {checked.backend.kind}; wanted a sound card's profile")
+        device = card_options(checked.backend).device
         hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
         with (
             stop_on_signals() as request,
@@ -60,7 +60,7 @@ def command(
             _plant(checked, hidden, seed, server, keep, ppm) as plant,
         ):
             typer.echo(
-                f"{checked.backend.device!r} on JACK server {server!r} ({'started' if started else 'was there'}), "
+                f"{device!r} on JACK server {server!r} ({'started' if started else 'was there'}), "
                 f"{checked.sampling.rate_hz:g} Hz: ready"
             )
             until = None if for_s is None else time.monotonic() + for_s

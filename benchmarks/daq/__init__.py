@@ -1,1 +1,1 @@
-"""TODO what daq is for."""
+"""Benchmarks of recording, importing and clocks."""

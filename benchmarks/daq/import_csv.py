@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importers.columns import open_source
+from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.setup.setup import Setup
 

@@ -59,17 +59,27 @@ def run(rng: np.random.Generator, lost: int, ratio: int, seconds: float = 6.0) -
     return found + [(b.first_sample, b.lost_before, b.lost_uncertainty) for b in blocks if b.lost_before]
 
 
-def main() -> None:
-    """Run and print the score."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def arguments(title: str) -> argparse.Namespace:
+    """``runs`` and ``seed`` of the command line."""
+    parser = argparse.ArgumentParser(description=title)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def drawn_loss(rng: np.random.Generator) -> int:
+    """Number of lost samples, 1 to 5000, log-uniform."""
+    return int(np.exp(rng.uniform(0, np.log(5000.999))))
+
+
+def main() -> None:
+    """Run and print the score."""
+    options = arguments(__doc__.splitlines()[0])
     rng = np.random.default_rng(options.seed)
     found = right = alarms = 0
     worst = 0
     for i in range(options.runs):
-        lost = int(np.exp(rng.uniform(0, np.log(5000.999))))
+        lost = drawn_loss(rng)
         (at, lost, _), *declared = run(rng, lost, 1 + i % 3)
         total = sum(n for _, n, _ in declared)
         found += bool(declared)

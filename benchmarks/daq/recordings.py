@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.export.export import export
-from daq.importers.columns import open_source
+from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
 from daq.recording.tables import Block

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
+import daq.clocks.lag
 import daq.clocks.sample_loss
-import daq.clocks.slip
+from daq.clocks.lag import LagFit, PlayedBuffer
 from daq.clocks.loss_search import Beside
 from daq.clocks.sample_loss import LossDetector
-from daq.clocks.slip import PlayedBuffer, SlipFit
 from daq.recording.tables import Block, BlockFlag
 
 RATE_HZ, FREQUENCY_HZ, BLOCK = 48_000.0, 25.37, 1024
@@ -81,12 +81,12 @@ def counted(counter: Counter) -> Iterator[None]:
 
         setattr(owner, name, call)
 
-    wrap(SlipFit, "add", lambda fit, played, heard, first: (FIT_SUMS + 8) * len(heard))
+    wrap(LagFit, "add", lambda fit, played, heard, first: (FIT_SUMS + 8) * len(heard))
     wrap(PlayedBuffer, "piece", lambda played, start, stop: 2 * abs(stop - start))
     wrap(PlayedBuffer, "add", lambda played, drive_v: 2 * len(drive_v))
     wrap(LossDetector, "_volts", lambda finder: 4 * finder._n_waiting)  # concatenated, its mean, spread and extremes
     wrap(LossDetector, "_settled", lambda finder, *found: finder._n_waiting + 2 * finder._chunk)
-    wrap(daq.clocks.slip, "candidates", lambda played, heard, first, low, high, gain: 60 * (high - low + len(heard)))
+    wrap(daq.clocks.lag, "candidates", lambda played, heard, first, low, high, gain: 60 * (high - low + len(heard)))
     try:
         yield
     finally:

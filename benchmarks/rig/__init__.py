@@ -1,1 +1,1 @@
-"""TODO what rig is for."""
+"""Benchmarks of the run: interlock, closed loop, losses, virtual devices."""

@@ -79,8 +79,8 @@ def compare(recording: Path, log: Path) -> None:
         frames, codes = plant["frame"], plant["codes"]
         at = (frames - frames[0]) % 2**32
         world = np.full((int(at[-1]) + codes.shape[1], 3), -32768, np.int16)
-        for jack_server, piece in zip(at, codes, strict=True):
-            world[jack_server : jack_server + len(piece)] = piece
+        for first, piece in zip(at, codes, strict=True):
+            world[first : first + len(piece)] = piece
         heard = np.column_stack([rec.codes(name, 0, rec.n_samples) for name in rec.channels])
         key = heard[:64, 1]
         starts = [k for k in np.flatnonzero(world[:, 1] == key[0]) if np.array_equal(world[k : k + 64, 1], key)]

@@ -72,16 +72,18 @@ def plant(server: str, port: str, out: str, hidden: str) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Start everything, run, compare."""
-    from bench.commands.ramp import make_backend, record
+    from bench.commands.ramp import record
+    from benchmarks.rig import jack_server
+    from rig.backends.registry import open_backend
     from rig.profile import parse_profile
-    from rig.virtual.jack import jack_server
+    from rig.virtual.jack import jack_server as found_server
 
     os.environ["JACK_DEFAULT_SERVER"] = SERVER
     kill_s: float | None = options.kill
     with (
         tempfile.TemporaryDirectory() as folder,
         jack_server.asked(options.first, SERVER, int(RATE_HZ), 256),
-        jack_server(SERVER, RATE_HZ, 256),
+        found_server(SERVER, RATE_HZ, 256),
     ):
         events, path, port = (Path(folder) / name for name in ("events.npz", "run.h5", "port"))
         path = options.keep or path
@@ -98,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
             if kill_s is not None:
                 threading.Timer(kill_s, process.kill).start()
             began, cpu = time.monotonic(), time.process_time()
-            summary = record(profile, text, make_backend(profile), path, quiet=True)
+            summary = record(profile, text, open_backend(profile), path, quiet=True)
             wall = time.monotonic() - began
             print(f"{summary.how} {summary.why}: {summary.n_samples} samples, {summary.lost_samples} lost, "
                   f"{wall:.1f} s, {100 * (time.process_time() - cpu) / wall:.0f} % of a core")  # fmt: skip

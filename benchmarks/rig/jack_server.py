@@ -1,6 +1,6 @@
 """A JACK server whose clients' callbacks run before all other work, for figures on a machine that has other work.
 
-The rule kept here: nothing of the project changes; `bench virtual` and the rig find the server and use it. Linux, with
+Nothing of the project changes; `bench virtual` and the rig find the server and use it. Linux, with
 the rights for real-time scheduling.
 """
 

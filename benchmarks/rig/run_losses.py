@@ -8,7 +8,6 @@ beyond comes short). As many runs lose nothing.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.profiles.find import load
+from benchmarks.daq.losses import arguments, drawn_loss
 from daq.recording import RecordingWriter, open_recording, verify
 from daq.recording.tables import Block
 from rig.backends.simulated import SimulatedBackend
@@ -62,10 +62,7 @@ def run(profile: Profile, faults: list[Fault], seed: int, path: Path) -> tuple[l
 
 def main() -> None:
     """Run and print the score."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+    options = arguments(__doc__.splitlines()[0])
     rng = np.random.default_rng(options.seed)
     profiles = [load(name)[0] for name in ("simulated", "c2", "c3")]
     found = right = alarms = doubted = 0
@@ -74,7 +71,7 @@ def main() -> None:
             whole = profiles[i % 3]
             ramp = whole.ramp.model_copy(update={"gamma": (0.4, 0.7, 0.5), "order": None})
             profile = whole.model_copy(update={"ramp": ramp})
-            lost = int(np.exp(rng.uniform(0, np.log(5000.999))))
+            lost = drawn_loss(rng)
             at = int(rng.integers(15_000, plan(profile).n_samples - 15_000))
             gaps, suspect = run(profile, [LostFrames(at, lost), Buffered()], i, Path(folder) / "lossy.h5")
             total = sum(n for _, n in gaps)

@@ -108,7 +108,7 @@ def _beyond_noise(z: NDArray[np.float64]) -> float:
 # -- the other plant ----------------------------------------------------------------------------------------------
 def _other(job: Job, folder: Path) -> Path:
     """A foreign recording (CSV of volts, no step table), imported with its profile."""
-    from daq.importers.columns import open_source
+    from daq.importers.formats.open import open_source
     from daq.importers.import_recording import import_recording
     from rig.profile import load_setup
 

@@ -1,13 +1,12 @@
-"""Two clocks, one time base: where the frames of a device with a clock of its own lie among the played samples.
+"""Clock synchronisation: the place among the played samples of frames taken by another clock.
 
-The rule kept here: nothing is resampled. The drive is looped back into the device; a start marker says once, without
-ambiguity, which played sample is heard in which frame, and from there the looped-back drive is compared with what was
-played, window by window (`daq.clocks.slip.slip_at`). Raw readings are kept; the map that is fitted to them says how
-well it is known.
+Nothing is resampled. The drive is looped back into the device. A start marker assigns once, without ambiguity, played
+samples to frames; from there the looped-back drive is compared with the played one, window by window
+(`daq.clocks.lag.lag_at`). Raw readings are kept, and the map fitted to them carries its uncertainty.
 
-The place of frame ``m`` among the played samples is ``m + s(m)``. Its slip ``s`` is an integrated random walk: the rate
+The place of frame ``m`` among the played samples is ``m + s(m)``. Its lag ``s`` is an integrated random walk: the rate
 of a quartz wanders with its temperature. Kalman filter forwards, Rauch-Tung-Striebel smoother backwards (AIAA J. 3,
-1445, 1965, equations 3.29 to 3.31); how fast the rate wanders is what makes the readings likeliest.
+1445, 1965, equations 3.29 to 3.31); the rate's variance is the one of maximum likelihood.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at
 from daq.clocks.sample_loss import SMALLEST_MISFIT
-from daq.clocks.slip import LATENCY, PlayedBuffer, slip_at
 from daq.recording.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
 
@@ -29,13 +28,13 @@ MARKER_S = 0.3
 MARKER_HZ = (150.0, 2500.0)
 SURE = 8.0  # the marker's peak over the noise around it
 WORST_PPM = 500.0  # by which two clocks may differ
-SURE_SAMPLES = 1.0  # a window that says less is no reading
+SURE_SAMPLES = 1.0  # largest uncertainty of a window that counts as a reading
 JUMP_SAMPLES = 0.5
 BROKEN = 4.0  # times the usual misfit, beyond which a window was cut or patched and says nothing
 USUAL = 31  # windows from which the usual misfit is told
 WANDERS = 10.0 ** np.arange(-24.0, -13.0)  # variance of the rate gained in one sample, tried one by one
 START_RATE = WORST_PPM * 1e-6
-UNKNOWN = 1e6  # variance of a slip of which nothing is known, samples squared
+UNKNOWN = 1e6  # variance of a lag of which nothing is known, samples squared
 
 
 def start_marker(rate_hz: float) -> Floats:
@@ -50,7 +49,7 @@ def start_marker(rate_hz: float) -> Floats:
 
 
 def find_marker(heard_v: Floats, marker: Floats) -> float | None:
-    """Where in ``heard_v`` the marker begins, in samples and parts of one; None where it is not heard."""
+    """Where in ``heard_v`` the marker begins, in samples and parts of one; None where it is absent."""
     if len(heard_v) <= len(marker):
         return None
     match = fftconvolve(heard_v - heard_v.mean(), marker[::-1], mode="valid")
@@ -63,12 +62,12 @@ def find_marker(heard_v: Floats, marker: Floats) -> float | None:
 
 
 class ClockTracker:
-    """Follow the slip while a run lasts.
+    """Follow the lag while a run lasts.
 
     Parameters
     ----------
-    marker_slip
-        The slip that the start marker showed: played index less the device's counter.
+    marker_lag
+        The lag that the start marker showed: played index less the device's counter.
     at
         The device's counter there.
     window
@@ -79,26 +78,26 @@ class ClockTracker:
     Attributes
     ----------
     readings : list
-        `CLOCK_DTYPE` rows, one a window in which the drive said something.
+        `CLOCK_DTYPE` rows, one for each window in which the drive determines the lag.
     """
 
-    def __init__(self, marker_slip: float, at: int, window: int, rate_hz: float) -> None:
+    def __init__(self, marker_lag: float, at: int, window: int, rate_hz: float) -> None:
         self.readings: list[NDArray[np.void]] = []
         self.origin = at
         self._played = PlayedBuffer(LATENCY + 8 * window)
         self._window = window
         self._wander = (1e-7) ** 2 / rate_hz  # a quartz in a room: a tenth of a ppm in a second, at most
-        self._at, self._state = float(at), (marker_slip, 0.0, 1.0, 0.0, START_RATE**2)
+        self._at, self._state = float(at), (marker_lag, 0.0, 1.0, 0.0, START_RATE**2)
         self._heard = np.zeros(0)
         self._first = at
         self._misfits: deque[float] = deque(maxlen=USUAL)
 
     def played(self, drive_v: Floats) -> None:
-        """Say what was handed to the device that plays."""
+        """Append the samples handed to the device that plays."""
         self._played.add(drive_v)
 
-    def slip(self, counter: float) -> float:
-        """The slip expected at a frame."""
+    def lag(self, counter: float) -> float:
+        """The lag expected at a frame."""
         return float(self._state[0] + (counter - self._at) * self._state[1])
 
     def heard(self, first: int, drive_v: Floats) -> None:
@@ -113,21 +112,21 @@ class ClockTracker:
     def _look(self, first: int, volts: Floats) -> None:
         """One window: a reading, where the drive moves and fits."""
         centre = first + 0.5 * (len(volts) - 1)
-        slip, rate, ss, sr, rr = _ahead(self._state, centre - self._at, self._wander)
-        seen = slip_at(self._played, volts, first, round(slip))
+        lag, rate, ss, sr, rr = _ahead(self._state, centre - self._at, self._wander)
+        seen = lag_at(self._played, volts, first, round(lag))
         if seen.sigma > SURE_SAMPLES or seen.gain <= 0.0:
             return
         self._misfits.append(seen.rms_v)
         if seen.rms_v > BROKEN * max(float(np.median(self._misfits)), SMALLEST_MISFIT * float(np.std(volts))):
             return
-        off, variance = seen.samples - slip, seen.sigma**2
+        off, variance = seen.samples - lag, seen.sigma**2
         jump = abs(off) > max(JUMP_SAMPLES, 6.0 * (float(np.sqrt(ss)) + seen.sigma))
-        if jump:  # where the slip was wrong the rate may have been, too
+        if jump:  # where the lag was wrong the rate may have been, too
             ss, sr, rr = ss + UNKNOWN, 0.0, START_RATE**2
         total = ss + variance
         a, b = 1.0 - variance / total, sr / total
         rate += b * off
-        self._at, self._state = centre, (slip + a * off, rate, a * variance, sr * (1.0 - a), rr - b * sr)
+        self._at, self._state = centre, (lag + a * off, rate, a * variance, sr * (1.0 - a), rr - b * sr)
         whole = round(centre)
         row = np.zeros(1, CLOCK_DTYPE)
         place = whole + seen.samples + (whole - centre) * rate
@@ -161,27 +160,27 @@ def fit_clock(readings: NDArray[np.void], at: NDArray[np.int64]) -> NDArray[np.v
     if len(readings) < 2:
         return rows
     where = readings["recorded_sample"].astype(np.float64)
-    slips = readings["played_sample"] - where
+    lags = readings["played_sample"] - where
     jump = readings["jump"] != 0
-    variance = _honest(where, slips, readings["uncertainty"], jump) ** 2
+    variance = _honest(where, lags, readings["uncertainty"], jump) ** 2
     states, before = np.empty((len(where), 5)), np.empty((len(where), 5))
-    likelihoods = [_filter(where, slips, variance, jump, w, before, states) for w in WANDERS]
+    likelihoods = [_filter(where, lags, variance, jump, w, before, states) for w in WANDERS]
     wander = float(WANDERS[int(np.argmax(likelihoods))])
-    _filter(where, slips, variance, jump, wander, before, states)
+    _filter(where, lags, variance, jump, wander, before, states)
     _smooth(where, before, states)
     for row, sample in zip(rows, at, strict=True):
         k = int(np.argmin(np.abs(where - sample)))
-        slip, rate, ss, _, rr = _ahead(states[k], float(sample) - where[k], wander)
-        row["played_sample"], row["rate"] = sample + slip, rate
+        lag, rate, ss, _, rr = _ahead(states[k], float(sample) - where[k], wander)
+        row["played_sample"], row["rate"] = sample + lag, rate
         row["uncertainty"], row["rate_uncertainty"] = np.sqrt(ss), np.sqrt(rr)
     return rows
 
 
-def _honest(where: Floats, slips: Floats, sigma: Floats, jump: NDArray[np.bool_]) -> Floats:
-    """Uncertainties no smaller than the readings' own scatter: second differences know no slip and no rate."""
+def _honest(where: Floats, lags: Floats, sigma: Floats, jump: NDArray[np.bool_]) -> Floats:
+    """Uncertainties no smaller than the readings' own scatter: second differences know no lag and no rate."""
     if len(where) < 8:
         return sigma
-    a, b, c = slips[:-2], slips[1:-1], slips[2:]
+    a, b, c = lags[:-2], lags[1:-1], lags[2:]
     share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
     bend = b - a - share * (c - a)
     claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)
@@ -193,11 +192,11 @@ def _honest(where: Floats, slips: Floats, sigma: Floats, jump: NDArray[np.bool_]
 
 @njit(error_model="numpy")
 def _ahead(state, dt, wander):  # type: ignore[no-untyped-def]
-    """``(slip, rate, var slip, cov, var rate)`` after ``dt`` frames in which the rate wanders."""
-    slip, rate, ss, sr, rr = state
+    """``(lag, rate, var lag, cov, var rate)`` after ``dt`` frames in which the rate wanders."""
+    lag, rate, ss, sr, rr = state
     d = abs(dt)
     return (
-        slip + dt * rate,
+        lag + dt * rate,
         rate,
         ss + 2.0 * dt * sr + dt * dt * rr + wander * d**3 / 3.0,
         sr + dt * rr + wander * dt * d / 2.0,
@@ -206,21 +205,21 @@ def _ahead(state, dt, wander):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _filter(where, slips, variance, jump, wander, before, after):  # type: ignore[no-untyped-def]
+def _filter(where, lags, variance, jump, wander, before, after):  # type: ignore[no-untyped-def]
     """Forwards: fills the states before and after each reading, shape (n, 5); returns the log likelihood of all."""
     likelihood = 0.0
     for k in range(where.size):
         if k == 0:
-            slip, rate, ss, sr, rr = slips[0], 0.0, UNKNOWN, 0.0, START_RATE**2
+            lag, rate, ss, sr, rr = lags[0], 0.0, UNKNOWN, 0.0, START_RATE**2
         else:
-            slip, rate, ss, sr, rr = _ahead(after[k - 1], where[k] - where[k - 1], wander)
+            lag, rate, ss, sr, rr = _ahead(after[k - 1], where[k] - where[k - 1], wander)
         if jump[k]:
             ss += UNKNOWN
-        before[k] = slip, rate, ss, sr, rr
-        off, total = slips[k] - slip, ss + variance[k]
+        before[k] = lag, rate, ss, sr, rr
+        off, total = lags[k] - lag, ss + variance[k]
         likelihood -= 0.5 * (off * off / total + np.log(total))
         a, b = ss / total, sr / total
-        after[k] = slip + a * off, rate + b * off, a * variance[k], sr * (1.0 - a), rr - b * sr
+        after[k] = lag + a * off, rate + b * off, a * variance[k], sr * (1.0 - a), rr - b * sr
     return likelihood
 
 
@@ -232,7 +231,7 @@ def _smooth(where, before, states):  # type: ignore[no-untyped-def]
         _, _, ss, sr, rr = states[k]
         _, _, pss, psr, prr = before[k + 1]
         det = pss * prr - psr * psr
-        # gain = P F' inverse(P-): rows slip and rate
+        # gain = P F' inverse(P-): rows lag and rate
         cs, cr, ds, dr = ss + dt * sr, sr, sr + dt * rr, rr
         g11, g12 = (cs * prr - cr * psr) / det, (cr * pss - cs * psr) / det
         g21, g22 = (ds * prr - dr * psr) / det, (dr * pss - ds * psr) / det
@@ -253,7 +252,7 @@ def played_s(times_s: Floats, rows: NDArray[np.void], gaps: NDArray[np.int64], r
     times_s
         On the recording's own axis: frame ``n`` is ``n / rate_hz``, lost ones not counted.
     rows
-        Its map, `MAP_DTYPE`: between two rows the cubic through slips and rates.
+        Its map, `MAP_DTYPE`: between two rows the cubic through lags and rates.
     gaps
         Its gaps ``(n, 2)``: first sample after the gap, samples lost.
     rate_hz
@@ -263,16 +262,16 @@ def played_s(times_s: Floats, rows: NDArray[np.void], gaps: NDArray[np.int64], r
     if len(gaps):
         lost = np.concatenate([[0], np.cumsum(gaps[:, 1])])
         sample = sample + lost[np.searchsorted(gaps[:, 0], sample, side="right")]
-    at, slip = rows["recorded_sample"].astype(np.float64), rows["played_sample"] - rows["recorded_sample"]
+    at, lag = rows["recorded_sample"].astype(np.float64), rows["played_sample"] - rows["recorded_sample"]
     if len(rows) == 1:
-        return np.asarray((sample + slip[0] + (sample - at[0]) * rows["rate"][0]) / rate_hz)
+        return np.asarray((sample + lag[0] + (sample - at[0]) * rows["rate"][0]) / rate_hz)
     k = np.clip(np.searchsorted(at, sample) - 1, 0, len(at) - 2)
     h = at[k + 1] - at[k]
     u = np.clip((sample - at[k]) / h, 0.0, 1.0)
     r0, r1 = rows["rate"][k] * h, rows["rate"][k + 1] * h
     inside = (
-        slip[k] * (1 + 2 * u) * (1 - u) ** 2 + r0 * u * (1 - u) ** 2
-        + slip[k + 1] * u**2 * (3 - 2 * u) - r1 * u**2 * (1 - u)
+        lag[k] * (1 + 2 * u) * (1 - u) ** 2 + r0 * u * (1 - u) ** 2
+        + lag[k + 1] * u**2 * (3 - 2 * u) - r1 * u**2 * (1 - u)
     )  # fmt: skip
     beyond = (sample - np.clip(sample, at[0], at[-1])) * np.where(sample < at[0], rows["rate"][0], rows["rate"][-1])
     return np.asarray((sample + inside + beyond) / rate_hz)

@@ -1,7 +1,7 @@
-"""The two questions of the loss finder that take long, and who answers them: at once, or in a thread beside the run.
+"""Searches for latency and losses, run at once or in a thread beside the run.
 
-The rule kept here: a question holds copies of all it needs, and its answer depends on nothing else. So it does not
-matter when the answer comes; a run whose device waits for nobody asks beside, a simulated one asks at once.
+A question holds copies of all it needs, and its answer depends on nothing else: so it does not
+matter when the answer comes. With a device the search runs beside the run, with a simulated rig at once.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.clocks.slip import LARGEST, LATENCY, Floats, Slip, Stretch, candidates, slip_at
+from daq.clocks.lag import LARGEST, LATENCY, Floats, Lag, Stretch, candidates, lag_at
 
-SURE_SAMPLES = 0.05  # a slip known less well than this decides nothing
+SURE_SAMPLES = 0.05  # a lag known less well than this decides nothing
 SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
 CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything
 MISFIT = 4.0  # times what a fit usually leaves over: more does not fit
@@ -23,19 +23,19 @@ LIKE_NOISE = 0.1  # of the heard drive: what a fit may leave over when the laten
 
 @dataclass(frozen=True)
 class Found:
-    """An answer: what was heard before ``at`` fits the slip known before, the rest fits ``slip``.
+    """An answer: what was heard before ``at`` fits the lag known before, the rest fits ``lag``.
 
     Attributes
     ----------
-    slip
-        The slip from there on; None where nothing that was played fits.
+    lag
+        The lag from there on; None where nothing that was played fits.
     at, lost, uncertainty
         Frame of the piece before which samples are missing, how many, and by how much that may be off.
     gain, rms_v
         Heard volts a played volt, and what the fit leaves over.
     """
 
-    slip: float | None
+    lag: float | None
     at: int = -1
     lost: int = 0
     uncertainty: int = 0
@@ -63,7 +63,7 @@ class WhichLatency:
     Attributes
     ----------
     played, heard, first
-        What was played, what was heard (n,), and the number of its first frame.
+        Played samples, recorded loop-back (n,), and the number of its first frame.
     lost
         Samples lost so far.
     last
@@ -89,16 +89,16 @@ class WhichLatency:
 
 @dataclass(frozen=True)
 class WhichLoss:
-    """How many samples are missing in a piece that does not go on as it should, and where.
+    """Search for the number and place of the samples missing in a piece.
 
     Attributes
     ----------
     played, heard, first
-        What was played, what was heard (n,), and the number of its first frame.
+        Played samples, recorded loop-back (n,), and the number of its first frame.
     before
-        What was heard before it.
-    slip, gain, usual_v
-        The slip before, the gain of the loop-back, and what a fit usually leaves over.
+        Loop-back before it.
+    lag, gain, usual_v
+        The lag before, the gain of the loop-back, and the usual residual of a fit.
     chunk
         Frames that are looked at together.
     excess_samples
@@ -111,7 +111,7 @@ class WhichLoss:
     heard: Floats
     first: int
     before: Floats
-    slip: float
+    lag: float
     gain: float
     usual_v: float
     chunk: int
@@ -119,8 +119,8 @@ class WhichLoss:
     counted: bool = False
 
     def answer(self) -> Found:
-        """The loss that fits; of several the one that the clock says."""
-        old, whole = self.slip, [f for f in self._fitting() if self._is_possible(f)]
+        """The loss that fits; of several the one nearest to the clock's."""
+        old, whole = self.lag, [f for f in self._fitting() if self._is_possible(f)]
         if not whole:
             return NOTHING
         wanted = self.excess_samples or 0.0
@@ -129,41 +129,41 @@ class WhichLoss:
         if lost == 0:
             return NOTHING
         rivals = [abs(f.samples - best.samples) for f in whole if abs(f.samples - best.samples) > 1.0]
-        doubt = min(rivals) if rivals and self.excess_samples is None else 0.0
-        uncertainty = int(np.ceil(max(doubt, 3.0 * best.sigma) - 0.5))
+        ambiguity_samples = min(rivals) if rivals and self.excess_samples is None else 0.0
+        uncertainty = int(np.ceil(max(ambiguity_samples, 3.0 * best.sigma) - 0.5))
         return Found(old + lost, self._where(old + lost), lost, uncertainty)
 
-    def _fitting(self) -> list[Slip]:
-        """Slips at which the end of the piece fits; else at which all of it does."""
+    def _fitting(self) -> list[Lag]:
+        """Lags at which the end of the piece fits; else those at which all of it does."""
         tail = self.heard[-min(self.chunk, len(self.heard)) // 2 :]
         start = self.first + len(self.heard) - len(tail)
-        low = round(self.slip)
+        low = round(self.lag)
         found = candidates(self.played, tail, start, low - self.chunk, low + LARGEST, self.gain)
         found = [f for f in found if f.rms_v < MISFIT * self.usual_v]
         if found:
             return found
-        near = slip_at(self.played, self.heard, self.first, low)
+        near = lag_at(self.played, self.heard, self.first, low)
         return [near] if near.rms_v < MISFIT * self.usual_v else []
 
-    def _is_possible(self, found: Slip) -> bool:
+    def _is_possible(self, found: Lag) -> bool:
         """Whole samples off, and backwards only where frames are there twice."""
-        off = found.samples - self.slip
+        off = found.samples - self.lag
         if self.counted and abs(off - (self.excess_samples or 0.0)) > self.chunk / 2:
             return False
         return abs(off - round(off)) < 0.3 and (off > -0.5 or self._repeats(round(-off)))
 
     def _repeats(self, n: int) -> bool:
         """Whether ``n`` frames are there twice, noise and all; a loss of the rest of a period only looks like it."""
-        at = self._where(self.slip - n) + len(self.before)
+        at = self._where(self.lag - n) + len(self.before)
         known = np.concatenate([self.before, self.heard])
         again, once = known[at : at + n], known[max(at - n, 0) : at]
         return again.size == once.size == n and float(np.mean(again == once)) > SAME_PART
 
     def _where(self, new: float) -> int:
-        """Frame at which the old slip stops fitting and the new one starts."""
+        """Frame at which the old lag stops fitting and the new one starts."""
         misfit = []
-        for slip in (self.slip, new):
-            start = self.first + round(slip)
+        for lag in (self.lag, new):
+            start = self.first + round(lag)
             rest = self.heard - self.gain * self.played.piece(start, start + len(self.heard))
             misfit.append((rest - np.median(rest)) ** 2)
         before = np.concatenate([[0.0], np.cumsum(misfit[0])])
@@ -172,7 +172,7 @@ class WhichLoss:
 
 
 class Searcher(Protocol):
-    """Who answers questions, one at a time."""
+    """Runs searches, one at a time."""
 
     def ask(self, question: Question) -> bool:
         """Take a question; False while an earlier one is still being worked on."""

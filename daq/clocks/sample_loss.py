@@ -1,11 +1,11 @@
-"""Count the samples that a device lost, and say where: loop-back, block clocks, and the sum of it all.
+"""Sample-loss detection: number and place of the samples that a device lost, by loop-back and block clocks.
 
-The rule kept here: drivers are not believed. The looped-back drive is compared with what was played; where it slips,
-samples are missing, and by how much it slips says how many. A slip that is a whole number of the drive's periods
-looks like none, so the clock that ran beside the blocks decides between the candidates.
+Driver reports are not used. The looped-back drive is compared with the played samples: a jump of its lag is the
+number of samples missing there. A jump by a whole number of the drive's periods is invisible, so the clock that ran
+beside the blocks decides between the candidates.
 
 What the sample path does with a block is bounded by the block's own length: the sums of one fit. Only where they do
-not fit is a slip searched for (`daq.clocks.loss_search`), beside the run; the blocks wait for the answer, in order.
+not fit is a lag searched for (`daq.clocks.loss_search`), beside the run; the blocks wait for the answer, in order.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.clocks.lag import LARGEST, LATENCY, Floats, Lag, LagFit, PlayedBuffer, lag_at
 from daq.clocks.loss_search import (
     CLOCK_SLACK,
     LIKE_NOISE,
@@ -28,7 +29,6 @@ from daq.clocks.loss_search import (
     WhichLatency,
     WhichLoss,
 )
-from daq.clocks.slip import LARGEST, LATENCY, Floats, PlayedBuffer, Slip, SlipFit, slip_at
 from daq.recording.tables import Block, BlockFlag
 
 CHUNK = 1024  # frames looked at together, at least
@@ -79,7 +79,7 @@ class LossDetector:
     chunk
         Frames looked at together; blocks wait until there are so many.
     searcher
-        Who searches: at once, or `daq.clocks.loss_search.Beside`, where nobody may wait.
+        Where searches run: at once, or `daq.clocks.loss_search.Beside`, for a device.
 
     Attributes
     ----------
@@ -100,8 +100,8 @@ class LossDetector:
         self._asked = self._patient = False
         self._excess_s: tuple[float | None, float | None] = (None, None)
         self._expected: float | None = None
-        self._slip: float | None = None
-        self._fit: SlipFit | None = None
+        self._lag: float | None = None
+        self._fit: LagFit | None = None
         self._gain = 0.0
         self._rms: deque[float] = deque(maxlen=31)
         self._before = self._opening = np.zeros(0)
@@ -109,11 +109,11 @@ class LossDetector:
         self.heard_samples = self.lost_samples = 0
 
     def expect(self, latency_samples: float) -> None:
-        """Say how late the drive is heard, where that was measured: what fits there need not be searched for."""
+        """Set the measured latency of the loop-back, so that it need not be searched for."""
         self._expected = -latency_samples
 
     def played(self, drive_v: Floats) -> None:
-        """Say what was handed to the device, before the frames that came back."""
+        """Append the samples handed to the device, before the frames that came back."""
         drive_v = np.asarray(drive_v, np.float64)
         self._drives = self._drives or bool(drive_v.any())
         self._played.add(drive_v)
@@ -161,7 +161,7 @@ class LossDetector:
             elif not self._queue or frames <= 0:
                 return out
             elif self._queue[0][0].lost_before and self._waiting:
-                out += self._look(patient=False)  # one piece that is looked at has one slip
+                out += self._look(patient=False)  # one piece that is looked at has one lag
             else:
                 frames -= len(self._queue[0][1])
                 out += self._taken_in(*self._queue.popleft())
@@ -182,11 +182,11 @@ class LossDetector:
         """One block more of what is looked at together."""
         self._queued -= len(block.codes) + block.lost_before
         self._declared += block.lost_before
-        if block.lost_before and self._slip is not None:
-            self._slip += block.lost_before
+        if block.lost_before and self._lag is not None:
+            self._lag += block.lost_before
         if not self._waiting:
-            guess = self._slip if self._slip is not None else self._expected_slip
-            self._fit = SlipFit(round(guess)) if guess is not None else None
+            guess = self._lag if self._lag is not None else self._expected_lag
+            self._fit = LagFit(round(guess)) if guess is not None else None
             self._look_at = self._chunk
         if self._fit is not None:
             self._fit.add(self._played, volts, self.heard_samples + self._n_waiting)
@@ -198,32 +198,32 @@ class LossDetector:
         return self._look(patient=self._n_waiting < PATIENCE * self._chunk)
 
     @property
-    def _expected_slip(self) -> float | None:
-        """The slip by the latency that was measured, if any."""
+    def _expected_lag(self) -> float | None:
+        """The lag by the measured latency, if any."""
         lost = self.lost_samples + self._declared
         return None if self._expected is None else self._expected + lost
 
     def _look(self, *, patient: bool) -> list[Block]:
-        """What is waiting, looked at: settled, waited with, or a question."""
+        """Examine what is waiting: settle it, wait for more, or ask for a search."""
         ended_ns, began_ns = self._waiting[-1][0].clock_ns, self._waiting[-1][0].adc_ns
         counted, before_last = self._counted()
         adc_s = self._adc.excess(began_ns, before_last)
         excess_s = adc_s if adc_s is not None else self._clock.excess(ended_ns, counted)
         self._patient, self._excess_s = patient, (excess_s, adc_s)
-        if self._slip is None:
+        if self._lag is None:
             return self._begin()
         volts = self._volts()
         usual_v = max(float(np.median(self._rms)), SMALLEST_MISFIT * float(np.std(volts)))
         fit = self._fit
-        now = fit.solve() if fit else slip_at(self._played, volts, self.heard_samples, round(self._slip))
+        now = fit.solve() if fit else lag_at(self._played, volts, self.heard_samples, round(self._lag))
         fits = now.rms_v < MISFIT * usual_v
         if fits and self._is_silent(now, usual_v):
             return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
         if now.sigma > SURE_SAMPLES and fits:
             return self._settled(*self._by_adc())
-        if fits and abs(now.samples - self._slip) < 0.5:
+        if fits and abs(now.samples - self._lag) < 0.5:
             self._rms.append(now.rms_v)
-            self._slip += 0.05 * (now.samples - self._slip)
+            self._lag += 0.05 * (now.samples - self._lag)
             return self._settled(-1, 0, 0, 0)
         if self._goes_on(volts, usual_v):
             return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
@@ -231,30 +231,30 @@ class LossDetector:
             return []  # the drive ran dry, as is known: wait until it is back
         return self._ask(self._which_loss(volts, usual_v))
 
-    def _is_silent(self, now: Slip, usual_v: float) -> bool:
-        """Whether nothing is heard of a drive that moves: no search could tell more."""
+    def _is_silent(self, now: Lag, usual_v: float) -> bool:
+        """Whether the loop-back is silent while the drive moves; then a search would find nothing."""
         moves = self._fit is not None and self._gain * self._fit.drive_v > MISFIT * usual_v
         return moves and now.gain < SILENT_PART * self._gain
 
     def _goes_on(self, volts: Floats, usual_v: float) -> bool:
-        """Whether what was heard last fits as before, and the clock knows of no loss: there was a disturbance."""
-        excess_s, slip = self._excess_s[0], self._slip
-        if slip is None or (excess_s is not None and excess_s > CLOCK_SLACK):
+        """Whether the latest loop-back fits as before and the clock shows no loss: then it was a disturbance."""
+        excess_s, lag = self._excess_s[0], self._lag
+        if lag is None or (excess_s is not None and excess_s > CLOCK_SLACK):
             return False
         tail = volts[-self._chunk // 2 :]
         start = self.heard_samples + len(volts) - len(tail)
-        last = slip_at(self._played, tail, start, round(slip), iterations=1)
+        last = lag_at(self._played, tail, start, round(lag), iterations=1)
         fits = last.rms_v < MISFIT * usual_v and last.sigma < SURE_SAMPLES
-        return fits and abs(last.samples - slip) < 0.5 and abs(last.gain / self._gain - 1.0) < 0.1
+        return fits and abs(last.samples - lag) < 0.5 and abs(last.gain / self._gain - 1.0) < 0.1
 
     def _which_loss(self, volts: Floats, usual_v: float) -> WhichLoss:
         """The search for what is missing in what is waiting."""
-        slip, excess_s = self._slip or 0.0, self._excess_s[0]
-        low = self.heard_samples + round(slip) - self._chunk - LARGEST // 8
-        high = self.heard_samples + round(slip) + LARGEST + len(volts) + self._chunk
+        lag, excess_s = self._lag or 0.0, self._excess_s[0]
+        low = self.heard_samples + round(lag) - self._chunk - LARGEST // 8
+        high = self.heard_samples + round(lag) + LARGEST + len(volts) + self._chunk
         wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
         return WhichLoss(
-            self._played.stretch(low, high), volts, self.heard_samples, self._before, slip, self._gain, usual_v,
+            self._played.stretch(low, high), volts, self.heard_samples, self._before, lag, self._gain, usual_v,
             self._chunk, wanted, self._excess_s[1] is not None and self._adc.jitter_s < COUNTED_S,
         )  # fmt: skip
 
@@ -266,7 +266,7 @@ class LossDetector:
         self._opening = heard
         if not self._drives or heard.min() == heard.max():
             return self._settled(*self._by_adc())
-        expected = self._expected_slip
+        expected = self._expected_lag
         if self._fit is not None and expected is not None:
             now = self._fit.solve()
             like_noise = now.rms_v < LIKE_NOISE * float(np.std(volts))
@@ -286,24 +286,24 @@ class LossDetector:
     def _concluded(self, found: Found) -> list[Block]:
         """What an answer means for the blocks that waited for it."""
         self._question = None
-        if self._slip is None:
-            if found.slip is not None:
-                self._slip, self._gain = found.slip, found.gain
+        if self._lag is None:
+            if found.lag is not None:
+                self._lag, self._gain = found.lag, found.gain
                 self._rms.append(found.rms_v)
             return self._settled(*self._by_adc())
-        if found.slip is None:
+        if found.lag is None:
             return [] if self._patient else self._settled(-1, 0, 0, int(BlockFlag.FILLED))
-        self._slip = found.slip
+        self._lag = found.lag
         return self._settled(found.at, found.lost, found.uncertainty, 0)
 
     def _by_adc(self) -> tuple[int, int, int, int]:
-        """Where the drive says nothing, the device's own time does, to its jitter."""
+        """Loss by the device's own time, to its jitter, where the drive does not determine it."""
         adc_s, jitter_s = self._excess_s[1], self._adc.jitter_s
         if adc_s is None or adc_s < max(1.5 / self._rate_hz, 8.0 * jitter_s):
             return -1, 0, 0, 0
         lost = round(adc_s * self._rate_hz)
-        if self._slip is not None:
-            self._slip += lost
+        if self._lag is not None:
+            self._lag += lost
         return 0, lost, int(np.ceil(jitter_s * self._rate_hz)), 0
 
     def _volts(self) -> Floats:

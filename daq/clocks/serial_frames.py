@@ -1,6 +1,6 @@
 """The serial wire format: bytes in, frames out, no I/O inside; the layout is in docs/reference/serial-frame.md.
 
-The rule kept here: any byte stream yields good frames or counted losses, never an exception and never a wrong sample.
+Any byte stream yields good frames or counted losses, never an exception and never a wrong sample.
 A frame counts only when its CRC-32 fits, its size is what its header says, and its counters go on from those of the
 frame before by no more than the frames between could have held.
 """

@@ -1,1 +1,4 @@
-"""TODO what export is for."""
+"""Recordings for other readers: CSV, NPZ, plain HDF5, another sample rate.
+
+Other rooms take `export`, `resample`.
+"""

@@ -1,6 +1,6 @@
 """Write a recording for readers that know nothing of it: CSV, NPZ, or HDF5 with gzip instead of LZ4.
 
-The rule kept here: what is written reads back to the same numbers (`bench import` of the CSV gives the same codes
+What is written reads back to the same numbers (`bench import` of the CSV gives the same codes
 when divided by their scale), and appears under its name only when it is whole.
 """
 

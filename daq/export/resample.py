@@ -1,6 +1,6 @@
 """A recording at another rate, made when asked: for readers that want 20 kHz of a card that ran at 48.
 
-The rule kept here: the recording stays as it is; this is a view that reads like one. Every channel goes through soxr's
+The recording stays as it is; this is a view that reads like one. Every channel goes through soxr's
 linear-phase filter, so nothing is delayed; what lies above half the new rate is gone, and edges ring.
 """
 

@@ -1,1 +1,4 @@
-"""TODO what importers is for."""
+"""Foreign recordings: streamed in, checked, given a time base and steps.
+
+Other rooms take `import_recording`, `diagnostics`.
+"""

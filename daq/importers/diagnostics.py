@@ -1,6 +1,6 @@
-"""What a person should know of an import: what is missing, uneven, or odd about the contact circuit.
+"""Remarks on an import: missing channels, uneven times, implausible rates, ranges, plate and contact circuit.
 
-The rule kept here: a remark says what was seen and what it means; it changes nothing.
+A remark states a finding and its meaning; it changes nothing.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from daq.setup.setup import Setup
 from daq.steps.forcing_detection import Read
 
 Floats = NDArray[np.float64]
-CONTACT_MOVES = 0.1  # of the declared swing of the contact circuit, below which it does not move at all
+CONTACT_MOVES = 0.1  # part of the contact circuit's declared swing below which it does not change at all
 GAMMAS = ("gamma", "achieved_gamma", "achieved_gamma_uncertainty")
-FEW = 5  # pauses that are told one by one
-OTHER_RATE = 0.02
-OVER_RANGE = 1.05
-OTHER_SCALE = 1.5  # ratio of gamma at the plate to gamma asked, up or down, from which it is told
-DEAD = 0.05
-NOISE_SIGMAS = 4.0
-RESTING = 0.9  # of g, peak of the plate, at which the ball certainly rests
+FEW = 5  # most pauses that are listed one by one
+OTHER_RATE = 0.02  # relative deviation of a rate or frequency that is reported
+OVER_RANGE = 1.05  # reading over range_v that is reported
+OTHER_SCALE = 1.5  # ratio of gamma at the plate to gamma commanded, up or down, that is reported
+DEAD = 0.05  # ratio of the two gammas below which the accelerometer counts as dead
+NOISE_SIGMAS = 4.0  # uncertainties within which gamma counts as zero
+RESTING = 0.9  # peak of the plate's acceleration in g below which the ball certainly rests
 
 
 def remarks(base: Timebase, steps: NDArray[np.void], channels: list[str], from_drive: bool) -> list[str]:
-    """What a person should know of an import."""
+    """Remarks on channels, times, pauses and steps."""
     said = []
     if "continuity" not in channels:
         said.append("no continuity: only the plate can be analysed")
@@ -56,8 +56,8 @@ def _pauses(base: Timebase) -> list[str]:
     ]
 
 
-def rate_doubts(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[str]:
-    """Where sample rate or forcing frequency is not what the profile expects; ``setup`` as the profile has it."""
+def rate_warnings(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[str]:
+    """Deviations of sample rate and forcing frequency from the profile; ``setup`` as the profile has it."""
     said = []
     expected = setup.sampling.rate_hz
     if setup.sampling.stated and abs(rate_hz / expected - 1.0) > OTHER_RATE:
@@ -76,7 +76,7 @@ def rate_doubts(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list[s
     return said
 
 
-def range_doubts(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
+def range_warnings(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
     """Channels that read more than their range."""
     said = []
     for role, peak in peak_v.items():
@@ -91,8 +91,8 @@ def is_dead(achieved: Floats, sigma: Floats) -> bool:
     return bool(len(achieved) and np.median(achieved - NOISE_SIGMAS * sigma) <= 0.0)
 
 
-def plate_doubts(steps: NDArray[np.void], setup: Setup) -> list[str]:
-    """Where the plate does not do what the drive asks: a dead accelerometer, exchanged channels, a wrong scale.
+def plate_warnings(steps: NDArray[np.void], setup: Setup) -> list[str]:
+    """Disagreements of drive and accelerometer: a dead accelerometer, exchanged channels, a wrong scale.
 
     Parameters
     ----------
@@ -102,20 +102,20 @@ def plate_doubts(steps: NDArray[np.void], setup: Setup) -> list[str]:
     setup
         Its scales tell exchanged channels from a wrong one.
     """
-    asked, achieved, sigma = (steps[name] for name in GAMMAS)
+    commanded_gammas, achieved, sigma = (steps[name] for name in GAMMAS)
     measured = np.isfinite(achieved) & np.isfinite(sigma)
     if is_dead(achieved[measured], sigma[measured]):
         return ["the accelerometer shows nothing of the drive's motion: it is dead, unplugged, or another column"]
-    known = measured & np.isfinite(asked) & (asked > 0.0)
+    known = measured & np.isfinite(commanded_gammas) & (commanded_gammas > 0.0)
     if not known.any() or setup.drive.g_per_volt is None:
         return []
-    wanted, seen = float(np.median(asked[known])), float(np.median(achieved[known]))
-    ratio = float(np.median(achieved[known] / asked[known]))
+    commanded, seen = float(np.median(commanded_gammas[known])), float(np.median(achieved[known]))
+    ratio = float(np.median(achieved[known] / commanded_gammas[known]))
     if 1.0 / OTHER_SCALE < ratio < OTHER_SCALE:
         return []
-    both = f"the drive asks for gamma {wanted:.3g}, the accelerometer shows {seen:.3g} (medians over the steps)"
+    both = f"the drive asks for gamma {commanded:.3g}, the accelerometer shows {seen:.3g} (medians over the steps)"
     per_volt = setup.channels.accelerometer.volts_per_mps2 * setup.g_mps2.value * setup.drive.g_per_volt.value
-    exchanged = ratio * per_volt**2  # what would be asked over what would be seen
+    exchanged = ratio * per_volt**2  # ratio of the two gammas, were the channels exchanged
     if abs(np.log(max(exchanged, 1e-300))) < np.log(OTHER_SCALE):
         return [f"{both}; exchanged they would agree: are accelerometer and drive mapped the wrong way round?"]
     if ratio < DEAD:
@@ -123,8 +123,8 @@ def plate_doubts(steps: NDArray[np.void], setup: Setup) -> list[str]:
     return [f"{both}: is g_per_volt or the sensitivity wrong, or are two channels exchanged?"]
 
 
-def contact_doubts(read: Read, setup: Setup, steps: NDArray[np.void]) -> list[str]:
-    """What is odd about the contact circuit: it never moves, or says flight where the ball cannot but rest."""
+def contact_warnings(read: Read, setup: Setup, steps: NDArray[np.void]) -> list[str]:
+    """Faults of the contact circuit: no change of level, or flight where the ball must rest."""
     circuit = setup.channels.continuity
     if circuit is None or circuit.coupling == "ac" or not len(steps):
         return []
@@ -141,7 +141,7 @@ def contact_doubts(read: Read, setup: Setup, steps: NDArray[np.void]) -> list[st
     if high - low < CONTACT_MOVES * abs(open_v - closed_v):
         return [f"the contact circuit stays between {low:.3g} and {high:.3g} V ({declared}): no flight can be seen"]
     if is_dead(steps["achieved_gamma"], steps["achieved_gamma_uncertainty"]):
-        return []  # nobody knows when the ball rests
+        return []  # unknown when the ball rests
     if resting and np.median(resting) > 0.5:
         return [
             f"the contact circuit says flight while the plate moves by less than {RESTING:g} g, where the ball rests; "

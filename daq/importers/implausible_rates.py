@@ -1,6 +1,6 @@
 """Sample rates that no recording of this rig can have: refused, with what to do about it.
 
-The rule kept here: a file is refused where going on would give wrong numbers without a word; what is merely odd is a
+A file is refused where going on would give wrong numbers without a word; what is merely odd is a
 remark (`daq.importers.diagnostics`).
 """
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importers.columns import TIME_UNITS_S, Column
+from daq.importers.formats.columns import TIME_UNITS_S, Column
 from daq.importers.timebase import Times
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

@@ -1,6 +1,6 @@
-"""Turn somebody's file into a recording: stream it in, find its time base, find its steps, check, rename.
+"""Import of a foreign file: rows streamed in, time base and steps found, everything checked, then renamed.
 
-The rule kept here: all or nothing. The recording appears under its name only when everything in it was read, found
+The recording appears under its name only when everything in it was read, found
 consistent, written and read back; values are stored as they came, never requantised.
 """
 
@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
-from daq.importers.diagnostics import contact_doubts, plate_doubts, range_doubts, rate_doubts, remarks
+from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
+from daq.importers.formats.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.timebase import Timebase, timebase_of
@@ -35,16 +35,16 @@ from daq.steps.tone_tracking import fit
 
 Floats = NDArray[np.float64]
 
-LEAST_HZ, MOST_HZ = 0.01, 1e8  # times are kept in nanoseconds, in 64 bits
+LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanoseconds, in 64 bits
 YEAR_9999_S = 2.5e11
-EPOCH_S = 1e9  # a larger first time is seconds since 1970
-MOST_OF = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
-SHORTEST_FELT_CYCLES = 6.0  # of a step found in the accelerometer: there the middle of a fade may look still, for less
+EPOCH_S = 1e9  # first time from which it counts as seconds since 1970
+RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
+SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; shorter, it may be the middle of a fade
 
 
 @dataclass(frozen=True)
 class ImportSummary:
-    """What an import did: sizes, time base, steps, which column became what, and what a person should know."""
+    """Outcome of an import: size, time base, steps, column of each role, remarks."""
 
     path: Path
     n_samples: int
@@ -54,16 +54,33 @@ class ImportSummary:
     remarks: list[str]
 
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """Choices of the caller for an import.
+
+    Attributes
+    ----------
+    mapping
+        Columns by role where their names do not tell.
+    rate_hz
+        Sample rate where there is no time column.
+    note, extra
+        Kept in the recording.
+    """
+
+    mapping: Mapping[str, Column] = field(default_factory=dict)
+    rate_hz: float | None = None
+    note: str | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
 def import_recording(
     source: Source,
     out: Path,
     setup: Setup,
     profile_text: str,
+    options: ImportOptions | None = None,
     *,
-    mapping: Mapping[str, Column] | None = None,
-    rate_hz: float | None = None,
-    note: str | None = None,
-    extra: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> ImportSummary:
     """Write ``out`` from a foreign file.
@@ -75,53 +92,56 @@ def import_recording(
     out
         Recording to create.
     setup, profile_text
-        What was measured with what, and the profile's text.
-    mapping
-        Columns by role where names do not say.
-    rate_hz
-        Sample rate where there is no time column.
-    note, extra
-        Kept in the recording.
+        Setup of the measurement, and the profile's text.
+    options
+        The caller's choices; None: all defaults.
     progress
-        Called with what is being done and how many rows are done.
+        Called with the stage and the number of rows done.
 
     Raises
     ------
     InputError
         Naming file and row of what cannot be used; nothing is left behind.
     """
-    if rate_hz is not None and not LEAST_HZ <= rate_hz <= MOST_HZ:
-        raise InputError(f"--rate {rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
-    columns = assign(source, mapping or {})
+    options = options or ImportOptions()
+    columns, rate_hz = _assigned(source, options)
     channels = [role for role in CHANNEL_ROLES if role in columns]
-    rate = rate_hz or source.rate_hz
-    if "time" not in columns and rate is None:
-        raise InputError(
-            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
-            "the sample rate with --rate HZ."
-        )
     setup = _adapted(setup, columns, channels)
-    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=note)
+    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)
     scales = {role: _scale(source, columns[role], role, setup) for role in channels}
     writer = _begun(source, columns, out, setup, scales, attributes)
     try:
         intake = take_in(source, columns, scales, setup, writer, progress)
-        base = _timebase(source, writer, intake, columns.get("time"), setup, rate)
+        base = _timebase(source, writer, intake, columns.get("time"), setup, rate_hz)
         steps, from_drive = _find(writer, scales, setup, base, intake, progress)
-        doubts = [*rate_doubts(base.rate_hz, setup, steps), *range_doubts(intake.peak_v, setup)]
-        doubts += plate_doubts(steps, setup) if from_drive else []
+        warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
+        warnings += plate_warnings(steps, setup) if from_drive else []
         if "continuity" in scales:
-            doubts += contact_doubts(_volts(writer, scales, "continuity"), setup, steps)
+            warnings += contact_warnings(_volts(writer, scales, "continuity"), setup, steps)
         setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
-        late = _late_attributes(source, columns, setup, base, intake, extra)
+        late = _late_attributes(source, columns, setup, base, intake, options.extra)
         writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
         writer.abandon()
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    said = remarks(base, steps, channels, from_drive) + doubts
-    return ImportSummary(out, writer.n_samples, base, steps, named, said)
+    found = remarks(base, steps, channels, from_drive) + warnings
+    return ImportSummary(out, writer.n_samples, base, steps, named, found)
+
+
+def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column], float | None]:
+    """Columns by role, and the sample rate where it is given; raises `InputError` where neither tells the times."""
+    if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
+        raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
+    columns = assign(source, options.mapping)
+    rate_hz = options.rate_hz or source.rate_hz
+    if "time" not in columns and rate_hz is None:
+        raise InputError(
+            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
+            "the sample rate with --rate HZ."
+        )
+    return columns, rate_hz
 
 
 def _begun(
@@ -161,7 +181,7 @@ def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -
         source = f"column {columns['accelerometer'].name} is in {unit}"
         sensitivity = old.sensitivity.model_copy(update={"value": 1.0, "uncertainty": relative, "source": source})
         changed["accelerometer"] = old.model_copy(
-            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit], "range_v": MOST_OF[unit]}
+            update={"sensitivity": sensitivity, "unit": ACCELERATION_UNITS[unit], "range_v": RANGE_OF_UNIT[unit]}
         )
     return setup.model_copy(update={"channels": setup.channels.model_copy(update=changed)})
 
@@ -217,7 +237,7 @@ def _find(
             from_drive = role == "drive"
             found = _found(volts(role), writer.n_samples, setup, base, intake, progress)
             if not from_drive and not intake.set_values:
-                shortest = SHORTEST_FELT_CYCLES * base.rate_hz
+                shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
                 found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
     achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt
@@ -286,7 +306,7 @@ def _late_attributes(
     setup: Setup,
     base: Timebase,
     intake: Intake,
-    extra: Mapping[str, Any] | None,
+    extra: Mapping[str, Any],
 ) -> dict[str, Any]:
     started = ""
     if EPOCH_S < intake.origin_s < YEAR_9999_S:
@@ -305,7 +325,7 @@ def _late_attributes(
             f"{role}={column.name}" + (f":{column.unit}" if column.unit else "") for role, column in columns.items()
         ],
         "time_origin_s": intake.origin_s,
-        "extra_json": json.dumps(dict(extra or {})),
+        "extra_json": json.dumps(dict(extra)),
     }
 
 

@@ -1,6 +1,6 @@
-"""The rows of a foreign file on their way into a recording: each is looked at once, and refused where it cannot be.
+"""Intake of a foreign file's rows into a recording, each checked once.
 
-The rule kept here: a number that no rig can have measured (not finite, far outside its channel's range, a time that
+A number that no rig can have measured (not finite, far outside its channel's range, a time that
 falls) ends the import with the place where it stands.
 """
 
@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
+from daq.importers.formats.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
 from daq.importers.timebase import quantum_of
 from daq.recording.column_file import ColumnWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE, Setup
 
 Progress = Callable[[str, int], None]
-LONGEST_S = 9e9  # what 64 bits of nanoseconds hold
+LONGEST_S = 9e9  # longest span that 64 bits of nanoseconds hold
 
 
 @dataclass
 class Intake:
-    """What is learned while the rows go by."""
+    """Properties of the rows taken in so far."""
 
     origin: Any = 0
     origin_s: float = 0.0
@@ -39,7 +39,7 @@ class Intake:
 
     @property
     def rounding_s(self) -> float:
-        """How coarse the time column is, seconds."""
+        """Resolution of the time column, seconds."""
         return max(self.quantum_s if np.isfinite(self.quantum_s) else 0.0, self.spacing_s, 1e-9)
 
 

@@ -1,6 +1,6 @@
-"""What a foreign recording's time column says: one sample rate, pauses, or real jitter.
+"""Time base of a foreign recording: one sample rate, pauses, or real jitter.
 
-The rule kept here: a column that is uniform up to its own rounding is uniform, and its rate is the one number that
+A column that is uniform up to its own rounding is uniform, and its rate is the one number that
 explains all of it; a column that jitters is kept as it came, with the jitter stated.
 """
 

@@ -1,6 +1,6 @@
-"""Whether two recordings are one: the same file under two names, or the same samples in two files.
+"""Identity of recordings: the same file under two names, or the same samples in two files.
 
-The rule kept here: a run counts once. Evidence that is given twice would halve every uncertainty.
+A run counts once: data given twice would make every uncertainty too small.
 """
 
 from __future__ import annotations

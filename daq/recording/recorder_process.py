@@ -1,6 +1,6 @@
 """The recorder as a process of its own, fed through a ring in shared memory.
 
-The rule kept here: nothing that an operator's process does (pictures, garbage collection, a busy script, reading
+Nothing that an operator's process does (pictures, garbage collection, a busy script, reading
 other files) can cost a sample. The recorder does nothing but take blocks and write them; the ring holds what comes
 while the disk is slow. `RecorderProcess` is used like `RecordingWriter`.
 """

@@ -1,6 +1,6 @@
 """A ring of blocks in shared memory: one process puts blocks in, another takes them out, neither waits for the other.
 
-The rule kept here: nothing is torn and nothing is dropped in silence. Each slot carries the checksum of its frames, so
+Nothing is torn and nothing is dropped in silence. Each slot carries the checksum of its frames, so
 a slot that is read while it is being written is read again; a block that finds the ring full is counted, and the next
 one that fits says how many samples are missing before it. The memory is taken when it is asked for, not when it is
 written to, and it is left behind by nobody: its name tells whose it is.

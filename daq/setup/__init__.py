@@ -1,1 +1,4 @@
-"""TODO what setup is for."""
+"""Setup of a measurement: channels, scales, forcing; strict TOML; the age of calibrations.
+
+Other rooms take `setup`, `errors`, `strict_toml`, `calibration_age`.
+"""

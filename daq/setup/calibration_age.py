@@ -1,6 +1,6 @@
-"""Which scales of a setup nobody measured, or not lately.
+"""Missing and expired calibrations of a setup's scales.
 
-The rule kept here: a recording is judged by the day it was made, a run by today; a doubt is said, never acted upon.
+A recording is judged by the day it was made, a run by today. The warnings change nothing.
 """
 
 from __future__ import annotations
@@ -8,12 +8,11 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator
 
-from daq.recording.reader import Recording
 from daq.setup.setup import QuantityTable, Setup
 
 
 def quantities(setup: Setup) -> Iterator[tuple[str, str, QuantityTable | None]]:
-    """What can be calibrated, as ``(kind of bench calibrate, dotted key, quantity)``; None where it is left out."""
+    """Quantities that can be calibrated: ``(kind of bench calibrate, dotted key, quantity or None)``."""
     accelerometer, drive, continuity = setup.channels.accelerometer, setup.drive, setup.channels.continuity
     yield "accelerometer", "channels.accelerometer.sensitivity", accelerometer.sensitivity
     if accelerometer.coupling == "dc":
@@ -28,7 +27,7 @@ def quantities(setup: Setup) -> Iterator[tuple[str, str, QuantityTable | None]]:
         yield "contact", "channels.continuity.open_v", continuity.open_v
 
 
-def doubts(setup: Setup, on: datetime.date) -> list[str]:
+def calibration_warnings(setup: Setup, on: datetime.date) -> list[str]:
     """One sentence for each kind of calibration that is missing or too old on the day ``on``."""
     missing: dict[str, list[str]] = {}
     expired: dict[str, list[str]] = {}
@@ -44,8 +43,15 @@ def doubts(setup: Setup, on: datetime.date) -> list[str]:
     ]
 
 
-def recorded_doubts(recording: Recording) -> list[str]:
-    """`doubts` of a recording's setup on the day it was begun; today where it does not say."""
-    started = str(recording.attrs.get("started", ""))
-    on = datetime.date.fromisoformat(started[:10]) if started else datetime.datetime.now(datetime.UTC).date()
-    return doubts(recording.setup, on)
+def warnings_at_start(setup: Setup, started: str) -> list[str]:
+    """`calibration_warnings` on the day a recording was begun.
+
+    Parameters
+    ----------
+    setup
+        The recording's setup.
+    started
+        Its attribute ``started``, ISO 8601; empty where the file lacks it, then today counts.
+    """
+    today = datetime.datetime.now(datetime.UTC).date()
+    return calibration_warnings(setup, datetime.date.fromisoformat(started[:10]) if started else today)

@@ -1,6 +1,6 @@
-"""What was measured with what: channels, scales, coupling, the ball, declared effects, local g.
+"""Setup of a measurement: channels, scales, coupling, the ball, declared effects, local g.
 
-Stored, resolved, in every recording, so that the analysis needs no rig. The rule kept here: every number that
+Stored, resolved, in every recording, so that the analysis needs no rig. Every number that
 scales a measurement is a `Quantity` that can carry its uncertainty, date and source; nothing is guessed.
 """
 
@@ -23,7 +23,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 STANDARD_GRAVITY_MPS2 = 9.80665
-FAR_OUTSIDE = 10.0  # times a channel's range: what is read beyond is no measurement
+FAR_OUTSIDE = 10.0  # multiple of a channel's range beyond which a reading is no measurement
 
 ACCELEROMETER_UNITS_V_PER_MPS2: dict[str, float] = {
     "V/g": 1.0 / STANDARD_GRAVITY_MPS2,
@@ -92,7 +92,7 @@ class Sampling(Frozen):
 
     @property
     def stated(self) -> bool:
-        """Whether somebody wrote the rate down, rather than leaving the default."""
+        """Whether the rate is given, rather than left at its default."""
         return "rate_hz" in self.model_fields_set
 
 
@@ -134,7 +134,7 @@ class Drive(Frozen):
     """Scale from drive volts to plate acceleration (in units of the local g, positive up), flat over the tones
     unless the second one has a scale of its own.
 
-    ``a_p / g = g_per_volt * exp(i phase) * drive_v``, for each tone; ``g_per_volt = None`` says nobody measured it.
+    ``a_p / g = g_per_volt * exp(i phase) * drive_v``, for each tone; ``g_per_volt = None``: not measured.
     """
 
     g_per_volt: PositiveQuantity | None = None
@@ -145,7 +145,7 @@ class Drive(Frozen):
     )
 
     def response(self, multiple: int) -> complex | None:
-        """Plate acceleration in g for a volt of the tone at ``multiple`` of the forcing; None: nobody measured it."""
+        """Plate acceleration in g for a volt of the tone at ``multiple`` of the forcing; None: not measured."""
         scale = self.second if self.second is not None and multiple > 1 else self
         if scale.g_per_volt is None:
             return None
@@ -192,7 +192,7 @@ class AccelerometerChannel(Frozen):
     range_v: float = Field(default=10.0, gt=0)
     sensitivity: PositiveQuantity
     unit: Literal["V/g", "mV/g", "V/(m/s^2)", "mV/(m/s^2)"]
-    offset_v: Quantity | None = Field(default=None, description="reading at zero; None says unknown")
+    offset_v: Quantity | None = Field(default=None, description="reading at zero; left out: unknown")
     reads_gravity: bool = False
     sign: Literal[-1, 1] = 1
     serial_number: str = ""

@@ -1,6 +1,6 @@
 """Strict TOML: a file either becomes a checked, frozen model, or one error names every fault in it.
 
-The rule kept here: each fault is one line with its dotted key, what was wanted and what came; a key that is nearly
+Each fault is one line with its dotted key, what was wanted and what came; a key that is nearly
 right is answered with the right one.
 """
 

@@ -1,6 +1,6 @@
-"""Where a noisy sequence changes level: penalised least squares, solved exactly.
+"""Change points of a noisy sequence's level: penalised least squares, solved exactly.
 
-The rule kept here: a change must pay for itself. The partition minimises the squared deviations from each part's mean,
+The partition minimises the squared deviations from each part's mean,
 in units of their standard deviations, plus a penalty for each part (optimal partitioning: Jackson et al., IEEE Signal
 Process. Lett. 12 (2005) 105).
 """
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-LONGEST = 192
+LONGEST_SEGMENT = 192  # longest part that the search takes at once; longer ones are merged afterwards
 
 
-class Levels:
-    """Weighted means over any range of a sequence, in constant time.
+class SegmentCosts:
+    """Weighted means of a sequence over any range, and the squared deviations from them, in constant time.
 
     Parameters
     ----------
@@ -61,27 +61,27 @@ def segments(values: Floats, sigma: Floats, same: Floats, penalty: float) -> lis
         Price of a part.
     """
     n = len(values)
-    levels = Levels(values, sigma)
+    costs = SegmentCosts(values, sigma)
     best = np.zeros(n + 1)
     previous = np.zeros(n + 1, np.int64)
     for stop in range(1, n + 1):
-        starts = np.arange(max(0, stop - LONGEST), stop)  # longer parts come back together below
-        total = best[starts] + levels.cost(starts, stop) + penalty
+        starts = np.arange(max(0, stop - LONGEST_SEGMENT), stop)  # longer parts come back together below
+        total = best[starts] + costs.cost(starts, stop) + penalty
         choice = int(np.argmin(total))
         best[stop], previous[stop] = total[choice], starts[choice]
     cuts = [n]
     while cuts[-1] > 0:
         cuts.append(int(previous[cuts[-1]]))
     cuts.reverse()
-    return _merged(levels, list(pairwise(cuts)), same)
+    return _merged(costs, list(pairwise(cuts)), same)
 
 
-def _merged(levels: Levels, parts: list[tuple[int, int]], same: Floats) -> list[tuple[int, int]]:
+def _merged(costs: SegmentCosts, parts: list[tuple[int, int]], same: Floats) -> list[tuple[int, int]]:
     """Join neighbours whose levels cannot be told apart."""
     kept = parts[:1]
     for start, stop in parts[1:]:
-        before, sigma_before = levels.mean(*kept[-1])
-        after, sigma_after = levels.mean(start, stop)
+        before, sigma_before = costs.mean(*kept[-1])
+        after, sigma_after = costs.mean(start, stop)
         if np.all(np.abs(after - before) < np.maximum(4.0 * np.hypot(sigma_before, sigma_after), same)):
             kept[-1] = (kept[-1][0], stop)
         else:

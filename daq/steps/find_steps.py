@@ -1,6 +1,6 @@
 """Find the steps of a ramp in a recorded drive (or, where there is none, in the plate's acceleration).
 
-The rule kept here: a step is a stretch in which every tone's amplitude and the frequency hold still; what moves before
+A step is a stretch in which every tone's amplitude and the frequency are constant; the change before
 it is its fade. The frequency is fitted to the phase over the whole hold, because every later phase rides on it.
 """
 
@@ -16,7 +16,14 @@ from daq.lock_in import ToneFit
 from daq.recording.tables import STEP_DTYPE
 from daq.setup.setup import Forcing
 from daq.steps.forcing_detection import Read, regions, weights
-from daq.steps.tone_tracking import Still, fit, frequency_correction, same_frequency, split_exactly, still_parts
+from daq.steps.tone_tracking import (
+    SteadySegment,
+    fit,
+    frequency_correction,
+    same_frequency,
+    split_exactly,
+    steady_segments,
+)
 
 Floats = NDArray[np.float64]
 
@@ -77,8 +84,8 @@ def find_steps(
     near = regions(ahead.read, start, stop, rate_hz, forcing)
     for region in split_exactly(ahead.read, near, rate_hz, forcing):
         for part in same_frequency(ahead.read, region, rate_hz, forcing):
-            still = still_parts(ahead.read, part, rate_hz, forcing)
-            found += [_refined(ahead.read, one, rate_hz, forcing) for one in still]
+            steady = steady_segments(ahead.read, part, rate_hz, forcing)
+            found += [_refined(ahead.read, one, rate_hz, forcing) for one in steady]
     found = _joined(ahead.read, found, rate_hz, forcing)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
     return [s for s in found if np.abs(s.tones.amplitudes).max() > QUIET * loudest]
@@ -90,7 +97,7 @@ def given_step(
     """The step that somebody set between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
     if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < SHORTEST_CYCLES:
         return []
-    return [_refined(_ReadAhead(read, stop).read, Still(start, start, stop, frequency_hz), rate_hz, forcing)]
+    return [_refined(_ReadAhead(read, stop).read, SteadySegment(start, start, stop, frequency_hz), rate_hz, forcing)]
 
 
 def step_table(
@@ -160,7 +167,9 @@ def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing
         last = kept[-1]
         nearby = step.hold - last.stop < SETTLE_CYCLES * rate_hz / step.frequency_hz
         if nearby and _continues(last, step, rate_hz):
-            kept[-1] = _refined(read, Still(last.start, last.hold, step.stop, last.frequency_hz), rate_hz, forcing)
+            kept[-1] = _refined(
+                read, SteadySegment(last.start, last.hold, step.stop, last.frequency_hz), rate_hz, forcing
+            )
         else:
             kept.append(step)
     return kept
@@ -177,7 +186,7 @@ def _continues(last: FoundStep, step: FoundStep, rate_hz: float) -> bool:
     return bool(np.all(np.abs(before - after) < SAME_MOTION * np.abs(after).max()))
 
 
-def _refined(read: Read, still: Still, rate_hz: float, forcing: Forcing) -> FoundStep:
+def _refined(read: Read, still: SteadySegment, rate_hz: float, forcing: Forcing) -> FoundStep:
     """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
     frequency, sigma = still.frequency_hz, np.nan
     rough = fit(read, still.hold, still.stop, rate_hz, frequency, forcing)

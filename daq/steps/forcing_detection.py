@@ -1,6 +1,6 @@
-"""Where in a signal a forcing is present, and roughly at which frequency: the first look before steps are found.
+"""Detection of a forcing in a signal: where it is present, and roughly at which frequency.
 
-The rule kept here: nothing is assumed but the range of the frequency and the ratio of the two tones; a stretch in
+Only the range of the frequency and the ratio of the two tones are assumed. A stretch in
 which the forcing's tones do not carry a fifth of the alternating power is silence.
 """
 

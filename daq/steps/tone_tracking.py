@@ -1,6 +1,6 @@
 """Follow a forcing's tones cycle by cycle, and cut where they change.
 
-The rule kept here: what is compared from cycle to cycle is a joint least-squares fit of the tones to that cycle, so
+What is compared from cycle to cycle is a joint least-squares fit of the tones to that cycle, so
 neither the sampling's phase nor a constant nor the other tone leaks in.
 """
 
@@ -35,8 +35,8 @@ _LOOKED_AT = 16  # windows from which the noise's colour is taken
 
 
 @dataclass(frozen=True)
-class Still:
-    """A stretch in which the tones hold still: first sample of its fade, of the stillness, end, rough frequency."""
+class SteadySegment:
+    """A stretch of constant tones: first sample of its fade, first constant sample, end, rough frequency."""
 
     start: int
     hold: int
@@ -140,8 +140,8 @@ def _absorbed(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return kept
 
 
-def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> list[Still]:
-    """Stretches of a region in which every amplitude and the phase's advance hold still, each with its fade."""
+def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> list[SteadySegment]:
+    """Stretches of a region in which every amplitude and the phase's advance are constant, each with its fade."""
     track = _track(read, region, rate_hz, forcing)
     if track is None or not track.loud.any():
         return []
@@ -151,7 +151,7 @@ def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) ->
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
     if covered < RESTS * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
         parts, steady = _in_pieces(track.loud)
-    found: list[Still] = []
+    found: list[SteadySegment] = []
     fade_from = None
     for (a, b), take in zip(parts, steady, strict=True):
         if track.loud[a:b].mean() < 0.5:
@@ -162,7 +162,9 @@ def still_parts(read: Read, region: Region, rate_hz: float, forcing: Forcing) ->
             begin = a if fade_from is None else fade_from
             change = track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
             found.append(
-                Still(int(track.edges[begin]), int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change)
+                SteadySegment(
+                    int(track.edges[begin]), int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change
+                )
             )
             fade_from = None
     return found

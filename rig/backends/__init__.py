@@ -1,1 +1,4 @@
-"""One file per back end, behind the protocol of `rig.backends.base`."""
+"""Devices behind the protocol of `rig.backends.base`, one file each.
+
+Other rooms take `registry`, `base`, `portaudio`, `simulated`.
+"""

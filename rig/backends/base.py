@@ -1,7 +1,7 @@
-"""What every back end is: drive volts in, frames out, one call a block.
+"""The protocol of a back end: drive volts in, frames out, one call a block.
 
-The rule kept here: a back end never hides a fault. What it cannot do it raises as `BackendError`; it never falls back
-to another source of samples. ``tests/contract`` holds every back end to what is written here.
+A back end never hides a fault: it raises `BackendError` and never falls back to another source of samples.
+``tests/contract`` tests every back end against this protocol.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Lagging(Protocol):
 
     @property
     def lag_samples(self) -> float:
-        """Samples from handing over to hearing, known once started."""
+        """Samples from handing over to recording, known once started."""
 
 
 @runtime_checkable

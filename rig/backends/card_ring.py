@@ -1,7 +1,7 @@
-"""What a card plays and hears: two rings that a callback copies from and to.
+"""Two rings that a card's callback copies from and to: the drive to be played and the frames recorded.
 
-The rule kept here: the drive is played by the card's time, and what comes after its time is not played; what is heard
-is kept in the order it came, and samples that the driver skipped are declared where they are missing.
+The drive is played by the card's time, and samples that come after their time are not played. Frames
+are kept in the order they came, and samples that the driver skipped are declared where they are missing.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from daq.recording.tables import BlockFlag
 
 Samples = NDArray[np.float32]
 
-HELD_S = 8.0  # of frames
-DECAY_S = 0.005  # to zero, where the drive came too late
-SURE_CALLS = 6  # in a row that find frames missing, before they are
+HELD_S = 8.0  # length of the rings
+DECAY_S = 0.005  # length of the decay to zero where the drive came too late
+SURE_CALLS = 6  # consecutive callbacks with frames missing after which they count as lost
 
 
 class CardRing:
@@ -57,7 +57,7 @@ class CardRing:
         self._last = np.float32(0.0)
         self._losses: deque[tuple[int, int, int]] = deque()
         self._unsure_to = 0
-        self._doubts: deque[tuple[int, int]] = deque()
+        self._suspected: deque[tuple[int, int]] = deque()
         self._origin: int | None = None
         self._late = False
 
@@ -69,8 +69,8 @@ class CardRing:
     @property
     def known(self) -> int:
         """The card's frame up to which it is certain what was skipped."""
-        doubts = self._doubts
-        return (doubts[0][0] if doubts else self.received) + self.lost
+        suspected = self._suspected
+        return (suspected[0][0] if suspected else self.received) + self.lost
 
     @property
     def taken(self) -> int:
@@ -82,8 +82,8 @@ class CardRing:
         """Whether the driver counts its frames."""
         return self._origin is not None
 
-    def exchange(self, heard: Samples | None, out: Samples, counter: int | None) -> None:
-        """The callback's work: play into ``out`` (n,), keep ``heard`` (n, n_inputs).
+    def exchange(self, recorded: Samples | None, out: Samples, counter: int | None) -> None:
+        """The callback's work: play into ``out`` (n,), keep ``recorded`` (n, n_inputs).
 
         Parameters
         ----------
@@ -103,11 +103,11 @@ class CardRing:
             self._last = out[ready - 1]
         if ready < n:
             self._run_dry(out[ready:])
-        if heard is not None:
+        if recorded is not None:
             place = self.received % self.size
             first = min(n, self.size - place)
-            self._in[place : place + first] = heard[:first]
-            self._in[: n - first] = heard[first:]
+            self._in[place : place + first] = recorded[:first]
+            self._in[: n - first] = recorded[first:]
         self.received += n
 
     def _run_dry(self, rest: Samples) -> None:
@@ -132,14 +132,14 @@ class CardRing:
             self._origin += missing - 2**32 - self.lost
             missing = self.lost
         if missing <= self.lost:
-            self._doubts.clear()
+            self._suspected.clear()
             return
-        self._doubts.append((self.received, missing))
-        if len(self._doubts) == SURE_CALLS:
-            sure = min(missing for _, missing in self._doubts)
-            at, _ = self._doubts.popleft()
+        self._suspected.append((self.received, missing))
+        if len(self._suspected) == SURE_CALLS:
+            sure = min(missing for _, missing in self._suspected)
+            at, _ = self._suspected.popleft()
             if sure > self.lost:
-                self._losses.append((at, sure - self.lost, self._doubts[0][0]))
+                self._losses.append((at, sure - self.lost, self._suspected[0][0]))
                 self.lost = sure
 
     def begin(self, ahead: int) -> int:
@@ -187,9 +187,9 @@ class CardRing:
         """Whether all inputs were one and the same for ``n`` frames while the drive moved by more than ``moved``."""
         if self.received < n:
             return False
-        heard = self._in[np.arange(self.received - n, self.received) % self.size]
+        recorded = self._in[np.arange(self.received - n, self.received) % self.size]
         played = self._out[np.arange(self.at - n, self.at) % self.size]
-        return bool(np.ptp(played) > moved and not np.ptp(heard, axis=0).any())
+        return bool(np.ptp(played) > moved and not np.ptp(recorded, axis=0).any())
 
     def fade_out(self, n: int) -> None:
         """Follow what was handed over by its last ``n`` samples backwards, ever smaller."""

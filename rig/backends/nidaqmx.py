@@ -1,6 +1,6 @@
 """NI-DAQmx: analog output and inputs of one device on one sample clock. **Never run on hardware here.**
 
-Needs NI's driver and the extra ``shakerbench[nidaqmx]``. The rule kept here: the output runs on the inputs' own sample
+Needs NI's driver and the extra ``shakerbench[nidaqmx]``. The output runs on the inputs' own sample
 clock, so one clock counts both; an output that is late or a buffer that overflows is the driver's error, and stops the
 run. Frames come behind the drive by what lies in the output buffer, and each block says so by its place.
 """
@@ -16,7 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.recording.tables import CHANNELS, Block
+from daq.setup.errors import InputError
 from rig.backends.base import BackendError, checked_drive
+from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.nidaqmx import NiDaqmxOptions
 from rig.profile import Profile
 
 BUFFER_S = 4.0
@@ -186,16 +189,27 @@ class NiDaqmxBackend:
         )
 
 
-def of_profile(profile: Profile) -> NiDaqmxBackend:
-    """What a profile names: inputs by each channel's ``terminal``, the output by ``backend.device`` (``Dev1/ao0``)."""
+def open_nidaqmx(profile: Profile, options: OpenOptions) -> NiDaqmxBackend:
+    """The profile's device: inputs by each channel's ``terminal``, the output by ``backend.device`` (``Dev1/ao0``).
+
+    Raises
+    ------
+    InputError
+        When the back end is another kind's, or `NiDaqmxBackend` cannot be made.
+    """
     wired = {name: getattr(profile.channels, name) for name in CHANNELS}
     wired = {name: channel for name, channel in wired.items() if channel is not None}
     terminals = {name: channel.terminal for name, channel in wired.items()}
     ranges_v = {name: channel.range_v for name, channel in wired.items()}
     table, rate_hz = profile.backend, profile.sampling.rate_hz
-    return NiDaqmxBackend(
-        rate_hz, terminals, ranges_v, table.device, drive_range_v=table.output_range_v, lead_s=table.buffer_s
-    )
+    if not isinstance(table, NiDaqmxOptions):
+        raise InputError(f"profile {profile.name!r}: backend.kind is {table.kind}; wanted nidaqmx")
+    try:
+        return NiDaqmxBackend(
+            rate_hz, terminals, ranges_v, table.device, drive_range_v=table.output_range_v, lead_s=table.buffer_s
+        )
+    except BackendError as error:
+        raise InputError(str(error)) from error
 
 
 def _package() -> Any:

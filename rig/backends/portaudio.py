@@ -1,6 +1,6 @@
 """PortAudio, as far as it is used here: which cards there are, and one stream on one of them.
 
-The rule kept here: what PortAudio says no to becomes a `BackendError` that names the card and lists the others.
+What PortAudio refuses becomes a `BackendError` that names the card and lists the others.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The replay back end: a recording plays the part of the device, code for code.
 
-The rule kept here: what it returns is what was recorded, whatever is driven; it says that nothing moves
-(``simulated``), and it ends where the recording ends instead of making samples up.
+It returns the recorded frames, whatever is driven. It counts as ``simulated``, and it ends where the recording
+ends.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from daq.recording import Recording, open_recording
 from daq.recording.tables import Block
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError, checked_drive
+from rig.backends.kinds.base import OpenOptions
+from rig.profile import Profile
 
 
 class ReplayBackend:
@@ -72,3 +74,10 @@ class ReplayBackend:
         if self._recording is not None:
             self._recording.close()
             self._recording = None
+
+
+def open_replay(profile: Profile, options: OpenOptions) -> ReplayBackend:
+    """The recording that the command line names; raises `InputError` where it names none."""
+    if options.replay is None:
+        raise InputError("backend.kind is replay: name the recording to play by --replay REC.h5")
+    return ReplayBackend(options.replay)

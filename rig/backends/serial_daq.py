@@ -1,6 +1,6 @@
 """Serial DAQ: a thread drains the port, a sound card plays the drive, one time base joins them.
 
-The rule kept here: a sample is what the device sent, at the counter it sent it with. The thread does nothing but read
+A sample is what the device sent, at the counter it sent it with. The thread does nothing but read
 and decode; what is lost is declared, what goes silent or away is an error that names the port, and the drive then
 fades out through the card before it is let go.
 """
@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.recording.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
+from daq.setup.errors import InputError
 from rig.backends.base import Backend, BackendError, checked_drive
+from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
+from rig.backends.soundcard import SoundcardBackend
+from rig.profile import Profile
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int16]
@@ -35,7 +40,7 @@ MARGIN_FRAMES = 2  # of the device's frames kept between what came and what is a
 FADE_S = 0.2
 WRONG_RATE = 0.02  # relative: no two quartzes differ by so much
 WINDOW_S = 0.05
-SLIPPED = 0.75  # of a sample: by so much the clocks part before a block holds a frame more or less
+SLIPPED = 0.75  # drift in samples at which a block holds a frame more or less
 
 
 class Port(Protocol):
@@ -173,7 +178,7 @@ class SerialReader:
                     raise BackendError(self._silent(patience_s))
 
     def _silent(self, waited_s: float) -> str:
-        """What to say when nothing comes."""
+        """Error message where nothing comes."""
         counts = self.counts
         if counts.stale:
             why = f"its counters do not go on ({counts.stale} stale frames): did the device start anew?"
@@ -218,7 +223,7 @@ class SoundcardSerialBackend:
     Parameters
     ----------
     card
-        Plays the drive; of what it hears only its flags are used.
+        Plays the drive; of its blocks only the flags are used.
     reader
         The serial device.
     ranges_v
@@ -263,7 +268,7 @@ class SoundcardSerialBackend:
             raise
 
     def exchange(self, drive_v: Floats) -> Block:
-        """Play ``drive_v`` and return what the serial device recorded meanwhile: as many frames, give or take a slip.
+        """Play ``drive_v`` and return what the serial device recorded meanwhile: as many frames, give or take one.
 
         Raises
         ------
@@ -278,9 +283,9 @@ class SoundcardSerialBackend:
         tracker.played(drive)
         heard = self._card.exchange(drive)
         self._played += len(drive)
-        slip = tracker.slip(self._reader.position)
-        if abs(slip - self._whole) > SLIPPED:
-            self._whole = round(slip)
+        lag = tracker.lag(self._reader.position)
+        if abs(lag - self._whole) > SLIPPED:
+            self._whole = round(lag)
         try:
             first, codes, lost = self._reader.take(self._played - self._lag - self._whole)
         except BackendError:
@@ -305,7 +310,7 @@ class SoundcardSerialBackend:
         self._reader.stop()
 
     def _join_clocks(self) -> None:
-        """Play the marker until it is heard whole; from then on both clocks are counted from here."""
+        """Play the marker until it is recorded whole; from then on both clocks are counted from here."""
         block = max(16, round(0.01 * self.rate_hz))
         quiet = np.zeros(round(QUIET_S * self.rate_hz))
         marker = start_marker(self.rate_hz)
@@ -329,16 +334,16 @@ class SoundcardSerialBackend:
             if played >= least:
                 found = find_marker(np.concatenate(pieces), marker)
         if found is None:
-            raise BackendError(self._deaf((self._reader.newest - newest) / played))
-        slip = len(quiet) - played - (begin + found)
-        self._whole, self._played, self._given = round(slip), 0, 0
+            raise BackendError(self._no_marker((self._reader.newest - newest) / played))
+        lag = len(quiet) - played - (begin + found)
+        self._whole, self._played, self._given = round(lag), 0, 0
         self._lag = -(self._reader.position + self._whole)  # the next row comes behind the drive by so much, and stays
         self._tail = np.zeros(0)
         window = max(64, round(WINDOW_S * self.rate_hz))
-        self._tracker = ClockTracker(slip, self._reader.position, window, self.rate_hz)
+        self._tracker = ClockTracker(lag, self._reader.position, window, self.rate_hz)
 
-    def _deaf(self, rows_a_sample: float) -> str:
-        """What to say when the marker was not found: it is not there, or it is stretched."""
+    def _no_marker(self, rows_a_sample: float) -> str:
+        """Error message where the marker was not found: absent, or stretched."""
         if abs(rows_a_sample - 1.0) > WRONG_RATE:
             rate_hz = rows_a_sample * self.rate_hz
             return (
@@ -346,7 +351,7 @@ class SoundcardSerialBackend:
                 f"{self.rate_hz:g}; set the device's timer, or the profile, so that they agree"
             )
         return (
-            f"serial DAQ {self._reader.name}: its channel 'drive' does not hear the start marker of "
+            f"serial DAQ {self._reader.name}: its channel 'drive' does not record the start marker of "
             f"{self._marker_v:g} V; is the drive looped back into it, and not turned round?"
         )
 
@@ -360,3 +365,15 @@ class SoundcardSerialBackend:
             self._card.exchange(tail * np.cos(0.5 * np.pi * np.arange(1, tail.size + 1) / tail.size) ** 2)
         except BackendError:
             return  # the card is gone as well; its own stop leaves 0 V
+
+
+def open_soundcard_serial(profile: Profile, options: OpenOptions) -> SoundcardSerialBackend:
+    """Drive through the profile's sound card, channels through its serial device; raises `InputError`."""
+    table, channels = profile.backend, profile.channels
+    if not isinstance(table, SoundcardSerialOptions):
+        raise InputError(f"profile {profile.name!r}: backend.kind is {table.kind}; wanted soundcard+serial")
+    every = {"continuity": channels.continuity, "accelerometer": channels.accelerometer, "drive": channels.drive}
+    ranges_v = {name: channel.range_v for name, channel in every.items() if channel is not None}
+    rate_hz = profile.sampling.rate_hz
+    reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
+    return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)

@@ -1,6 +1,6 @@
 """The simulated back end: `rig.sim.plant.Plant` behind the interface of a device, at full speed or paced.
 
-The rule kept here: pacing changes when a block comes, never what is in it.
+Pacing changes when a block comes, never what is in it.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from daq.recording.tables import Block
 from rig.backends.base import BackendError, checked_drive
+from rig.backends.kinds.base import OpenOptions
+from rig.profile import Profile
 from rig.sim.plant import Plant
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import Scenario, load_scenario
 
 
 class SimulatedBackend:
@@ -29,6 +31,11 @@ class SimulatedBackend:
         Of the sensors' noise and the contact's bounce.
     real_time
         Whether a block takes as long as it lasts.
+
+    Attributes
+    ----------
+    drive_v : float
+        Drive at the amplifier now: the last sample played, 0 before the start and after the stop.
     """
 
     name = "simulated"
@@ -38,14 +45,16 @@ class SimulatedBackend:
         self.rate_hz = rate_hz
         self.scenario_sha256: str | None = scenario.sha256
         self._scenario, self._seed, self._real_time = scenario, seed, real_time
-        self._new_plant()
         self._running = False
+        self._began_ns = 0
+        self._new_plant()
 
     def _new_plant(self) -> None:
         self._plant = Plant(self._scenario, self.rate_hz, np.random.default_rng(self._seed))
         self.channels = self._plant.channels
         self.scales = {name: (scale, 0.0) for name, scale in self._plant.channel_scales.items()}
         self._n_samples = 0
+        self.drive_v = 0.0
 
     def start(self) -> None:
         """A plate at rest with the ball on it; starting again starts over, with the same noise."""
@@ -66,6 +75,7 @@ class SimulatedBackend:
             raise BackendError("not started")
         first = self._n_samples
         codes = self._plant.exchange(drive)
+        self.drive_v = float(drive[-1]) if len(drive) else self.drive_v
         self._n_samples += len(codes)
         if self._real_time:
             due_ns = self._began_ns + round(self._n_samples / self.rate_hz * 1e9)
@@ -77,5 +87,11 @@ class SimulatedBackend:
         self._plant.turn(over)
 
     def stop(self) -> None:
-        """Leave the plate at rest."""
-        self._running = False
+        """Leave the drive at 0 V and the plate at rest."""
+        self._running, self.drive_v = False, 0.0
+
+
+def open_simulated(profile: Profile, options: OpenOptions) -> SimulatedBackend:
+    """A simulated rig at the profile's rate, ideal where no scenario is given."""
+    scenario = Scenario("ideal") if options.scenario is None else load_scenario(options.scenario)
+    return SimulatedBackend(profile.sampling.rate_hz, scenario, options.seed, real_time=options.real_time)

@@ -1,8 +1,8 @@
 """The sound card: drive out and three channels in, full duplex, through PortAudio (`sounddevice`).
 
-The rule kept here: everything is counted in the card's own frames since the stream began. The callback copies to and
+Everything is counted in the card's own frames since the stream began. The callback copies to and
 from a ring at the frame it is at, and nothing else; what was handed over too late is not played later, so the drive
-keeps its phase, and frames that never came are declared where they are missing. The driver's word is not asked.
+keeps its phase, and frames that never came are declared where they are missing. The driver's own reports are not used.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from daq.clocks.clock_sync import find_marker, start_marker
 from daq.recording.tables import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
+from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.soundcard import card_options
 from rig.backends.portaudio import CardStream, open_stream
 from rig.profile import Profile
 
@@ -57,7 +59,7 @@ class SoundcardBackend:
     scenario_sha256: str | None = None
 
     def __init__(self, profile: Profile, *, play_only: bool = False) -> None:
-        table = profile.backend
+        table = card_options(profile.backend)
         wired = {} if play_only else {k: v for k, v in table.inputs.model_dump().items() if _has(profile, k)}
         self.channels = tuple(wired)
         self.rate_hz = profile.sampling.rate_hz
@@ -180,7 +182,7 @@ class SoundcardBackend:
         )
 
     def _listen(self) -> float:
-        """Play the marker and find it in the looped-back drive: samples from handing over to hearing."""
+        """Play the marker and find it in the looped-back drive: samples from handing over to recording."""
         marker = start_marker(self.rate_hz)
         piece = round(QUIET_S * self.rate_hz)
         quiet = np.zeros(piece)
@@ -194,7 +196,7 @@ class SoundcardBackend:
         if found is None:
             raise BackendError(
                 f"sound card {self._table.device!r}: input {self._table.inputs.drive} (the looped-back drive) does not "
-                f"hear the start marker of {self._table.marker_v:g} V on output {self._table.output}; is the drive "
+                f"record the start marker of {self._table.marker_v:g} V on output {self._table.output}; is the drive "
                 "looped back into it, and not turned round?"
             )
         return found - piece
@@ -203,3 +205,8 @@ class SoundcardBackend:
 def _has(profile: Profile, channel: str) -> bool:
     """Whether the profile records ``channel``."""
     return getattr(profile.channels, channel) is not None
+
+
+def open_soundcard(profile: Profile, options: OpenOptions) -> SoundcardBackend:
+    """The card that the profile names."""
+    return SoundcardBackend(profile)

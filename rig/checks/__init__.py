@@ -1,1 +1,4 @@
-"""TODO what checks is for."""
+"""Checks before a run: wiring and scales, and the flip test of the accelerometer.
+
+Other rooms take `check`, `flip_test`.
+"""

@@ -1,7 +1,7 @@
-"""Before a run: is the rig wired as its profile says? A chirp, a quiet tone, a short flight, and a verdict on each.
+"""Checks before a run: a chirp, a quiet tone, a short flight, and a verdict on each against the profile.
 
-The rule kept here: nothing is driven that the profile's limits forbid, the drive fades in and out, and what cannot be
-judged is said to be so. Every verdict that is bad says what to do.
+Nothing is driven that the profile's limits forbid, and the drive fades in and out. What cannot be judged is reported
+as such; every bad verdict carries a remedy.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Check:
     Parameters
     ----------
     profile
-        What the rig is said to be.
+        Description of the rig.
     backend
         Not yet started.
     """

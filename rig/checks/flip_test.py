@@ -1,6 +1,6 @@
 """The flip test: an accelerometer at rest, as mounted and upside down, differs by twice the local gravity.
 
-The rule kept here: the plate is never driven, and a reading's uncertainty comes from its own scatter over the seconds
+The plate is never driven, and a reading's uncertainty comes from its own scatter over the seconds
 it was taken, not from what the noise of a sample promises.
 """
 

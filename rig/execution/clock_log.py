@@ -1,6 +1,6 @@
 """What a run writes down of two clocks: every raw reading, and at the end of a step the map fitted to them.
 
-The rule kept here: nothing is measured again. The back end reads the clocks; this only passes on what is new.
+Nothing is measured again. The back end reads the clocks; this only passes on what is new.
 """
 
 from __future__ import annotations

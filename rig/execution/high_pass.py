@@ -1,6 +1,6 @@
 """A coupling capacitor: a first-order high-pass, sample by sample.
 
-The rule kept here: the samples lie on the exact response of the circuit to a voltage that is straight between them.
+The samples lie on the exact response of the circuit to a voltage that is straight between them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Limits, in the sample path: a clamp after everything, and a watch over every frame that comes back.
 
-The rule kept here: nothing on the way to the plate can pass the clamp, and nothing the watch sees is only reported: a
-reason it returns stops the run. It needs no screen, no thread and no operator.
+Nothing on the way to the plate passes the clamp, and every fault that the watch finds stops
+the run. It needs no screen, no thread and no operator.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
 CLIPPED_FRACTION = 0.04  # of a cycle; an impact alone may touch the converter's limit
 FLAT_PART = 0.02  # of the converter's range: below, equal codes are the converter's steps
-AC_SILENT_PART = 0.1  # of the swing to either side of 0 V in which an AC-coupled contact circuit says nothing new
+AC_SILENT_PART = 0.1  # of the swing to either side of 0 V in which an AC-coupled contact circuit keeps its state
 AC_EDGE_PART = 0.5  # of the swing: a step that size is an edge
 AC_EDGE_S = 2e-4  # in which it is made
 EXCESS = 5.0  # times the motion that the drive asks for: no plate follows its drive so badly, a wrong input does
@@ -40,15 +40,15 @@ class _Window:
 
     n: int = 0
     asked: float = 0.0  # squared m/s^2, by the drive as played
-    heard: float = 0.0  # the same, by the drive as looped back
+    looped_back: float = 0.0  # the same, by the looped-back drive
     moved: float = 0.0
     ran_dry: bool = False
     sums: dict[str, Floats] = field(default_factory=dict)  # of volts, squares, and products with the drive
 
     def rms(self) -> tuple[float, float, float]:
-        """Asked, heard and moved, m/s^2."""
-        asked, heard, moved = (math.sqrt(s / max(self.n, 1)) for s in (self.asked, self.heard, self.moved))
-        return asked, heard, moved
+        """Root mean squares, m/s^2: commanded, looped back, and moved."""
+        asked, looped, moved = (math.sqrt(s / max(self.n, 1)) for s in (self.asked, self.looped_back, self.moved))
+        return asked, looped, moved
 
     def add_volts(self, name: str, volts: Floats, drive_v: Floats) -> None:
         """One more block of a channel."""
@@ -141,7 +141,7 @@ class Interlock:
         block
             What came back for it.
         motion
-            What its accelerometer says of the plate.
+            The plate's motion by its accelerometer.
         """
         codes = block.codes
         self._n_seen += len(codes)
@@ -214,7 +214,7 @@ class Interlock:
         return "dead accelerometer: its reading has not changed for a cycle while the drive moves; check its cable"
 
     def _unlike(self, drive_v: Floats, block: Block) -> str | None:
-        """What some cycles together tell of drive, loop-back and accelerometer: each is what the others ask for."""
+        """Comparison of drive, loop-back and accelerometer over some cycles."""
         window, n = self._window, len(drive_v)
         window.n += n
         asked = float(np.sum(np.square(drive_v * self._mps2_per_volt)))
@@ -224,25 +224,25 @@ class Interlock:
         for name in self._scales if whole else ():
             window.add_volts(name, self._volts(name, block.codes), drive_v)
         if self._loops_back and whole:
-            window.heard += float(np.sum(np.square(self._volts("drive", block.codes) * self._mps2_per_volt)))
+            window.looped_back += float(np.sum(np.square(self._volts("drive", block.codes) * self._mps2_per_volt)))
         else:
-            window.heard += asked
+            window.looped_back += asked
         if window.n < WINDOW_CYCLES * self._cycle:
             return None
         self._window = _Window()
-        asked_mps2, heard_mps2, moved_mps2 = window.rms()
+        asked_mps2, looped_mps2, moved_mps2 = window.rms()
         if asked_mps2 < DEAD_FLOOR_MPS2:
             return None
-        if max(heard_mps2, moved_mps2) <= DEAD_FRACTION * asked_mps2:
+        if max(looped_mps2, moved_mps2) <= DEAD_FRACTION * asked_mps2:
             return self._undriven(window)
         return self._exchanged(window) or self._dead(window)
 
     def _undriven(self, window: _Window) -> str:
         """Neither the looped-back drive nor the plate moves."""
-        asked, heard, moved = window.rms()
+        asked, looped, moved = window.rms()
         seen = (
             f"over {WINDOW_CYCLES} cycles the drive asks for {asked:.3g} m/s^2 rms, the looped-back drive comes to "
-            f"{heard:.2g} and the accelerometer to {moved:.2g}"
+            f"{looped:.2g} and the accelerometer to {moved:.2g}"
         )
         if window.ran_dry:
             return (
@@ -266,8 +266,8 @@ class Interlock:
 
     def _dead(self, window: _Window) -> str | None:
         """The drive moves, and the accelerometer does not, or far too much."""
-        asked, heard, moved = window.rms()
-        if DEAD_FRACTION * min(asked, heard) < moved <= EXCESS * asked:
+        asked, looped, moved = window.rms()
+        if DEAD_FRACTION * min(asked, looped) < moved <= EXCESS * asked:
             return None
         seen = (
             f"the drive asks for {asked:.3g} m/s^2 rms over {WINDOW_CYCLES} cycles, the accelerometer reads {moved:.2g}"
@@ -279,7 +279,7 @@ class Interlock:
             )
         if "continuity" in self._scales:
             contact = window.rms_v("continuity") / self._volts_per_mps2
-            if 0.5 * heard < contact < 2.0 * heard:
+            if 0.5 * looped < contact < 2.0 * looped:
                 return (
                     f"exchanged inputs: {seen}, the continuity input what would be {contact:.2g}; "
                     "change their plugs, or their terminals in the profile"
@@ -302,9 +302,9 @@ class Interlock:
         return f"clipped input: {name} lay at a limit for {len(self._clipped[name])} samples of one cycle"
 
     def _open(self, codes: NDArray[np.int16], levels: tuple[float, float], before: bool) -> NDArray[np.bool_]:
-        """Whether the circuit is open, frame by frame; a frame between the two levels says what the one before said.
+        """Whether the circuit is open, frame by frame; a frame between the two levels takes the state before it.
 
-        Behind a capacitor an edge says it as well: where the ball hardly touches, the open level is near 0 V.
+        Behind a capacitor an edge counts as well: where the ball hardly touches, the open level is near 0 V.
         """
         x, (closed, opened) = codes[:, self._column["continuity"]].astype(np.float64), levels
         sign = 1.0 if self._opens_upwards else -1.0
@@ -355,7 +355,7 @@ def _full_code(range_v: float, volts_per_code: float) -> int:
 def _contact_levels(profile: Profile, scales: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
     """Codes below which the circuit is closed and above which it is open (or the other way round where open is lower).
 
-    Behind a coupling capacitor a state droops towards 0 V and never passes it: what lies near it says nothing new.
+    Behind a coupling capacitor a state droops towards 0 V and never passes it: what lies near it keeps the state.
     """
     continuity = profile.channels.continuity
     if continuity is None or "continuity" not in scales:

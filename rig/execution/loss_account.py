@@ -1,8 +1,8 @@
-"""Where every frame of a run belongs among the samples that were played, losses counted.
+"""Account of a run's losses: the place of every frame among the samples that were played.
 
-The rule kept here: a count that came short is believed at once, and the looped-back drive is asked about the rest
-(`daq.clocks.sample_loss.LossDetector`). What is recorded and what is declared as lost add up to what the device must
-have given. A device that knows where its blocks belong among the played samples, and says so, is believed.
+A count that came short is taken at once; the rest is found in the looped-back drive
+(`daq.clocks.sample_loss.LossDetector`). Recorded and declared lost samples add up to those that the device must have
+given. The places that a device declares for its blocks are taken as they are.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class LossAccount:
     Parameters
     ----------
     profile
-        Rate and forcing; a replay loops nothing back that was played now, so its drive is not asked.
+        Rate and forcing; a replay loops nothing back that was played now, so its drive is not compared.
     drive_column
         Column of the looped-back drive in a frame.
     scale
@@ -57,13 +57,13 @@ class LossAccount:
         self.lost_before = 0
         self._capacitor = HighPass(profile.drive.highpass_hz, rate_hz)
         self._places: list[tuple[int, int]] = []
-        self._heard_to = self._settled_to = 0
+        self._frames_to = self._settled_to = 0
         self._short = self._settled_lost = 0
         self._losses: list[tuple[int, int]] = []
         self._gaps: list[tuple[int, int]] = []
 
     def lags(self, lag_samples: int) -> None:
-        """Say how late the drive is heard, of a device that declares its own losses."""
+        """Set the latency of the loop-back of a device that declares its own losses."""
         self.lag_samples, self.declares = lag_samples, True
         self._finder.expect(lag_samples)
 
@@ -75,7 +75,7 @@ class LossAccount:
     @property
     def next_sample(self) -> int:
         """The played sample that the next frame belongs to."""
-        return self._heard_to if self._places else self._finder.next_sample - self.lag_samples
+        return self._frames_to if self._places else self._finder.next_sample - self.lag_samples
 
     @property
     def settled_sample(self) -> int:
@@ -90,7 +90,7 @@ class LossAccount:
         return self._finder.next_sample + self._short
 
     def played(self, drive_v: Floats) -> None:
-        """Say what the device is about to play."""
+        """Append the samples that the device is about to play."""
         self._finder.played(self._capacitor(drive_v))
 
     def heard(self, block: Block, n_played: int) -> list[Block]:
@@ -105,7 +105,7 @@ class LossAccount:
             self.lost_before = block.lost_before
         else:
             self.lost_before = block.lost_before
-            self._heard_to = block.place + len(block.codes)
+            self._frames_to = block.place + len(block.codes)
             self._scale = (0.0, 0.0)
         volts = np.asarray(block.codes[:, self._column], np.float64) * self._scale[0] + self._scale[1]
         return self._noted(self._finder.heard(block, volts))
@@ -139,7 +139,7 @@ class LossAccount:
         return recorded + max((lost for at, lost in self._gaps if at <= recorded), default=0)
 
     def _placed(self, played: int) -> int:
-        """As `recorded`, by what the blocks say of their places."""
+        """As `recorded`, by the places that the blocks declare."""
         k = max(bisect_right(self._places, played, key=itemgetter(1)) - 1, 0)
         first, place = self._places[k]
         index = max(first + played - place, 0)

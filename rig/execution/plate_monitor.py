@@ -1,6 +1,6 @@
-"""What the accelerometer says of the plate while a run lasts: its motion, and where the ball hit it.
+"""The plate by the accelerometer while a run lasts: its motion, and the samples that impacts spoil.
 
-The rule kept here: impacts ring far above the forcing and are not the plate's motion. They are filtered out of the
+Impacts ring far above the forcing and are not the plate's motion. They are filtered out of the
 peaks, and the samples they spoil are marked, so that no limit trips on them and no tone is measured through them.
 """
 
@@ -22,7 +22,7 @@ LOWPASS_OVER_TONE = 4.0  # corner of the low-pass over the fastest tone
 LEAK_OVER_TONE = 1.0 / 20.0  # corner below which offset and integrals forget, over the first tone
 IMPACT_SIGMAS = 6.5  # a jump from sample to sample, over the usual one, that only an impact makes
 RINGING_S = 1e-3  # spoilt after an impact at least
-SMOOTHING_S = 5e-4  # over which the jumps are averaged to hear whether it still rings
+SMOOTHING_S = 5e-4  # time over which the jumps are averaged to tell whether it still rings
 RINGING_SQUARES = 4.0  # mean square jump, over the usual one, while it does
 
 _FIELDS = 11
@@ -81,7 +81,7 @@ class MotionWatch:
     def update(self, codes: NDArray[np.int16], landed: Mask | None = None, lost: int = 0) -> Motion:
         """The plate over the block with these accelerometer ``codes`` (n,).
 
-        ``landed`` (n,) says where the contact circuit closed: such an impact may ring too softly to be heard. ``lost``
+        ``landed`` (n,) marks where the contact circuit closed: such an impact may ring too softly to detect. ``lost``
         samples are missing before it: the plate is taken to have moved as it did a cycle earlier, since a hole in the
         acceleration would be a jump of the velocity that nothing made.
         """
@@ -141,11 +141,11 @@ def _follow(
         since = 0.0 if jump > IMPACT_SIGMAS * IMPACT_SIGMAS * usual else since + 1.0
         present += fast * (jump - present)
         if landed[i]:
-            since = -ringing  # unheard, it is waited for twice as long
+            since = -ringing  # undetected, it is waited for twice as long
         loud = since <= 0.0 or present > RINGING_SQUARES * usual
         calm = 0.0 if loud else calm + 1.0
         quiet[i] = since >= ringing and calm >= rise
-        if calm == 0.0:  # what rang until it was heard
+        if calm == 0.0:  # ringing before it was detected
             quiet[max(0, i - rise) : i] = False
         cap = 9.0 if quiet[i] else 1.5  # ringing is not usual, but what never ends must be
         usual = max(usual + leak * (min(jump, cap * usual) - usual), scale * scale)  # a code is the least noise

@@ -1,6 +1,6 @@
 """Before all other work: what drives a device asks the machine for that, where the machine can and may give it.
 
-The rule kept here: this is the one place that knows of POSIX's real-time scheduling. Where there is none (Windows,
+This is the one place that knows of POSIX's real-time scheduling. Where there is none (Windows,
 macOS), or no right to it, everything runs as it did, and what comes too late is declared as always.
 """
 

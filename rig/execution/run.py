@@ -1,6 +1,6 @@
-"""Run a ramp: sequencer, clamp, back end, recorder and watch in one loop, block by block.
+"""The run of a ramp: sequencer, clamp, back end, recorder and monitor in one loop, block by block.
 
-The rule kept here: however a run ends (done, asked to, tripped, or an exception anywhere), the drive goes softly to
+However a run ends (done, asked to, tripped, or an exception anywhere), the drive goes softly to
 zero while the device answers, and the recording is closed with the reason in it.
 """
 
@@ -19,11 +19,12 @@ from daq.recording import RecordingWriter
 from daq.recording.recorder_process import RecorderProcess
 from daq.recording.tables import Block
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
-from rig.execution.amplitude_loop import AmplitudeLoop, MeterBlock, ToneMeter, achieved_gamma
+from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.clock_log import ClockLog
 from rig.execution.interlock import Interlock
 from rig.execution.loss_account import LossAccount
-from rig.execution.plate_monitor import MotionWatch
+from rig.execution.plate_monitor import Motion, MotionWatch
+from rig.execution.tone_meter import MeterBlock, ToneMeter
 from rig.profile import Profile
 from rig.programme.ramp import Programme, Step, plan
 from rig.programme.sequencer import Sequencer, State, Stop, change_rows, largest_block
@@ -31,30 +32,29 @@ from rig.programme.sequencer import Sequencer, State, Stop, change_rows, largest
 BATCH_SAMPLES = 8192  # of a simulated rig that are written together
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
-
 Recorder: TypeAlias = RecordingWriter | RecorderProcess
 """Where a run is recorded: here, or in a process of its own."""
 
 
 class StopRequest:
-    """Where anybody (a signal, a page, a test) asks a run to stop; the strongest wish stands."""
+    """A request to stop a run, from a signal, a page or a test; the strongest one counts."""
 
     def __init__(self) -> None:
         self.wanted: Stop | None = None
         self.why = ""
 
     def ask(self, how: Stop, why: str) -> None:
-        """Ask for a stop; a weaker wish than the one that stands is ignored."""
+        """Ask for a stop; a weaker request than the present one is ignored."""
         if self.wanted is None or how > self.wanted:
             self.wanted, self.why = how, why
 
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run is, once a block.
+    """State of a run after a block.
 
-    ``achieved_gamma`` and its uncertainty are those of the last step held (NaN before), ``limits_in_use`` what part of
-    each limit the block used, ``contact_age_cycles`` how long ago the ball last showed itself.
+    ``achieved_gamma`` and its uncertainty are those of the last step held (NaN before). ``limits_in_use`` is the used
+    part of each limit, ``contact_age_cycles`` the time since the last contact or impact.
     """
 
     state: State
@@ -72,7 +72,7 @@ class Status:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """How a run went."""
+    """Outcome of a run."""
 
     how: Literal["complete", "stopped", "failed"]
     why: str
@@ -90,6 +90,7 @@ def run_ramp(
     *,
     progress: Callable[[Status], None] | None = None,
     stop_request: StopRequest | None = None,
+    programme: Programme | None = None,
 ) -> RunSummary:
     """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
 
@@ -105,6 +106,8 @@ def run_ramp(
         Called after each block.
     stop_request
         Read before each block.
+    programme
+        `rig.programme.ramp.plan` of the profile, where the caller has it already.
 
     Returns
     -------
@@ -112,7 +115,9 @@ def run_ramp(
         ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed`` when the device or the disk
         failed. Whatever was recorded is kept.
     """
-    run = _Run(profile, backend, writer, progress or _silent, stop_request or StopRequest())
+    instruments = _Instruments.of(profile, backend, programme or plan(profile))
+    watcher = Watcher(progress or _silent, stop_request or StopRequest())
+    run = _Run(profile, backend, writer, instruments, watcher)
     began = time.monotonic()
     with writer:
         try:
@@ -125,50 +130,78 @@ def run_ramp(
 
 
 def _silent(status: Status) -> None:
-    """No progress wanted."""
+    """Show nothing."""
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """The operator's side of a run: what is called after each block, and where a stop is asked for."""
+
+    progress: Callable[[Status], None]
+    stop_request: StopRequest
+
+
+@dataclass(frozen=True)
+class _Instruments:
+    """What a run is made of: programme, drive, measurement and safety of one profile on one back end.
+
+    ``mps2_per_code`` is the scale of the accelerometer's column; ``loop`` and ``clocks`` are None where the profile has
+    no closed loop, and where one clock plays and records.
+    """
+
+    programme: Programme
+    sequencer: Sequencer
+    loop: AmplitudeLoop | None
+    meter: ToneMeter
+    interlock: Interlock
+    watch: MotionWatch
+    clocks: ClockLog | None
+    accelerometer: int
+    mps2_per_code: float
+
+    @classmethod
+    def of(cls, profile: Profile, backend: Backend, programme: Programme) -> _Instruments:
+        """The instruments for ``profile`` on ``backend``."""
+        loop = AmplitudeLoop(profile, profile.control) if profile.control else None
+        scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+        amplitudes = loop.amplitudes if loop else None
+        return cls(
+            programme=programme,
+            sequencer=Sequencer(programme, profile, amplitudes=amplitudes, controlled=loop is not None),
+            loop=loop,
+            meter=ToneMeter(profile, min(METER_CYCLES, profile.ramp.hold_cycles)),
+            interlock=Interlock(profile, backend.channels, backend.scales),
+            watch=MotionWatch(profile, scale),
+            clocks=ClockLog(backend) if isinstance(backend, TwoClocked) else None,
+            accelerometer=backend.channels.index("accelerometer"),
+            mps2_per_code=scale,
+        )
 
 
 class _Run:
-    """The loop of `run_ramp` and what it knows."""
+    """The loop of `run_ramp` and its state."""
 
     def __init__(
-        self,
-        profile: Profile,
-        backend: Backend,
-        writer: Recorder,
-        progress: Callable[[Status], None],
-        stop_request: StopRequest,
+        self, profile: Profile, backend: Backend, writer: Recorder, instruments: _Instruments, watcher: Watcher
     ) -> None:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
+        self._profile, self._backend, self._writer = profile, backend, writer
+        self._instruments, self._watcher = instruments, watcher
+        self._sequencer, self._meter, self._interlock = instruments.sequencer, instruments.meter, instruments.interlock
         drive = backend.channels.index("drive")
-        self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None
         self.account = LossAccount(profile, drive, backend.scales["drive"], beside=not backend.simulated)
-        self._programme: Programme = plan(profile)
-        self._loop = AmplitudeLoop(profile, profile.control) if profile.control else None
-        self._sequencer = Sequencer(
-            self._programme,
-            profile,
-            amplitudes=self._loop.amplitudes if self._loop else None,
-            controlled=self._loop is not None,
-        )
-        self._meter = ToneMeter(profile, min(METER_CYCLES, profile.ramp.hold_cycles))
         self._metered = -1
         self._last_achieved = math.nan, math.nan
-        self._interlock = Interlock(profile, backend.channels, backend.scales)
-        self._accelerometer = backend.channels.index("accelerometer")
-        scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
-        self._mps2_per_code = scale
-        self._watch = MotionWatch(profile, scale)
-        self._profile, self._backend, self._writer = profile, backend, writer
-        self._progress, self._request = progress, stop_request
-        self._obeyed: Stop | None = None
+        self._touching: NDArray[np.bool_] | None = None
+        self._motion = Motion(0.0, 0.0, 0.0, 0.0, 0, np.zeros(0, np.bool_))
+        self._applied_stop: Stop | None = None
         self._recording = True
         self._pending: list[Block] = []
         self._device_lost = False
         self._marks: list[tuple[int, Step, tuple[float, float]]] = []
         self._steps = 0
-        self._block = largest_block(self._programme.clock, profile.backend.block_samples)
+        self._block = largest_block(instruments.programme.clock, profile.backend.block_samples)
 
     def end(self, how: Literal["stopped", "failed"], why: str) -> None:
         """Keep the first reason for which the run is not complete; a failure outranks a stop."""
@@ -181,27 +214,27 @@ class _Run:
             self.account.lags(round(self._backend.lag_samples))
         try:
             while not self._sequencer.done:
-                self._obey()
+                self._apply_stop()
                 self._exchange()
-                self._progress(self._status())
+                self._watcher.progress(self._status())
         finally:
-            self._land()
+            self._ramp_down()
             self._release(everything=True)
 
     def summary(self, wall_s: float) -> RunSummary:
-        """What came of it."""
+        """Outcome of the run."""
         return RunSummary(
             self.how,
             self.why,
             self._writer.n_samples,
             self._steps,
-            len(self._programme.steps),
+            len(self._instruments.programme.steps),
             self.account.lost_samples,
             wall_s,
         )
 
-    def _land(self) -> None:
-        """Whatever happened: bring the drive softly to zero while the device answers, and note where the step ended."""
+    def _ramp_down(self) -> None:
+        """Ramp the drive to zero while the device answers; where it was lost, note where the step ended."""
         if self._device_lost:
             self._record(self.account.flush())
             step = self._sequencer.step
@@ -214,13 +247,14 @@ class _Run:
             self._exchange()
         self._record(self.account.flush())
 
-    def _obey(self) -> None:
+    def _apply_stop(self) -> None:
         """Pass a new stop request on to the sequencer."""
-        wanted = self._request.wanted
-        if wanted is not None and wanted != self._obeyed:
-            self._obeyed = wanted
+        request = self._watcher.stop_request
+        wanted = request.wanted
+        if wanted is not None and wanted != self._applied_stop:
+            self._applied_stop = wanted
             zero = f"; drive zero from sample {self._sequencer.position}" if wanted is Stop.NOW else ""
-            self.end("stopped", f"{self._request.why}{zero}")
+            self.end("stopped", f"{request.why}{zero}")
             self._sequencer.stop(wanted)
 
     def _exchange(self) -> None:
@@ -234,9 +268,10 @@ class _Run:
         self._device_lost = False
         self._record(self.account.heard(block, len(drive)))
         circuit = self._interlock.circuit(block.codes)
-        self._touching: NDArray[np.bool_] | None
         self._touching, landed = circuit if circuit is not None else (None, None)
-        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed, self.account.lost_before)
+        self._motion = self._instruments.watch.update(
+            block.codes[:, self._instruments.accelerometer], landed, self.account.lost_before
+        )
         self._measure(block)
         self._note_marks()
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
@@ -250,15 +285,15 @@ class _Run:
         """The plate's tones: over each hold for the step table, and while settling for the closed loop."""
         sequencer = self._sequencer
         if sequencer.state is State.HOLDING and self._metered != sequencer.step.index:
-            step = self._sequencer.step
+            step = sequencer.step
             self._metered = step.index
             self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
         first = self.account.next_sample - len(block.codes)
-        acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64) * self._mps2_per_code
-        heard = MeterBlock(first, acceleration, self._motion.quiet, self._touching)
-        self._meter.add(heard)
-        if self._loop is not None:
-            fault = self._loop.observe(heard, sequencer)
+        acceleration = np.asarray(block.codes[:, self._instruments.accelerometer], np.float64)
+        measured = MeterBlock(first, acceleration * self._instruments.mps2_per_code, self._motion.quiet, self._touching)
+        self._meter.add(measured)
+        if self._instruments.loop is not None:
+            fault = self._instruments.loop.observe(measured, sequencer)
             if fault is not None:
                 self.end("stopped", f"closed loop: {fault}")
                 sequencer.stop(Stop.RAMP_DOWN)
@@ -326,10 +361,11 @@ class _Run:
         self._steps = step.index + 1
         gamma, uncertainty = achieved
         rate = 0.0
-        if self._clocks is not None:
-            for table, rows in self._clocks.rows(self.account.counted(first + (settle + n) // 2)):
+        clocks = self._instruments.clocks
+        if clocks is not None:
+            for table, rows in clocks.rows(self.account.counted(first + (settle + n) // 2)):
                 self._writer.mark_rows(table, rows)
-            rate = self._clocks.rate
+            rate = clocks.rate
         self._writer.mark_step(
             {
                 "first_sample": first,
@@ -351,9 +387,9 @@ class _Run:
         return Status(
             state=self._sequencer.state,
             step=self._sequencer.step,
-            n_steps=len(self._programme.steps),
+            n_steps=len(self._instruments.programme.steps),
             sample=self._sequencer.position,
-            n_samples=self._programme.n_samples,
+            n_samples=self._instruments.programme.n_samples,
             plate_mps2=self._motion.acceleration_mps2,
             limits_in_use=self._interlock.limits_in_use,
             contact_age_cycles=self._interlock.contact_age_cycles,

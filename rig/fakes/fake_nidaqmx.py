@@ -1,8 +1,8 @@
-"""What `rig.backends.nidaqmx` uses of the package `nidaqmx`, played by the simulated rig: a strict stand-in.
+"""A strict stand-in for the parts of the package `nidaqmx` that `rig.backends.nidaqmx` uses, on the simulated rig.
 
-The rule kept here: it follows NI's manual where that is stricter than convenience: tasks are configured before they
+It follows NI's manual where that is stricter than convenience: tasks are configured before they
 start, an output on a clock that does not run waits, written samples are never played twice, and a buffer that runs dry
-or over is an error that lasts. It has no driver behind it; it proves the dialogue, not the hardware.
+or over is an error that lasts. It has no driver behind it; it tests the calls, not the hardware.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ class Bench:
         What the output holds.
     unplugged : bool
         Set by a test: every call then fails.
+    calls : int
+        Calls of the driver that reached the device.
     """
 
     def __init__(self, rate_hz: float, seed: int = 1) -> None:
         self.unplugged = False
         self.output_v = 0.0
+        self.calls = 0
         self._rate_hz, self._seed = rate_hz, seed
         self.reset()
         self.package = SimpleNamespace(
@@ -56,7 +59,8 @@ class Bench:
         self.clock_runs = self.armed = False
 
     def check(self) -> None:
-        """Raise what a missing device raises."""
+        """Count a call; raise what a missing device raises."""
+        self.calls += 1
         if self.unplugged:
             raise DaqError("Device is not available: it has been removed. Status Code: -88709")
 

@@ -1,6 +1,6 @@
-"""What devices do wrong, as a layer between a back end and whoever drives it.
+"""Faults of devices, as a layer between a back end and its user.
 
-The rule kept here: a fault changes what the device says or does and nothing more; it never tells. Whether a driver
+A fault changes the device's frames, readings or drive and nothing else. Whether a driver
 reports a loss is part of the fault. Sample indices of faults are the device's own, lost frames counted.
 """
 

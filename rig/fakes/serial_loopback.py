@@ -1,6 +1,6 @@
 """A simulated serial device on the bench: a card that plays into it, and a port that its bytes come out of.
 
-The rule kept here: the only way from the drive to the samples is through the device, on its own clock.
+The only way from the drive to the samples is through the device, on its own clock.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.recording.tables import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
-from rig.fakes.serial_device import SerialDevice
+from rig.virtual.serial_device import SerialDevice
 
 WAIT_S = 0.05  # for bytes that do not come
 

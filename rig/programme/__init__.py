@@ -1,1 +1,4 @@
-"""TODO what programme is for."""
+"""The programme of a run: steps, forcing, and the sequencer that turns them into drive samples.
+
+Other rooms take `ramp`, `forcing`, `sequencer`.
+"""

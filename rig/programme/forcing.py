@@ -1,6 +1,6 @@
 """The forcing as drive samples: every sample is a function of its index alone, whatever block it falls in.
 
-The rule kept here: phase is counted in whole numbers. With the forcing at ``num / den`` turns a sample (an exact
+Phase is counted in whole numbers. With the forcing at ``num / den`` turns a sample (an exact
 fraction), the phase of sample n is ``(n * num) mod den``: nothing accumulates, so nothing drifts. The sine is a
 polynomial of additions and multiplications, so the same samples come out bit for bit on every IEEE machine.
 """

@@ -1,6 +1,6 @@
 """The amplitude programme as a value: every step, printable and storable before anything moves.
 
-The rule kept here: seconds are derived from whole samples. A step begins at the first sample of a cycle of the first
+Seconds are derived from whole samples. A step begins at the first sample of a cycle of the first
 tone; it fades from the step before within the slew limit, settles, and holds.
 """
 

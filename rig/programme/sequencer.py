@@ -1,7 +1,7 @@
 """From a programme to blocks of drive samples and step marks: a state machine without I/O.
 
-The rule kept here: which state follows which is data (`TRANSITIONS`), and a sample depends on the programme, the stops
-asked for and its index, never on how the run was cut into blocks. `commanded` says the same samples again from a
+Which state follows which is data (`TRANSITIONS`), and a sample depends on the programme, the stops
+asked for and its index, never on how the run was cut into blocks. `commanded` gives the same samples again from a
 recording's tables alone.
 """
 

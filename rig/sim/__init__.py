@@ -1,1 +1,4 @@
-"""The simulated rig: its own physics, which sees drive samples only."""
+"""The simulated rig: plant, sensors and scenarios with physics of their own; only drive samples reach it.
+
+Other rooms take `scenario`, `blind_scenarios`, `catalogue`, `plant`.
+"""

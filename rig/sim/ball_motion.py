@@ -1,6 +1,6 @@
 """The ball's motion through one interval between samples, event by event.
 
-The rule kept here: a Runge-Kutta step never straddles a kink. Take-off, apex under friction, landing and the end
+A Runge-Kutta step never straddles a kink. Take-off, apex under friction, landing and the end
 of a hang are located inside the step on its quintic Hermite interpolant (or on the force itself), the state is
 moved there exactly, and the rest of the interval is stepped anew.
 """

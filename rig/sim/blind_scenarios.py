@@ -1,6 +1,6 @@
 """Sealed scenarios for scoring: effects drawn by chance, at a stated strength, unknown to whoever analyses the run.
 
-The rule kept here: all chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
+All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
 truth can be kept aside and opened after the verdict is written.
 """
 

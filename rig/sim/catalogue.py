@@ -1,6 +1,6 @@
 """Every effect the simulated rig can hide: names, parameters, units, and how strong is strong.
 
-The rule kept here: one table. The layout of the compiled plant's parameter record, the strictness of scenario
+One table. The layout of the compiled plant's parameter record, the strictness of scenario
 files, the sealed draws and the documentation all come from it. A parameter at its neutral value does nothing.
 """
 
@@ -103,11 +103,7 @@ NAMED: tuple[EffectEntry, ...] = (
         _shape("speed_mps", 0.02, 0.2, 1.0),
     ),
     _named(
-        "viscous_damping",
-        5.9,
-        "force",
-        "force against relative velocity",
-        _size("rate_per_s", 1.0, 6.0, 0.0, 200.0),
+        "viscous_damping", 5.9, "force", "force against relative velocity", _size("rate_per_s", 1.0, 6.0, 0.0, 200.0)
     ),
     _named(
         "quadratic_drag",
@@ -156,13 +152,7 @@ NAMED: tuple[EffectEntry, ...] = (
         _shape("damping", 0.02, 0.1, 0.05),
         _size("mass_ratio", 0.01, 0.04, 0.0, 1.0),
     ),
-    _named(
-        "drive_gain",
-        22.0,
-        "plate",
-        "the amplifier's gain is off",
-        _size("relative", 0.03, 0.12, -0.9, 5.0),
-    ),
+    _named("drive_gain", 22.0, "plate", "the amplifier's gain is off", _size("relative", 0.03, 0.12, -0.9, 5.0)),
     _named(
         "gain_compression",
         32.0,
@@ -171,11 +161,7 @@ NAMED: tuple[EffectEntry, ...] = (
         _size("per_v2", 0.05, 0.2, 0.0, 10.0),
     ),
     _named(
-        "phase_lag",
-        8.8,
-        "plate",
-        "first-order lag of the shaker",
-        _size("time_constant_s", 0.0002, 0.001, 0.0, 0.02),
+        "phase_lag", 8.8, "plate", "first-order lag of the shaker", _size("time_constant_s", 0.0002, 0.001, 0.0, 0.02)
     ),
     _named(
         "harmonic_distortion",
@@ -224,11 +210,7 @@ NAMED: tuple[EffectEntry, ...] = (
         _size("delay_s", 0.0002, 0.0008, 0.0, 0.02),
     ),
     _named(
-        "contact_gap",
-        20.0,
-        "sensor",
-        "the circuit opens only at this height",
-        _size("gap_m", 1e-07, 5e-07, 0.0, 0.001),
+        "contact_gap", 20.0, "sensor", "the circuit opens only at this height", _size("gap_m", 1e-07, 5e-07, 0.0, 0.001)
     ),
     _named(
         "clock_error",
@@ -238,11 +220,7 @@ NAMED: tuple[EffectEntry, ...] = (
         _size("relative", 0.002, 0.01, -0.1, 0.1),
     ),
     _named(
-        "mass_loading",
-        14.6,
-        "plate",
-        "the ball in contact loads the table",
-        _size("mass_ratio", 0.02, 0.08, 0.0, 1.0),
+        "mass_loading", 14.6, "plate", "the ball in contact loads the table", _size("mass_ratio", 0.02, 0.08, 0.0, 1.0)
     ),
     _named(
         "contact_closure",

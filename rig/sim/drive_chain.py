@@ -1,6 +1,6 @@
 """From drive volts to the plate's acceleration, sample by sample: DAC, amplifier, shaker.
 
-The rule kept here: the plate moves smoothly between samples. Its acceleration is the cubic through the last four
+The plate moves smoothly between samples. Its acceleration is the cubic through the last four
 reconstruction nodes, the newest being the present sample's, so the plate follows the drive without delay.
 """
 

@@ -1,6 +1,6 @@
-"""What acts on the plate and on the ball, in SI, at one place within the interval between two samples.
+"""Forces on the plate and on the ball, in SI, at one place within the interval between two samples.
 
-The rule kept here: these functions only evaluate; nothing moves. Heights and speeds are those of the ball
+These functions only evaluate; nothing moves. Heights and speeds are those of the ball
 relative to the plate, up positive; friction acts against the relative speed, drag against the absolute one.
 """
 

@@ -1,6 +1,6 @@
 """The simulated rig: drive volts in, raw codes of three channels out, block by block.
 
-The rule kept here: the plant sees drive samples and nothing else. It never learns gamma, frequency or c, and
+The plant sees drive samples and nothing else. It never learns gamma, frequency or c, and
 blocks of any size give the same codes, because all it knows is carried in its state and its generator.
 """
 

@@ -1,7 +1,7 @@
 """Scenario files: what the simulated rig hides, read strictly, and known outside by a hash alone.
 
-The rule kept here: the hash covers the canonical content and a nonce, so it cannot be found by trying likely
-contents; nothing else of a scenario leaves this room.
+The hash covers the canonical content and a nonce, so it cannot be found by trying likely
+contents; nothing else of a scenario leaves this package.
 """
 
 from __future__ import annotations

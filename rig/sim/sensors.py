@@ -1,6 +1,6 @@
-"""The contact circuit and the accelerometer's ringing: what the sensors make of take-offs and impacts.
+"""The contact circuit and the accelerometer's ringing: sensor signals of take-offs and impacts.
 
-The rule kept here: edges carry their exact times. They wait in a queue (latency, held-over closure and bounce shift
+Edges carry their exact times. They wait in a queue (latency, held-over closure and bounce shift
 them), and the voltage follows them by its RC, so a sample near an edge tells where within the sample it fell.
 """
 

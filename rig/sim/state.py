@@ -1,6 +1,6 @@
 """Layout of the compiled plant's state: everything carried from one sample to the next.
 
-The rule kept here: a block boundary is invisible, so whatever a later sample needs is a field of this record.
+A block boundary is invisible, so whatever a later sample needs is a field of this record.
 """
 
 from __future__ import annotations

@@ -1,1 +1,4 @@
-"""The simulated plant as a process of its own, behind a real driver."""
+"""The simulated plant behind real drivers, in a process of its own.
+
+Other rooms take `jack`, `serial`, `serial_device`.
+"""

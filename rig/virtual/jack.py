@@ -1,7 +1,7 @@
 """The plant as a JACK client: one input (the drive), three outputs (continuity, accelerometer, looped-back drive).
 
-The rule kept here: the plant's time is the server's. A period that the server skipped is a period the plant went
-through without a drive, and nobody heard it.
+The plant's time is the server's: a period that the server skipped is a period the plant went
+through without a drive, and its frames are lost.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
+from rig.backends.kinds.soundcard import card_options
 from rig.execution.high_pass import HighPass
 from rig.execution.priority import may_run_first
 from rig.profile import Profile
@@ -54,7 +55,63 @@ class PlantLog:
             np.savez(self._path, frame=np.array(self._frames), codes=np.array(self._codes))
 
 
-class JackPlant:
+class PlantClient:
+    """A client of a JACK server that takes the drive, period by period, the server's skipped frames included.
+
+    Parameters
+    ----------
+    profile
+        Its ``[backend]`` gives the client's name and the full scale of the output.
+    server
+        Name of the JACK server.
+
+    Attributes
+    ----------
+    skipped_frames : int
+        Frames that the server skipped: the plant went through them without a drive.
+    alive : bool
+        Whether the server is there.
+
+    Raises
+    ------
+    InputError
+        When the profile's back end is no sound card, or there is no such server, or it runs at another rate.
+    """
+
+    def __init__(self, profile: Profile, server: str) -> None:
+        self._card = card_options(profile.backend)
+        self._client = jack_client(self._card.device, server, profile.sampling.rate_hz)
+        self._amplifier = self._client.inports.register("amplifier")
+        self._frame: int | None = None
+        self.skipped_frames = 0
+        self.alive = True
+        self._client.set_process_callback(self._process)
+        self._client.set_shutdown_callback(self._shut_down)
+
+    def _shut_down(self, status: Any, reason: str) -> None:
+        """Called when the server went away."""
+        self.alive = False
+
+    def _process(self, frames: int) -> None:
+        """Called for each period."""
+        now = self._client.last_frame_time
+        skipped = 0 if self._frame is None else (now - self._frame) % 2**32
+        if 0 < skipped < 2**31:
+            self.skipped_frames += skipped
+            self._skip(np.zeros(skipped))
+        self._frame = (now + frames) % 2**32
+        self._play(now, np.asarray(self._amplifier.get_array(), np.float64) * self._card.output_range_v)
+
+    def _skip(self, drive_v: NDArray[np.float64]) -> None:
+        """Move the plant through frames that the server skipped."""
+        raise NotImplementedError
+
+    def _play(self, frame: int, drive_v: NDArray[np.float64]) -> None:
+        """Move the plant through one period, which began at the server's ``frame``."""
+        raise NotImplementedError
+
+
+class JackPlant(PlantClient):
     """A plant behind the ports of the client ``profile.backend.device``.
 
     Parameters
@@ -86,19 +143,13 @@ class JackPlant:
         Plant(scenario, profile.sampling.rate_hz, rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
         self._plant = Plant(scenario, profile.sampling.rate_hz, rng)
         self._profile, self._log = profile, log
-        self._client = jack_client(profile.backend.device, server, profile.sampling.rate_hz)
-        ports = {number: name for name, number in profile.backend.inputs.model_dump().items()}
+        super().__init__(profile, server)
+        ports = {number: name for name, number in self._card.inputs.model_dump().items()}
         self._names = [ports.get(number, "") for number in range(1, max(ports) + 1)]
-        self._amplifier = self._client.inports.register("amplifier")
         self._outs = [self._client.outports.register(name or f"unused_{k}") for k, name in enumerate(self._names)]
-        self._range_v = profile.backend.output_range_v
         self._output = HighPass(profile.drive.highpass_hz, self._plant.rate_hz)
         self._inputs = {name: self._input(name) for name in self._plant.channels}
-        self._frame: int | None = None
-        self.skipped_frames = 0
-        self.alive = True
-        self._client.set_process_callback(self._process)
-        self._client.set_shutdown_callback(self._shut_down)
+        self._heard: dict[str, NDArray[np.float64]] = {}
 
     def _input(self, name: str) -> tuple[HighPass, float]:
         """What the card's input does to a channel: its high-pass, and volts to full scale."""
@@ -108,22 +159,14 @@ class JackPlant:
         corner_hz = AC_CORNER_HZ if channel.coupling == "ac" else None
         return HighPass(corner_hz, self._plant.rate_hz), self._plant.channel_scales[name] / channel.range_v
 
-    def _shut_down(self, status: Any, reason: str) -> None:
-        """The server went away."""
-        self.alive = False
+    def _skip(self, drive_v: NDArray[np.float64]) -> None:
+        self._exchange(drive_v)
 
-    def _process(self, frames: int) -> None:
-        """One period."""
-        now = self._client.last_frame_time
-        skipped = 0 if self._frame is None else (now - self._frame) % 2**32
-        if 0 < skipped < 2**31:
-            self.skipped_frames += skipped
-            self._exchange(np.zeros(skipped))
-        self._frame = (now + frames) % 2**32
-        codes = self._exchange(np.asarray(self._amplifier.get_array(), np.float64) * self._range_v)
+    def _play(self, frame: int, drive_v: NDArray[np.float64]) -> None:
+        codes = self._exchange(drive_v)
         for port, name in zip(self._outs, self._names, strict=True):
             port.get_array()[:] = self._heard.get(name, 0.0)
-        self._log.keep(now, codes)
+        self._log.keep(frame, codes)
 
     def _exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
         """The plant's answer, and what the card's inputs make of it."""

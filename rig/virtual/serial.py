@@ -1,6 +1,6 @@
 """The plant behind two drivers: the drive comes by JACK, frames leave by a pseudo-terminal, on a clock of their own.
 
-The rule kept here: between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
+Between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
 alone has pseudo-terminals: elsewhere this is refused.
 """
 
@@ -11,21 +11,22 @@ import queue
 import select
 import threading
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
-from rig.fakes.serial_device import SerialDevice
+from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
 from rig.profile import Profile
 from rig.sim.scenario import Scenario
-from rig.virtual.jack import jack_client
+from rig.virtual.jack import PlantClient
+from rig.virtual.serial_device import SerialDevice
 
 HELD_PERIODS = 4  # of frames that the device holds for a reader that is late
 
 
-class JackSerialPlant:
+class JackSerialPlant(PlantClient):
     """A plant that hears the client ``profile.backend.device`` and sends its frames to a pseudo-terminal.
 
     Parameters
@@ -37,15 +38,13 @@ class JackSerialPlant:
     server
         Name of the JACK server.
     ppm, ppm_per_minute
-        As for `rig.fakes.serial_device.SerialDevice`.
+        As for `rig.virtual.serial_device.SerialDevice`.
 
     Attributes
     ----------
     port : str
         Name of the terminal; ``profile.backend.port`` is a link to it while the block runs.
     device : SerialDevice
-    skipped_frames : int
-        Frames the server skipped: the device went through them without a drive.
 
     Raises
     ------
@@ -62,38 +61,24 @@ class JackSerialPlant:
         rng = np.random.default_rng(seed)
         SerialDevice(scenario, rate_hz, rng.spawn(1)[0]).play(np.zeros(256))  # compiled before it counts
         self.device = SerialDevice(scenario, rate_hz, rng, ppm=ppm, ppm_per_minute=ppm_per_minute)
-        self._client = jack_client(profile.backend.device, server, rate_hz)
-        self._amplifier = self._client.inports.register("amplifier")
-        self._range_v = profile.backend.output_range_v
+        if not isinstance(profile.backend, SoundcardSerialOptions):
+            raise InputError(f"backend.kind is {profile.backend.kind}; wanted soundcard+serial")
+        self._link = Path(profile.backend.port)
+        if self._link.exists() or self._link.is_symlink():
+            raise InputError(f"backend.port = {str(self._link)!r} is there already; name a path that is not")
+        super().__init__(profile, server)
         self._master, self._slave = os.openpty()
         os.set_blocking(self._master, False)
         _raw(self._slave)
         self.port = os.ttyname(self._slave)
-        self._link = Path(profile.backend.port)
-        if self._link.exists() or self._link.is_symlink():
-            self._client.close()
-            raise InputError(f"backend.port = {str(self._link)!r} is there already; name a path that is not")
         self._periods: queue.SimpleQueue[NDArray[np.float64] | None] = queue.SimpleQueue()
         self._sender = threading.Thread(target=self._send, name="virtual serial", daemon=True)
-        self._frame: int | None = None
-        self.skipped_frames = 0
-        self.alive = True
-        self._client.set_process_callback(self._process)
-        self._client.set_shutdown_callback(self._shut_down)
 
-    def _shut_down(self, status: Any, reason: str) -> None:
-        """The server went away."""
-        self.alive = False
+    def _skip(self, drive_v: NDArray[np.float64]) -> None:
+        self._periods.put(drive_v)
 
-    def _process(self, frames: int) -> None:
-        """One period: the drive goes to the device's thread."""
-        now = self._client.last_frame_time
-        skipped = 0 if self._frame is None else (now - self._frame) % 2**32
-        if 0 < skipped < 2**31:
-            self.skipped_frames += skipped
-            self._periods.put(np.zeros(skipped))
-        self._frame = (now + frames) % 2**32
-        self._periods.put(np.asarray(self._amplifier.get_array(), np.float64) * self._range_v)
+    def _play(self, frame: int, drive_v: NDArray[np.float64]) -> None:
+        self._periods.put(drive_v)  # the device runs in a thread of its own
 
     def _send(self) -> None:
         """The device: every period in, bytes out; what nobody reads for some periods is lost, as on a cable."""

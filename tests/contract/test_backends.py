@@ -6,40 +6,51 @@ A new back end joins by one function in `BACKENDS` that builds it on fakes, with
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from bench.commands.ramp import make_backend
 from bench.profiles.find import load
 from daq.recording import RecordingWriter
 from daq.recording.tables import Block
 from rig.backends.base import Backend, BackendError, Running
 from rig.backends.nidaqmx import NiDaqmxBackend
+from rig.backends.registry import open_backend
 from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
-from rig.backends.soundcard import SoundcardBackend
 from rig.fakes.fake_nidaqmx import Bench
 from rig.fakes.faults import FaultyBackend
-from rig.fakes.serial_device import SerialDevice
 from rig.fakes.serial_loopback import WiredCard, WiredPort
 from rig.sim.scenario import Scenario
+from rig.virtual.serial_device import SerialDevice
 
 RATE_HZ = 20000.0
 
 
-def simulated(folder: Path) -> Backend:
+class Output(NamedTuple):
+    """The drive's output as its device has it: volts now, and a count that grows with all that reaches it."""
+
+    drive_v: float
+    activity: int
+
+
+Made = tuple[Backend, Callable[[], Output]]
+
+
+def simulated(folder: Path) -> Made:
     """The simulated rig, ideal."""
-    return SimulatedBackend(RATE_HZ, Scenario("ideal"), seed=1)
+    backend = SimulatedBackend(RATE_HZ, Scenario("ideal"), seed=1)
+    return backend, lambda: Output(backend.drive_v, backend._n_samples)
 
 
-def replay(folder: Path) -> Backend:
-    """Three seconds of the simulated rig, replayed."""
+def replay(folder: Path) -> Made:
+    """Three seconds of the simulated rig, replayed; nothing is driven."""
     profile, text = load("simulated")
-    source = simulated(folder)
+    source, _ = simulated(folder)
     path = folder / "source.h5"
     with Running(source), RecordingWriter(
         path, profile.setup(), profile_text=text, channels=source.channels, backend="simulated", simulated=True,
@@ -47,32 +58,35 @@ def replay(folder: Path) -> Backend:
     ) as writer:  # fmt: skip
         for _ in range(60):
             writer.append(source.exchange(np.zeros(1000)))
-    return ReplayBackend(path)
+    return ReplayBackend(path), lambda: Output(0.0, 1)
 
 
-def faultless(folder: Path) -> Backend:
+def faultless(folder: Path) -> Made:
     """The simulated rig seen through the layer of faults, without any."""
-    return FaultyBackend(simulated(folder), [])
+    backend, output = simulated(folder)
+    return FaultyBackend(backend, []), output
 
 
-def card_and_serial(folder: Path) -> Backend:
+def card_and_serial(folder: Path) -> Made:
     """The drive through a card, frames from a serial device whose clock is 80 ppm slow."""
     device = SerialDevice(Scenario("ideal"), RATE_HZ, np.random.default_rng(1), ppm=80.0)
     port = WiredPort(device)
     reader = SerialReader("wired", 3, RATE_HZ, lambda: port)
-    return SoundcardSerialBackend(
-        WiredCard(port, RATE_HZ), reader, dict.fromkeys(device.plant.channels, 10.0), marker_v=0.2
-    )
+    card = WiredCard(port, RATE_HZ)
+    backend = SoundcardSerialBackend(card, reader, dict.fromkeys(device.plant.channels, 10.0), marker_v=0.2)
+    return backend, lambda: Output(card.last_v, port.played_samples)
 
 
-def ni(folder: Path) -> Backend:
+def ni(folder: Path) -> Made:
     """An NI device, its driver played by the simulated rig."""
     names = ("continuity", "accelerometer", "drive")
     terminals = {name: f"Dev1/ai{i}" for i, name in enumerate(names)}
-    return NiDaqmxBackend(RATE_HZ, terminals, dict.fromkeys(names, 10.0), "Dev1/ao0", daqmx=Bench(RATE_HZ).package)
+    bench = Bench(RATE_HZ)
+    backend = NiDaqmxBackend(RATE_HZ, terminals, dict.fromkeys(names, 10.0), "Dev1/ao0", daqmx=bench.package)
+    return backend, lambda: Output(bench.output_v, bench.calls)
 
 
-BACKENDS: dict[str, Callable[[Path], Backend]] = {
+BACKENDS: dict[str, Callable[[Path], Made]] = {
     "simulated": simulated,
     "replay": replay,
     "faultless": faultless,
@@ -82,14 +96,27 @@ BACKENDS: dict[str, Callable[[Path], Backend]] = {
 
 
 @pytest.fixture(params=[*sorted(BACKENDS), "soundcard", "soundcard+serial by drivers"])
-def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]:
+def made(request: pytest.FixtureRequest, tmp_path: Path) -> Made:
     """Each back end in turn, not started; the last two through the real drivers, with the plant in another process."""
+    if request.param in BACKENDS:
+        return BACKENDS[request.param](tmp_path)
     if request.param == "soundcard":
-        yield SoundcardBackend(request.getfixturevalue("virtual_card"))
-    elif request.param in BACKENDS:
-        yield BACKENDS[request.param](tmp_path)
+        backend = open_backend(request.getfixturevalue("virtual_card"))
     else:
-        yield make_backend(request.getfixturevalue("virtual_both")[0])
+        backend = open_backend(request.getfixturevalue("virtual_both")[0])
+    tap = request.getfixturevalue("card_tap")
+
+    def output() -> Output:
+        """The last sample played, and how many were not zero."""
+        return Output(float(tap.played[-1][1][-1]), sum(np.count_nonzero(out) for _, out, *_ in tap.played))
+
+    return backend, output
+
+
+@pytest.fixture
+def backend(made: Made) -> Backend:
+    """The back end alone."""
+    return made[0]
 
 
 def drive(n: int, first: int = 0) -> np.ndarray:
@@ -127,12 +154,22 @@ def test_not_started_is_an_error(backend: Backend) -> None:
         backend.exchange(np.zeros(10))
 
 
-def test_stop_is_idempotent(backend: Backend) -> None:
-    """Stop may come before start, twice, and after an error."""
+def test_stop_leaves_zero_volts_and_a_second_stop_does_nothing(made: Made) -> None:
+    """Stop may come before start and twice: the drive is at 0 V after the first, and the second reaches no device."""
+    backend, output = made
     backend.stop()
     backend.start()
+    for k in range(4):
+        backend.exchange(drive(2500, 2500 * k))
+    assert output().activity > 0
+    assert output().drive_v != 0.0 or backend.name not in ("simulated", "nidaqmx")  # others are heard later, or never
     backend.stop()
+    stopped = output()
+    assert stopped.drive_v == 0.0
     backend.stop()
+    assert output() == stopped
+    with pytest.raises(BackendError, match="not started"):
+        backend.exchange(np.zeros(5))
 
 
 def test_starts_over(backend: Backend) -> None:
@@ -176,7 +213,7 @@ def test_empty_block(backend: Backend) -> None:
 
 def test_replay_plays_what_was_recorded_and_ends(tmp_path: Path) -> None:
     """A replay returns the recording's codes and fails, instead of going on, where the recording ends."""
-    backend = replay(tmp_path)
+    backend, _ = replay(tmp_path)
     with Running(backend):
         backend.exchange(np.zeros(59_000))
         with pytest.raises(BackendError, match="ends after 60000 samples"):

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from analysis.flights.assemble import flights_of
 from analysis.flights.table import Flights
 from benchmarks.plants import other_plant
-from daq.importers.columns import open_source, parse_map
-from daq.importers.import_recording import import_recording
+from daq.importers.formats.columns import parse_map
+from daq.importers.formats.open import open_source
+from daq.importers.import_recording import ImportOptions, import_recording
 from daq.recording import open_recording
 from daq.setup.setup import Setup
 
@@ -43,7 +44,7 @@ def setup(**changes: object) -> Setup:
 
 def seen(raw: Path, out: Path, own: Setup, maps: tuple[str, ...] = (), rate_hz: float | None = None) -> Seen:
     """Flights of a file brought in, and gamma of its steps."""
-    import_recording(open_source(raw), out, own, "", mapping=parse_map(maps), rate_hz=rate_hz)
+    import_recording(open_source(raw), out, own, "", ImportOptions(parse_map(maps), rate_hz))
     with open_recording(out) as recording:
         flights = flights_of(recording)
     return flights, np.array([s.gamma for s in flights.plate.steps if s is not None])

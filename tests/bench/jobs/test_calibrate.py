@@ -17,7 +17,7 @@ from bench.commands.ramp import make_backend
 from bench.jobs.calibrate import Measured, contact, drive
 from bench.profiles.edit import write_into
 from bench.profiles.find import load, shipped_folder
-from daq.setup.calibration_age import doubts
+from daq.setup.calibration_age import calibration_warnings
 from daq.setup.errors import InputError
 from rig.backends.simulated import SimulatedBackend
 from rig.profile import Profile
@@ -107,7 +107,7 @@ def test_only_the_measured_lines_of_a_profile_change(tmp_path: Path) -> None:
     assert profile.channels.accelerometer.sensitivity.date == today and profile.declared["contact_latency"]
     assert profile.channels.accelerometer.sensitivity.value == pytest.approx(0.103, rel=1e-3)
     assert profile.drive.response(1) == pytest.approx(truth(1), rel=3e-3)
-    assert doubts(profile, today) == []
+    assert calibration_warnings(profile, today) == []
 
 
 def test_mode_link_and_line_ends_of_a_profile_stay(tmp_path: Path) -> None:
@@ -160,16 +160,16 @@ def test_a_wrong_call_is_refused(tmp_path: Path, arguments: list[str], said: str
     assert out.exit_code == 2 and said in out.stderr
 
 
-def test_doubts_name_what_is_missing_and_what_is_old(tmp_path: Path) -> None:
+def test_warnings_name_what_is_missing_and_what_is_old(tmp_path: Path) -> None:
     """Undated scales are never calibrated, old ones expired by the profile's own term, fresh ones are silent."""
     profile, _ = load("simulated")
     day = datetime.date(2026, 11, 20)
-    assert doubts(profile, day) == []
+    assert calibration_warnings(profile, day) == []
     short = profile.model_copy(update={"calibration_days": 30})
-    assert doubts(short, day + datetime.timedelta(30)) == []
-    old = doubts(short, day + datetime.timedelta(31))
+    assert calibration_warnings(short, day + datetime.timedelta(30)) == []
+    old = calibration_warnings(short, day + datetime.timedelta(31))
     assert len(old) == 3 and all("more than 30 days" in line and "bench calibrate" in line for line in old)
-    assert any("channels.accelerometer.sensitivity" in line for line in doubts(load("paper")[0], day))
+    assert any("channels.accelerometer.sensitivity" in line for line in calibration_warnings(load("paper")[0], day))
 
 
 def test_ramp_and_close_loop_warn(tmp_path: Path) -> None:

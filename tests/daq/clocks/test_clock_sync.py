@@ -1,4 +1,4 @@
-"""Two clocks: the marker is found, the slip is followed, the map is as good as it says."""
+"""Two clocks: the marker is found, the lag is followed, the map is as good as it says."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def drive(place: np.ndarray, ratio: int = 1) -> np.ndarray:
     return np.where(t >= 0.0, size * wave, 0.0)
 
 
-def slips(n: int, ppm: float = 80.0) -> tuple[np.ndarray, np.ndarray]:
+def lags(n: int, ppm: float = 80.0) -> tuple[np.ndarray, np.ndarray]:
     """A clock that is off and drifts: place of every frame among the played samples, and its rate less one."""
     t = np.arange(n) / RATE
     rate = 1e-6 * (ppm + t / 60.0 + 0.3 * np.sin(2 * np.pi * t / 37.0))
@@ -50,7 +50,7 @@ def tracked(
 @pytest.mark.parametrize("ratio", [1, 3])
 def test_at_40_db_a_microsecond_and_a_tenth_of_a_ppm(ratio: int) -> None:
     """80 ppm apart and drifting: offset and rate in the middle of each step are that good, and as good as stated."""
-    place, rate = slips(int(60 * RATE))
+    place, rate = lags(int(60 * RATE))
     rows = np.concatenate(tracked(place, 40.0, ratio).readings)
     pulls = (rows["played_sample"] - place[rows["recorded_sample"]]) / rows["uncertainty"]
     assert not rows["jump"].any()
@@ -69,7 +69,7 @@ def test_at_40_db_a_microsecond_and_a_tenth_of_a_ppm(ratio: int) -> None:
 
 def test_lost_frames_cost_readings_and_not_the_map() -> None:
     """A hole of 5000 frames: the tracker goes on, and times on the recording's axis jump over it."""
-    place, _ = slips(int(20 * RATE))
+    place, _ = lags(int(20 * RATE))
     hole = slice(150_000, 155_000)
     rows = np.concatenate(tracked(place, 40.0, skip=hole).readings)
     fit = fit_clock(rows, np.arange(30_000, place.size, 60_000))
@@ -80,7 +80,7 @@ def test_lost_frames_cost_readings_and_not_the_map() -> None:
 
 def test_the_device_counts_from_anywhere() -> None:
     """A device that has run for days: raw counters are kept as they are, recorded samples count from the first."""
-    place, _ = slips(int(6 * RATE))
+    place, _ = lags(int(6 * RATE))
     rows = np.concatenate(tracked(place, 60.0, origin=10**10).readings)
     assert (rows["device_sample"] - rows["recorded_sample"] == 10**10).all()
     np.testing.assert_allclose(rows["played_sample"], place[rows["recorded_sample"]], atol=0.02)
@@ -88,7 +88,7 @@ def test_the_device_counts_from_anywhere() -> None:
 
 def test_a_drive_that_is_interrupted_is_marked_as_a_jump() -> None:
     """An output that starves for 12 samples: one reading says so, and the map is right on both sides."""
-    place, _ = slips(int(12 * RATE))
+    place, _ = lags(int(12 * RATE))
     place[120_300:] -= 12.0
     rows = np.concatenate(tracked(place, 40.0).readings)
     jumped = rows["recorded_sample"][rows["jump"] != 0]
@@ -99,7 +99,7 @@ def test_a_drive_that_is_interrupted_is_marked_as_a_jump() -> None:
 
 def test_windows_that_a_busy_machine_broke_do_not_spoil_the_rate() -> None:
     """The output starves piece by piece, falls behind and catches up at once: afterwards the rate is right to a ppm."""
-    place, rate = slips(int(12 * RATE))
+    place, rate = lags(int(12 * RATE))
     rng = np.random.default_rng(5)
     place[1_000:18_000] -= np.linspace(0.0, 15.0, 17_000)
     for at in range(1_000, 18_000, 500):

@@ -17,7 +17,8 @@ import pytest
 from scipy.io import savemat
 
 from daq.export.export import export
-from daq.importers.columns import assign, listed, open_source
+from daq.importers.formats.columns import assign, listed
+from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import open_recording
 from daq.setup.errors import InputError

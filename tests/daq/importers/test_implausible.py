@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.importers.columns import open_source, parse_map
-from daq.importers.csv_kernel import parse_rows
-from daq.importers.import_recording import ImportSummary, import_recording
+from daq.importers.formats.columns import parse_map
+from daq.importers.formats.csv_kernel import parse_rows
+from daq.importers.formats.open import open_source
+from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
@@ -49,7 +50,7 @@ def write_csv(path: Path, columns: Columns, delimiter: str = ",") -> Path:
 def bring_in(raw: Path, setup: Setup, maps: tuple[str, ...] = (), **options: float) -> ImportSummary:
     """Import beside the raw file."""
     out = raw.with_suffix(".h5")
-    return import_recording(open_source(raw), out, setup, "", mapping=parse_map(maps), **options)  # type: ignore[arg-type]
+    return import_recording(open_source(raw), out, setup, "", ImportOptions(parse_map(maps), **options))
 
 
 @pytest.mark.parametrize("rate_hz", [-5.0, 0.0, float("nan"), float("inf"), 1e12, 1e-300])

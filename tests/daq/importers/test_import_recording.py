@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
 from daq.export.export import export
-from daq.importers.columns import assign, open_source, parse_map, split_name
-from daq.importers.import_recording import ImportSummary, import_recording
+from daq.importers.formats.columns import assign, parse_map, split_name
+from daq.importers.formats.open import open_source
+from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
 from daq.recording import open_recording, verify
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
@@ -50,7 +51,7 @@ def bring_in(raw: Path, out: Path, setup: Setup, maps: list[str] | None = None, 
     """Import as the command does."""
     select = options.pop("select", None)
     source = open_source(raw, select)  # type: ignore[arg-type]
-    return import_recording(source, out, setup, "", mapping=parse_map(maps or []), **options)  # type: ignore[arg-type]
+    return import_recording(source, out, setup, "", ImportOptions(parse_map(maps or []), **options))  # type: ignore[arg-type]
 
 
 def check(out: Path, columns: Columns, summary: ImportSummary, tolerance: float = 1e-8) -> None:
@@ -181,7 +182,7 @@ def test_a_short_stretch_is_no_step_of_the_accelerometer(
     tmp_path: Path, setup: Setup, columns: Columns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A still stretch below the least length is a step where the drive shows it, not where the plate alone does."""
-    monkeypatch.setattr("daq.importers.import_recording.SHORTEST_FELT_CYCLES", 8.0)
+    monkeypatch.setattr("daq.importers.import_recording.SHORTEST_PLATE_STEP_CYCLES", 8.0)
     short = np.flatnonzero(columns["time_s"] < columns["time_s"][-1])[: round(6.5 * RATE_HZ / 25.37)]
     extra = {k: v[short] for k, v in columns.items()}
     phase = 2 * np.pi * 25.37 * (columns["time_s"][-1] + 1 / RATE_HZ + extra["time_s"])

@@ -123,6 +123,8 @@ def test_every_byte_of_a_small_file_counts_or_is_idle(tmp_path: Path, setup: Set
     writer.close()
     whole = path.read_bytes()
     other = tmp_path / "b.h5"
+    assert verify(path).state == "complete"
+    found = 0
     for place in np.random.default_rng(3).integers(0, len(whole), 60):
         changed = bytearray(whole)
         changed[place] ^= 0xFF
@@ -131,10 +133,14 @@ def test_every_byte_of_a_small_file_counts_or_is_idle(tmp_path: Path, setup: Set
             state = verify(other).state
         except InputError:
             continue  # it no longer is a recording at all
+        found += state == "damaged"
         if state == "complete":
             with h5py.File(other) as file:
                 for i, name in enumerate(CHANNELS):
                     np.testing.assert_array_equal(file[name][:], codes[:, i])
+    assert found > 10
+    other.write_bytes(whole)  # the same path and the same bytes: no state is left from the damaged ones
+    assert verify(other) == verify(path) and verify(other).state == "complete"
 
 
 def test_only_recordings_are_judged(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ import tty
 
 import numpy as np
 
-from rig.fakes.serial_device import SerialDevice
 from rig.sim.scenario import Scenario
+from rig.virtual.serial_device import SerialDevice
 
 
 def main() -> None:

@@ -24,10 +24,10 @@ from daq.recording.tables import Block, BlockFlag, volts_per_code
 from rig.backends.base import BackendError, Running, TwoClocked
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
 from rig.execution.run import run_ramp
-from rig.fakes.serial_device import SerialDevice
 from rig.fakes.serial_loopback import WiredCard, WiredPort
 from rig.profile import Profile, parse_profile
 from rig.sim.scenario import Scenario
+from rig.virtual.serial_device import SerialDevice
 
 RATE = 20000.0
 CHANNELS = ("continuity", "accelerometer", "drive")
@@ -238,7 +238,7 @@ def test_a_card_that_skips_is_written_down() -> None:
 def test_a_drive_that_is_not_looped_back_is_refused() -> None:
     """No marker in the device's drive channel: the start fails, says so, and leaves everything closed at 0 V."""
     backend, card, _ = wired(device(), marker_v=1e-6)
-    with pytest.raises(BackendError, match=r"does not hear the start marker .* is the drive looped back into it"):
+    with pytest.raises(BackendError, match=r"does not record the start marker .* is the drive looped back into it"):
         backend.start()
     assert card.last_v == 0.0
     with pytest.raises(BackendError, match="not started"):

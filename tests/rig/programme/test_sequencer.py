@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.recording.tables import STEP_DTYPE
+from rig.profile import Profile, parse_profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import (
     BLOCKS_PER_CYCLE,
@@ -23,6 +26,33 @@ from rig.programme.sequencer import (
     largest_block,
     stop_fade_samples,
 )
+
+TEXT = """
+name = "test"
+[sampling]
+rate_hz = 2000
+[forcing]
+frequency_hz = 25.37
+ratio = {ratio}
+[drive]
+g_per_volt = 2.0
+[channels.continuity]
+[channels.accelerometer]
+sensitivity = 0.1
+unit = "V/g"
+[ball]
+mass_kg = 0.25
+[ramp]
+gamma = [0.2, 0.5, 0.3]
+settle_cycles = 2
+hold_cycles = 3
+[limits]
+drive_v = 9.5
+plate_mps2 = 120.0
+displacement_m = 0.02
+velocity_mps = 2.0
+contact_cycles = 8
+"""
 
 
 def rows(marks) -> np.ndarray:
@@ -68,18 +98,16 @@ def test_blocks_do_not_show(block: int) -> None:
     assert rows(sequencer.marks).tolist() == rows(reference.marks).tolist()
 
 
-_PROFILES: list = []
-
-
-@pytest.fixture(autouse=True)
-def _keep_profile(make_profile) -> None:
-    """Hypothesis tests reach the profile without a function-scoped fixture."""
-    _PROFILES[:] = [make_profile(ratio=2)]
+@functools.cache
+def profile_of_three_steps() -> Profile:
+    """The tests' profile, two tones; frozen, so that examples may share it."""
+    return parse_profile(TEXT.format(ratio=2), "test.toml")
 
 
 def fresh() -> Sequencer:
     """A new run of the test's profile."""
-    return Sequencer(plan(_PROFILES[0]), _PROFILES[0])
+    profile = profile_of_three_steps()
+    return Sequencer(plan(profile), profile)
 
 
 @settings(max_examples=40, deadline=None)
@@ -91,7 +119,7 @@ def test_stop_anywhere_ends_at_zero_and_is_reproduced(stop_at: int, block: int, 
     clock = sequencer.programme.clock
     asked = -(-stop_at // block) * block
     zero_from = asked if how is Stop.NOW else None
-    profile = _PROFILES[0]
+    profile = profile_of_three_steps()
     by_steps = fades_of_steps(profile, rows(sequencer.marks), zero_from=zero_from)
     by_changes = fades_of_changes(profile, change_rows(profile, sequencer.fades))
     for fades in (by_steps, by_changes):
@@ -123,7 +151,7 @@ def test_marks_say_when_a_step_begins_and_how_it_ended() -> None:
 
 def test_no_settling_and_a_second_stop() -> None:
     """A state of no length is passed through, and asking twice changes nothing."""
-    profile = _PROFILES[0]
+    profile = profile_of_three_steps()
     short = profile.model_copy(update={"ramp": profile.ramp.model_copy(update={"settle_cycles": 0})})
     sequencer = Sequencer(plan(short), short)
     sequencer.take(sequencer.step.settle_samples + 1)
@@ -148,7 +176,7 @@ def test_block_size_leaves_time_to_stop(make_profile) -> None:
 @given(block=st.integers(1, 60), waits=st.lists(st.integers(0, 400), min_size=6, max_size=6))
 def test_controlled_settling(block: int, waits: list[int]) -> None:
     """Under control a step settles until told, whatever is changed meanwhile; the changes alone give every sample."""
-    profile = _PROFILES[0]
+    profile = profile_of_three_steps()
     sequencer = Sequencer(plan(profile), profile, controlled=True)
     clock, pieces, fades_end = sequencer.programme.clock, [], 0
     while not sequencer.done:

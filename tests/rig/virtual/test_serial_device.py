@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from daq.clocks.serial_frames import FrameDecoder
-from rig.fakes.serial_device import SerialDevice
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
+from rig.virtual.serial_device import SerialDevice
 
 RATE = 20000.0
 

@@ -1,7 +1,7 @@
-"""Numbers in text: comma, semicolon or tab separated, with or without a header, plain or gzipped, wide or long.
+"""Text files as tables: separated by comma, semicolon or tab, with or without header, plain or gzipped, wide or long.
 
-The rule kept here: a line is either understood whole or named in an error; none is skipped but blank ones and
-comments (``#``). The file is never in memory as a whole.
+A line is either parsed whole or named in an error; only blank lines and comments (``#``) are skipped. The file is
+read piece by piece.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.columns import Piece, listed, split_name
-from daq.importers.csv_kernel import parse_rows
+from daq.importers.formats.columns import Piece, listed, split_name
+from daq.importers.formats.csv_kernel import parse_rows
 from daq.setup.errors import InputError
 
 _DELIMITERS = (",", ";", "\t")
@@ -79,7 +79,7 @@ class CsvSource:
             self.names = (*self.names, *select)
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
-        """Text says what it means: one."""
+        """Scale 1 and offset 0: text holds the values themselves."""
         return 1.0, 0.0
 
     def dtype(self, name: str) -> np.dtype[Any]:
@@ -229,7 +229,7 @@ class CsvSource:
         return {name: table[i] for i, name in enumerate(columns)}, where
 
     def _explain(self, line: str, number: int) -> NoReturn:
-        """Say why a line cannot be used."""
+        """Raise the error that tells why a line cannot be used."""
         got = len(_fields(line, self._delimiter))
         said = f"wanted {self._width} columns ({listed(self._base)}), got {got}; is the file cut off, or a value gone?"
         if got == self._width:
@@ -319,7 +319,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(field: str, decimal: str | None) -> float | None:
-    """What Python makes of a number that is too long or too odd for the inner loop."""
+    """Value, by Python's parser, of a field that the compiled loop left; None where it is no number."""
     text = field.strip().replace(",", ".") if decimal == "," else field.strip()
     return float(text) if text.isascii() and "_" not in text and _is_number(text) else None
 

@@ -1,6 +1,6 @@
-"""Numbers out of text, at a few hundred megabytes a second: the inner loop of `daq.importers.csv`.
+"""Numbers out of text, at a few hundred megabytes a second: the inner loop of `daq.importers.formats.csv`.
 
-The rule kept here: a number comes out as Python's ``float`` would read it, to the last bit, or is left to ``float``.
+A number comes out as Python's ``float`` would read it, to the last bit, or is left to ``float``.
 Decimal to binary: D. Lemire, Software: Practice and Experience 51 (2021) 1700.
 """
 

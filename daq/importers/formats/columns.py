@@ -1,7 +1,7 @@
-"""Other people's recordings: which column is what, in which unit, and where the numbers come from.
+"""Columns of foreign files: their roles (time, channels, set values), their units, and the protocol of a source.
 
-The rule kept here: nothing is guessed in silence. A column is taken for what its name says (`time_s`, `Drive (mV)`,
-`accel_g` ...) or for what the caller says; two candidates for one role are an error that asks for ``--map``.
+No role is guessed: a column gets it from its name (`time_s`, `Drive (mV)`, `accel_g` ...) or from the caller. Two
+candidates for one role are an error that asks for ``--map``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -194,38 +193,3 @@ def _mapped(source: Source, role: str, column: Column) -> Column:
             )
     unit = column.unit or split_name(match)[1]
     return Column(match, unit if _unit_fits(role, unit) else "")
-
-
-def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
-    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .mat, .npz, .wav.
-
-    Parameters
-    ----------
-    path
-        The file.
-    select, select_column
-        For a long table (text only): which rows, as ``{"": value}`` or ``{role: value}``, by the entry of which
-        column.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, of an unknown kind, or does not read.
-    """
-    from daq.importers.arrays import Hdf5Source, Mat73Source, MatSource, NpzSource, WavSource
-    from daq.importers.csv import CsvSource
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
-    ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
-    if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat"):
-        return CsvSource(path, select or {}, select_column)
-    if select:
-        raise InputError(f"{path}: --channel is for long tables in text files (CSV); here use --map.")
-    matlab = Mat73Source if ending == ".mat" and h5py.is_hdf5(path) else MatSource
-    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": matlab}
-    kinds |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Hdf5Source)
-    if ending not in kinds:
-        raise InputError(f"{path}: wanted a file that ends in .csv .txt .tsv .dat (or .gz of these) {' '.join(kinds)}.")
-    source: Source = kinds[ending](path)
-    return source

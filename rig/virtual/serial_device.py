@@ -1,6 +1,6 @@
 """A simulated rig that samples by a clock of its own and sends serial frames, as a microcontroller would.
 
-The rule kept here: it knows the drive as a voltage in time and nothing else. What it converts at its own instants lies
+It knows the drive as a voltage in time and nothing else. What it converts at its own instants lies
 between the samples that were played; a cubic through the four around an instant gives it to a few parts in a million.
 """
 

@@ -1,7 +1,7 @@
-"""Where in the played samples a piece of the looped-back drive was heard, to thousandths of a sample.
+"""Lag of the looped-back drive behind the played samples, to thousandths of a sample.
 
-What was heard is ``r[m] = a d(m + s) + b`` with ``d`` the played samples and ``s`` the slip (minus the latency, plus
-everything lost so far). Expanding ``d`` about a whole number of samples makes the fit linear in ``a``, ``a ds`` and
+The recorded loop-back is ``r[m] = a d(m + s) + b`` with ``d`` the played samples. Its lag ``s`` is minus the latency
+plus everything lost so far. Expanding ``d`` about a whole number of samples makes the fit linear in ``a``, ``a ds`` and
 ``b``; ten sums over the samples are all it needs, so a piece may come block by block.
 """
 
@@ -15,25 +15,25 @@ from scipy.signal import fftconvolve
 
 Floats = NDArray[np.float64]
 
-LARGEST = 20_000  # samples lost at once that are looked for
-LATENCY = 20_000  # samples between playing and hearing, at most
-UNSOLVABLE = 1e-12  # of a column's square sum: what is left of it once the others are taken out says nothing
-REFINED = 24  # places of least misfit that are fitted one by one
-ITERATIONS = 4  # of a fit whose guess was off by more than a sample
+LARGEST = 20_000  # most samples lost at once that are searched for
+LATENCY = 20_000  # longest latency of the loop-back, samples
+UNSOLVABLE = 1e-12  # part of a column's square sum below which its remainder is rounding
+REFINED = 24  # number of places of least misfit that are fitted
+ITERATIONS = 4  # most refinements of a fit whose guess was off by more than a sample
 
 
 @dataclass(frozen=True)
-class Slip:
-    """Where in the played samples a piece was heard.
+class Lag:
+    """Place of a recorded piece among the played samples.
 
     Attributes
     ----------
     samples, sigma
-        Slip and its standard deviation; infinite where the drive says nothing.
+        Lag and its standard deviation; infinite where the drive does not determine it.
     rms_v
-        What the fit leaves over.
+        Root mean square residual of the fit.
     gain
-        Heard volts a played volt.
+        Recorded volts a played volt.
     """
 
     samples: float
@@ -107,8 +107,8 @@ class PlayedBuffer:
         return Stretch(low, self.piece(low, min(max(stop, low + 1), self.stop)))
 
 
-class SlipFit:
-    """The fit of a piece that comes block by block, about one whole slip."""
+class LagFit:
+    """The fit of a piece that comes block by block, about one whole lag."""
 
     def __init__(self, guess: int) -> None:
         self.guess = guess
@@ -131,15 +131,15 @@ class SlipFit:
         n = max(float(self._sums[2, 2]), 1.0)
         return float(np.sqrt(max(self._sums[0, 0] / n - (self._sums[0, 2] / n) ** 2, 0.0)))
 
-    def solve(self) -> Slip:
-        """The slip by all that was taken in."""
+    def solve(self) -> Lag:
+        """The lag by all samples added."""
         sums = self._sums
         n = sums[2, 2]
         means = sums[2] / max(n, 1.0)
         moments = sums - n * np.outer(means, means)
         (dd, ds, _, dh), (_, ss, _, sh) = moments[0], moments[1]
         hh = max(float(moments[3, 3]), 0.0)
-        unknown = Slip(float(self.guess), np.inf, float(np.sqrt(hh / max(n, 1.0))), 0.0)
+        unknown = Lag(float(self.guess), np.inf, float(np.sqrt(hh / max(n, 1.0))), 0.0)
         if n < 4 or dd <= UNSOLVABLE * sums[0, 0]:
             return unknown
         slope = ss - ds * ds / dd  # of which the drive itself is no part
@@ -151,16 +151,14 @@ class SlipFit:
             return unknown
         rms_v = float(np.sqrt(max(hh - gain * dh - turned * sh, 0.0) / (n - 3)))
         sigma = rms_v / (abs(gain) * float(np.sqrt(slope)))
-        return Slip(self.guess + float(turned / gain), sigma, rms_v, float(gain))
+        return Lag(self.guess + float(turned / gain), sigma, rms_v, float(gain))
 
 
-def slip_at(
-    played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS
-) -> Slip:
-    """Slip of ``heard`` (its first frame is number ``first``) near ``guess``."""
-    best = Slip(float(guess), np.inf, float(np.std(heard)), 0.0)
+def lag_at(played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS) -> Lag:
+    """Lag of ``heard`` (its first frame is number ``first``) near ``guess``."""
+    best = Lag(float(guess), np.inf, float(np.std(heard)), 0.0)
     for _ in range(iterations):
-        fit = SlipFit(guess)
+        fit = LagFit(guess)
         fit.add(played, heard, first)
         found = fit.solve()
         if not np.isfinite(found.sigma):
@@ -174,8 +172,8 @@ def slip_at(
 
 def candidates(
     played: PlayedBuffer | Stretch, heard: Floats, first: int, low: int, high: int, gain: float
-) -> list[Slip]:
-    """Slips between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
+) -> list[Lag]:
+    """Lags between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
 
     Parameters
     ----------
@@ -197,12 +195,12 @@ def candidates(
         misfit = centred @ centred - np.maximum(cross, 0.0) ** 2 / np.maximum(energy, 1e-12 * (energy.max() + 1e-300))
     inner = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
     order = inner[np.argsort(misfit[inner])][:REFINED]
-    fits = [slip_at(played, heard, first, low + int(k)) for k in order]
+    fits = [lag_at(played, heard, first, low + int(k)) for k in order]
     fits = [f for f in fits if np.isfinite(f.sigma) and f.gain > 0]
     if not fits:
         return []
     tolerance = 1.5 * min(f.rms_v for f in fits)
-    unique: dict[int, Slip] = {}
+    unique: dict[int, Lag] = {}
     for f in fits:
         if f.rms_v <= tolerance and (not gain or abs(f.gain / gain - 1.0) < 0.1):
             unique.setdefault(round(f.samples), f)

@@ -1,0 +1,51 @@
+"""Opening the back end that a profile asks for."""
+
+from __future__ import annotations
+
+import pkgutil
+from pathlib import Path
+
+from daq.setup.errors import InputError
+from rig.backends.base import Backend
+from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.find import built_in, kind_of
+from rig.profile import Profile
+
+
+def open_backend(
+    profile: Profile,
+    *,
+    scenario: Path | None = None,
+    seed: int = 0,
+    real_time: bool = False,
+    replay: Path | None = None,
+) -> Backend:
+    """The back end that ``profile`` asks for, and no other; not yet started.
+
+    Parameters
+    ----------
+    profile
+        Its ``[backend]`` names the kind, `rig.backends.kinds.find.kind_of` what that is.
+    scenario, seed, real_time, replay
+        As in `rig.backends.kinds.base.OpenOptions`.
+
+    Returns
+    -------
+    Backend
+        As `rig.backends.base.Backend` promises.
+
+    Raises
+    ------
+    InputError
+        When an option is given that this kind does not heed, or the back end cannot be opened.
+    """
+    options = OpenOptions(scenario, seed, real_time, replay)
+    kind = kind_of(profile.backend.kind)
+    for option in options.given():
+        if option not in kind.takes:
+            wanted = " or ".join(f'"{name}"' for name, other in built_in().items() if option in other.takes)
+            raise InputError(
+                f'--{option.replace("_", "-")}: is for backend.kind = {wanted}; this profile\'s is "{kind.name}"'
+            )
+    backend: Backend = pkgutil.resolve_name(kind.opener)(profile, options)
+    return backend
