@@ -192,7 +192,7 @@ def _target(out: Path, name: str, what: str) -> Path:
 
 def _declare(profile: Path, outcome: Outcome) -> None:
     """Write what was measured into a rig profile, and check that the profile still reads."""
-    from analysis.drop.declare import declare
+    from bench.profiles.edit import declare
     from daq.setup.errors import InputError
     from rig.profile import parse_profile
 

@@ -77,13 +77,14 @@ def new(
     Example: bench profile new my_rig.toml --like soundcard
     """
     from bench.outputs import PROFILE, File, check_outputs
+    from bench.profiles.edit import with_values
     from bench.terminal.console import EXIT_USAGE, fail, print_lines
     from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
     try:
         check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
-        text = _named(_text_of(like), out.stem, like)
+        text = with_values(_text_of(like), {"name": out.stem}, like)
         parse_profile(text, like)
         out.write_text(text, encoding="utf-8")
     except InputError as error:
@@ -110,18 +111,3 @@ def _text_of(name: str) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: wanted a readable TOML file in UTF-8; {error}") from error
-
-
-def _named(text: str, name: str, source: str) -> str:
-    """``text`` under another name; comments and all else as they are (raises `InputError`)."""
-    import tomlkit
-    from tomlkit.exceptions import ParseError
-
-    from daq.setup.errors import InputError
-
-    try:
-        document = tomlkit.parse(text)
-    except ParseError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from error
-    document["name"] = name
-    return tomlkit.dumps(document)

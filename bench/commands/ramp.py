@@ -11,9 +11,7 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from rig.backends.base import Backend
     from rig.execution.run import RunSummary
-    from rig.profile import Profile
 
 
 def command(
@@ -40,10 +38,11 @@ def command(
     import datetime
     from contextlib import suppress
 
-    from bench.commands.plan import planned, refusal
     from bench.jobs.resume import continued
+    from bench.jobs.run_ramp import make_backend, record
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
+    from bench.profiles.plan import planned, refusal
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
     from daq.setup.calibration_age import doubts
     from daq.setup.errors import InputError
@@ -97,145 +96,6 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
         except ValueError:
             keys[key.strip()] = value.strip()
     return keys
-
-
-def make_backend(
-    profile: Profile,
-    *,
-    scenario: Path | None = None,
-    seed: int = 0,
-    real_time: bool = False,
-    replay: Path | None = None,
-) -> Backend:
-    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
-    from daq.setup.errors import InputError
-
-    kind = profile.backend.kind
-    unheeded = {
-        "--replay": replay is not None and kind != "replay",
-        "--scenario": scenario is not None and kind != "simulated",
-        "--real-time": real_time and kind != "simulated",
-    }
-    for option, given in unheeded.items():
-        if given:
-            wanted = "replay" if option == "--replay" else "simulated"
-            raise InputError(f'{option}: is for backend.kind = "{wanted}"; this profile\'s is "{kind}"')
-    if profile.backend.kind == "replay":
-        from rig.backends.replay import ReplayBackend
-
-        if replay is None:
-            raise InputError("backend.kind is replay: name the recording to play by --replay REC.h5")
-        return ReplayBackend(replay)
-    if profile.backend.kind == "soundcard":
-        from rig.backends.soundcard import SoundcardBackend
-
-        return SoundcardBackend(profile)
-    if profile.backend.kind == "soundcard+serial":
-        return serial_backend(profile)
-    if profile.backend.kind == "nidaqmx":
-        from rig.backends.base import BackendError
-        from rig.backends.nidaqmx import of_profile
-
-        try:
-            return of_profile(profile)
-        except BackendError as error:
-            raise InputError(str(error)) from error
-    from bench.profiles.find import find_scenario
-    from rig.backends.simulated import SimulatedBackend
-    from rig.sim.scenario import Scenario, load_scenario
-
-    hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
-    return SimulatedBackend(profile.sampling.rate_hz, hidden, seed, real_time=real_time)
-
-
-def serial_backend(profile: Profile) -> Backend:
-    """Drive through a sound card, channels through a serial device."""
-    from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
-    from rig.backends.soundcard import SoundcardBackend
-
-    table, channels = profile.backend, profile.channels
-    every = {"continuity": channels.continuity, "accelerometer": channels.accelerometer, "drive": channels.drive}
-    ranges_v = {name: channel.range_v for name, channel in every.items() if channel is not None}
-    rate_hz = profile.sampling.rate_hz
-    reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
-    return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)
-
-
-def record(
-    profile: Profile,
-    text: str,
-    backend: Backend,
-    out: Path,
-    *,
-    note: str | None = None,
-    extra: dict[str, Any] | None = None,
-    quiet: bool = False,
-    paced: bool = False,
-) -> RunSummary:
-    """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly.
-
-    What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
-    """
-    from contextlib import nullcontext
-
-    from bench.terminal.run_display import run_display
-    from bench.terminal.signals import stop_on_signals
-    from daq.recording import RecordingWriter
-    from daq.recording.recorder_process import RecorderProcess
-    from rig.execution.priority import before_other_work
-    from rig.execution.run import run_ramp
-    from rig.programme.ramp import plan
-    from rig.programme.sequencer import largest_block
-
-    options: dict[str, Any] = {
-        "profile_text": text,
-        "channels": backend.channels,
-        "scales": backend.scales,
-        "backend": backend.name,
-        "simulated": backend.simulated,
-        "note": note,
-        "extra": extra,
-        "scenario_sha256": backend.scenario_sha256,
-        "expected_samples": plan(profile).n_samples,
-    }
-    if not backend.simulated:
-        warm_up(profile)
-    first = nullcontext() if backend.simulated else before_other_work()
-    with stop_on_signals() as request, first, run_display(quiet) as progress:
-        if paced or not backend.simulated:
-            patience_s = 10.0 if backend.simulated else 0.0
-            block_samples = largest_block(plan(profile).clock, profile.backend.block_samples)
-            writer: RecordingWriter | RecorderProcess = RecorderProcess(
-                out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
-            )
-        else:
-            writer = RecordingWriter(out, profile.setup(), **options)
-        try:
-            return run_ramp(profile, backend, writer, progress=progress, stop_request=request)
-        finally:
-            if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
-                out.unlink(missing_ok=True)
-
-
-def warm_up(profile: Profile) -> None:
-    """One short step of ``profile`` on the simulated rig: nothing is left to be compiled while a device waits."""
-    from tempfile import TemporaryDirectory
-
-    from daq.recording import RecordingWriter
-    from rig.backends.simulated import SimulatedBackend
-    from rig.execution.run import run_ramp
-    from rig.sim.scenario import Scenario
-
-    short = profile.ramp.model_copy(
-        update={"gamma": (max(profile.ramp.gammas()),), "order": None, "settle_cycles": 2, "hold_cycles": 8}
-    )
-    rig = SimulatedBackend(profile.sampling.rate_hz, Scenario("ideal"), 0)
-    with TemporaryDirectory() as folder:
-        writer = RecordingWriter(
-            Path(folder) / "warm.h5", profile.setup(), profile_text="", channels=rig.channels, scales=rig.scales,
-            backend=rig.name, simulated=True,
-        )  # fmt: skip
-        run_ramp(profile.model_copy(update={"ramp": short}), rig, writer)
 
 
 def _sentence(summary: RunSummary, out: Path) -> str:

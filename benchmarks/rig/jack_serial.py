@@ -72,7 +72,7 @@ def plant(server: str, port: str, out: str, hidden: str) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Start everything, run, compare."""
-    from bench.commands.ramp import make_backend, record
+    from bench.jobs.run_ramp import make_backend, record
     from rig.profile import parse_profile
     from rig.virtual.jack import jack_server
 

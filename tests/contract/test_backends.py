@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.commands.ramp import make_backend
+from bench.jobs.run_ramp import make_backend
 from bench.profiles.find import load
 from daq.recording import RecordingWriter
 from daq.recording.tables import Block

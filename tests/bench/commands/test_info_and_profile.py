@@ -110,7 +110,7 @@ def test_an_export_is_replaced_only_when_told(run: Path, tmp_path: Path) -> None
 
 def test_the_documented_lines_of_xarray_work_as_written(run: Path) -> None:
     """What docs/reference/recording-format.md tells to type is typed into a Python that has imported nothing else."""
-    page = (ROOT / "docs" / "recording-format.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "recording-format.md").read_text(encoding="utf-8")
     lines = [line.strip() for line in page.splitlines() if line.startswith("    ") and "xarray" in line]
     assert len(lines) == 3
     code = "\n".join([lines[0], f"print({lines[1].partition('#')[0]})", f"print({lines[2].partition('#')[0]})"])

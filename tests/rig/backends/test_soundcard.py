@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.commands.devices import fits
-from bench.commands.ramp import make_backend
+from bench.jobs.run_ramp import make_backend
 from daq.recording import open_recording
 from daq.recording.recorder_process import RecorderProcess
 from rig.backends.base import BackendError, Lagging, Running
