@@ -54,7 +54,7 @@ def command(
             if figures is not None:
                 draw(opened, table, figures)
             odd = doubts(opened, table.plate)
-            write_json(as_json(held) | {"doubts": odd}, json)
+            write_json(as_json(held) | {"warnings": odd}, json)
             if json != "-":
                 scale = gamma_scale(opened.setup.forcing, held.ratio)
                 _print(held, recording.name, bool(opened.attrs.get("simulated")), scale)
@@ -82,7 +82,7 @@ def as_json(held: Comparison) -> dict[str, Any]:
             "predicted_type": first.predicted_type or None,
             "predicted_gamma": finite_or_none(first.predicted_gamma),
             "predicted_gamma_same_type": finite_or_none(first.same_type_gamma),
-            "ratio": finite_or_none(first.ratio),
+            "measured_over_predicted": finite_or_none(first.ratio),
         },
         "changes": [
             {
@@ -107,9 +107,9 @@ def _step_json(own: StepComparison) -> dict[str, Any]:
         "flights": own.measured.flights,
         "double_hits": own.measured.double_hits,
         "predicted": own.predicted,
-        "doubt": own.doubt or None,
+        "unfit_reason": own.doubt or None,
         "predicted_flight_times_s": own.predicted_s.tolist(),
-        "mean_ratio": finite_or_none(own.mean_ratio),
+        "mean_flight_time_ratio": finite_or_none(own.mean_ratio),
         "rms_s": finite_or_none(own.rms_s),
         "within_one_sample": finite_or_none(own.within_sample),
         "forbidden_bands": [

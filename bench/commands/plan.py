@@ -49,7 +49,7 @@ def as_json(
     return {
         "profile": profile.name,
         "frequency_hz": profile.forcing.frequency_hz,
-        "ratio": profile.forcing.ratio,
+        "tone_ratio": profile.forcing.ratio,
         "rate_hz": programme.rate_hz,
         "n_samples": programme.n_samples,
         "seconds": programme.n_samples / programme.rate_hz,

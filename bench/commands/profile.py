@@ -33,14 +33,15 @@ def list_profiles(
         profile, _ = load(name)
         rows.append({
             "name": name, "backend": profile.backend.kind, "frequency_hz": profile.forcing.frequency_hz,
-            "ratio": profile.forcing.ratio, "description": profile.description,
+            "tone_ratio": profile.forcing.ratio, "description": profile.description,
         })  # fmt: skip
     write_json({"folder": shipped_folder(), "profiles": rows, "scenarios": scenario_names()}, json)
     if json == "-":
         return
     table = Table("name", "back end", "Hz", "c", "description", box=None, pad_edge=False)
     for row in rows:
-        table.add_row(row["name"], row["backend"], f"{row['frequency_hz']:g}", str(row["ratio"]), row["description"])
+        figures = (f"{row['frequency_hz']:g}", str(row["tone_ratio"]))
+        table.add_row(row["name"], row["backend"], *figures, row["description"])
     print_table(table)
     print_lines(f"scenarios: {', '.join(scenario_names())}")
     print_lines("make one yours: bench profile new my_rig.toml --like NAME")

@@ -50,7 +50,7 @@ def command(
             if figures is not None:
                 draw(opened, table, figures)
             odd = doubts(opened, table.plate)
-            write_json(as_json(opened, table, classes) | {"doubts": odd}, json)
+            write_json(as_json(opened, table, classes) | {"warnings": odd}, json)
             if json != "-":
                 _print(opened, table, classes)
                 for line in odd:
@@ -77,7 +77,7 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
             "closing_tau_s": report.closing.tau_s,
             "dips": report.dips,
         },
-        "second_witness": None
+        "sensor_offset": None
         if witness is None
         else {
             "offset_s": witness.offset_s,
