@@ -216,7 +216,7 @@ def find_flights(recording: Recording | str | Path) -> FlightTable:
 
 
 def plate_motion(recording: Recording | str | Path) -> PlateTable:
-    """What the plate really did in each step, from the accelerometer.
+    """Measured motion of the plate in each step, from the accelerometer.
 
     Parameters
     ----------

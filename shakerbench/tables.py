@@ -46,12 +46,12 @@ class Table(Mapping[str, NDArray[Any]]):
         return iter(self.columns)
 
     def __len__(self) -> int:
-        """How many columns there are; rows: ``table.n_rows``."""
+        """Number of columns; of rows: ``n_rows``."""
         return len(self.columns)
 
     @property
     def n_rows(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         return len(next(iter(self.columns.values()), ()))
 
     def to_dataframe(self) -> Any:

@@ -55,7 +55,7 @@ def command(
 
 
 def fits(profile: Profile, card: Card) -> bool:
-    """Whether the profile's sound card can be ``card``: its name, and enough channels."""
+    """True where the profile's sound card can be ``card``: its name, and enough channels."""
     table = profile.backend
     if not table.kind.startswith("soundcard") or table.device.lower() not in card.name.lower():
         return False

@@ -99,7 +99,7 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
 
 
 def _sentence(summary: RunSummary, out: Path) -> str:
-    """What happened, in one line."""
+    """The outcome of a run in one line."""
     if not summary.n_samples:
         return f"{summary.how}: nothing was recorded, and no file is left"
     return (

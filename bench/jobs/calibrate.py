@@ -1,6 +1,6 @@
-"""Calibrations of a rig by its own means: accelerometer, drive and contact circuit, in a profile's words.
+"""Calibrations of a rig by its own means: accelerometer, drive and contact circuit, under a profile's keys.
 
-The rule kept here: a calibration that moves the plate is a ramp like any other, behind the same interlock, recorded,
+A calibration that moves the plate is a ramp like any other, behind the same interlock, recorded,
 and read by the analysis' own estimators. What could not be measured is refused, never guessed.
 """
 

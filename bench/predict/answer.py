@@ -79,7 +79,7 @@ def _answer(request: Request) -> None:
 
 
 def _is_diagram(path: Path) -> bool:
-    """Whether `bench predict --out` wrote the file, so that it can be continued."""
+    """True for a file of `bench predict --out`, which can be continued."""
     try:
         with h5py.File(path, "r") as file:
             return "job" in file.attrs and "chunk_done" in file

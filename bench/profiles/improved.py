@@ -74,7 +74,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
 
 
 def not_declared(loop: ClosedLoop) -> list[str]:
-    """What was found and no profile can hold: a trend during the run, and a term without a name."""
+    """Findings that no profile can hold: a trend during the run, and a term without a name."""
     left = []
     for name, q in loop.best.free:
         if q.endswith(DRIFT):

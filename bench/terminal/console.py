@@ -79,7 +79,7 @@ def print_table(table: Table) -> None:
 
 
 def _has_width(console: Console) -> bool:
-    """Whether there is a terminal, or a person, that gave a width."""
+    """True where a terminal or the environment gives a width."""
     return console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
 
 
