@@ -25,8 +25,9 @@ run: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -m 'not slow' -n 2 --dist loadfile
 
+# alone on the machine, because some of them run in real time
 test-slow: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --durations=25
+	$(BIN)/python -m pytest -m slow --durations=25
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

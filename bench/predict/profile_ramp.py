@@ -1,4 +1,4 @@
-"""The part of a profile that `bench predict` uses: forcing, frequency, gravity, declared effects, and the steps of its ramp.
+"""The part of a profile that `bench predict` uses: forcing, frequency, gravity, declared effects, and its ramp.
 
 A gamma given beside a profile is what its programme asks of the drive; answers carry the plate's
 gamma, which declared effects of the drive make another one. ``--gamma-peak`` is the plate's own.

@@ -1,7 +1,7 @@
 """The display during a ramp: three lines on standard error, drawn a few times a second.
 
-A narrow terminal has one line a figure. The screen is fed once a block and only draws; nothing waits for it, and no stop goes through it.
-A terminal that is gone (closed, or a dropped connection) is drawn to no more, and costs the run nothing.
+A narrow terminal has one line a figure. The screen is fed once a block and only draws; nothing waits for it, and no
+stop goes through it. A terminal that is gone (closed, or a dropped connection) costs the run nothing.
 """
 
 from __future__ import annotations
