@@ -1,4 +1,7 @@
-"""The operator's desk: the only room that knows all the others."""
+"""The command line `bench`: the only package, beside `shakerbench`, that imports all the others.
+
+Other packages take `jobs`, `predict`, `profiles`, `terminal`.
+"""
 
 from typing import Any
 

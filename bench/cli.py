@@ -1,6 +1,6 @@
-"""The command line `bench`: one line a command; each command lives in a file of its own under `bench/commands`.
+"""The table of commands and the entry point; each command is a file of its own in `bench/commands`.
 
-The rule kept here: nothing heavy is imported before a command runs, so `bench --help` stays instant. A command is
+Nothing heavy is imported before a command runs, so `bench --help` stays instant. A command is
 registered as ``name: (module, one-line help)``; its module is imported only when it is called. A module holds the
 function ``command``, or ``app`` where the command has commands of its own.
 """
@@ -27,11 +27,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("bench.commands.export", "Write a recording as CSV, NPZ or gzip HDF5."),
     "reprocess": ("bench.commands.reprocess", "Recording to flights, plate motion and pictures."),
     "compare": ("bench.commands.compare", "Hold a recording against the model, step by step."),
-    "predict": ("bench.commands.predict", "What the model says: orbits, diagrams, bifurcations."),
+    "predict": ("bench.commands.predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
-    "info": ("bench.commands.info", "What a recording is: note, keys, profile, steps, state."),
-    "verify": ("bench.commands.verify", "Say whether a recording is complete, stopped, incomplete or damaged."),
+    "info": ("bench.commands.info", "Contents of a recording: note, keys, profile, steps, state."),
+    "verify": ("bench.commands.verify", "Check whether a recording is complete, stopped, incomplete or damaged."),
     "recover": ("bench.commands.recover", "Rebuild a verified recording from one that was cut off."),
     "virtual": ("bench.commands.virtual", "The simulated plant as a process of its own, behind a real driver."),
     "demo": ("bench.commands.demo", "The main job on a simulated rig, end to end."),
@@ -97,7 +97,7 @@ def _print_version(wanted: bool) -> None:
 
 
 @app.callback()
-def _desk(
+def _options(
     version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
 ) -> None:
     """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""

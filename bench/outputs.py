@@ -1,6 +1,6 @@
 """The check of every output path of a command, before any work.
 
-The rule kept here: no command writes over one of its inputs. Nor, without ``--overwrite``, over a file that is there;
+No command writes over one of its inputs. Nor, without ``--overwrite``, over a file that is there;
 a recording is never written over.
 """
 
@@ -21,7 +21,7 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output fil
 
 @dataclass(frozen=True)
 class Form:
-    """What is written into a file, and the endings of names that fit it; ``only``: no other ending will do."""
+    """The format of a file, and the endings of names that fit it; ``only``: no other ending will do."""
 
     name: str
     suffixes: tuple[str, ...]
@@ -225,7 +225,7 @@ def _refuse_input(path: Path, named: str, read: list[Path]) -> None:
 
 
 def _same(a: Path, b: Path) -> bool:
-    """Whether two paths lead to one file, also by links, also where it does not exist."""
+    """True where two paths lead to one file, also by links, also where it does not exist."""
     if a.exists() and b.exists():
         return a.samefile(b)
     return os.path.normcase(a.resolve()) == os.path.normcase(b.resolve())

@@ -14,13 +14,28 @@ from numpy.typing import NDArray
 
 from analysis.drop.attribution import Judged, Verdict, gain_of
 from analysis.drop.bouncelaw import BOUNDS
-from analysis.drop.declare import Measured
 from analysis.drop.rows import Drop
 
 Array = NDArray[np.float64]
 
 LEVEL_SIGMAS = 1.96
 _DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A parameter for a profile: effect and parameter by their shared names, one standard deviation, source."""
+
+    effect: str
+    parameter: str
+    value: float
+    uncertainty: float
+    source: str
+
+    @property
+    def key(self) -> str:
+        """Its dotted key in a profile."""
+        return f"declared.{self.effect}.{self.parameter}"
 
 
 @dataclass

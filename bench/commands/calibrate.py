@@ -10,7 +10,7 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from bench.jobs.calibrate import Measured
+    from bench.profiles.edit import Measured
     from rig.backends.base import Backend
     from rig.profile import Profile
 
@@ -38,7 +38,7 @@ def command(
     import datetime
     from dataclasses import asdict
 
-    from bench.commands.ramp import make_backend
+    from bench.jobs.run_ramp import make_backend
     from bench.outputs import JSON, Edited, File, check_outputs
     from bench.profiles.edit import write_into
     from bench.profiles.find import load

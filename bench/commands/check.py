@@ -27,7 +27,7 @@ def command(
 
     Exits 0 when everything passed, 1 when something did not, 2 when the call was wrong.
     """
-    from bench.commands.ramp import make_backend, warm_up
+    from bench.jobs.run_ramp import make_backend, warm_up
     from bench.outputs import JSON, File, check_outputs
     from bench.profiles.find import load
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bench.outputs import Overwrite
+from bench.terminal.console import finite_or_none
 
 if TYPE_CHECKING:
     from analysis.flights.compare import Comparison, StepComparison
@@ -29,7 +30,7 @@ def command(
     from analysis.flights.compare import compare
     from analysis.flights.plausibility import plausibility_warnings
     from analysis.report.gamma import gamma_scale
-    from bench.commands.reprocess import draw, with_progress
+    from bench.jobs.reprocess import draw, flights_with_progress
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
     from bench.terminal.console import EXIT_USAGE, fail, write_json
@@ -43,7 +44,7 @@ def command(
         with open_recording(recording) as opened:
             if profile is not None:
                 opened.measure_with(load_measuring(profile)[0])
-            table = with_progress(opened, quiet=json == "-")
+            table = flights_with_progress(opened, quiet=json == "-")
             if "continuity" not in opened.channels:
                 raise InputError(
                     f"{recording}: wanted a channel 'continuity' (take-offs and landings), found "
@@ -53,7 +54,7 @@ def command(
             if figures is not None:
                 draw(opened, table, figures)
             odd = plausibility_warnings(opened, table.plate)
-            write_json(as_json(held) | {"doubts": odd}, json)
+            write_json(as_json(held) | {"warnings": odd}, json)
             if json != "-":
                 scale = gamma_scale(opened.setup.forcing, held.ratio)
                 _print(held, recording.name, bool(opened.attrs.get("simulated")), scale)
@@ -71,17 +72,17 @@ def as_json(held: Comparison) -> dict[str, Any]:
     bracket = None if first.measured is None else [first.measured.gamma_before, first.measured.gamma_after]
     return {
         "model_effects": list(held.effects),
-        "flights_short_by": _finite(held.short_by),
-        "within_one_sample": _finite(held.within_sample),
+        "flights_short_by": finite_or_none(held.short_by),
+        "within_one_sample": finite_or_none(held.within_sample),
         "periodic_flights": held.periodic_flights,
         "double_hits": held.double_hits,
         "first_bifurcation": {
             "measured_type": None if first.measured is None else first.measured.type,
             "measured_bracket_gamma": bracket,
             "predicted_type": first.predicted_type or None,
-            "predicted_gamma": _finite(first.predicted_gamma),
-            "predicted_gamma_same_type": _finite(first.same_type_gamma),
-            "ratio": _finite(first.ratio),
+            "predicted_gamma": finite_or_none(first.predicted_gamma),
+            "predicted_gamma_same_type": finite_or_none(first.same_type_gamma),
+            "measured_over_predicted": finite_or_none(first.ratio),
         },
         "changes": [
             {
@@ -106,11 +107,11 @@ def _step_json(own: StepComparison) -> dict[str, Any]:
         "flights": own.measured.flights,
         "double_hits": own.measured.double_hits,
         "predicted": own.predicted,
-        "doubt": own.unfit_reason or None,
+        "unfit_reason": own.unfit_reason or None,
         "predicted_flight_times_s": own.predicted_s.tolist(),
-        "mean_ratio": _finite(own.mean_ratio),
-        "rms_s": _finite(own.rms_s),
-        "within_one_sample": _finite(own.within_sample),
+        "mean_flight_time_ratio": finite_or_none(own.mean_ratio),
+        "rms_s": finite_or_none(own.rms_s),
+        "within_one_sample": finite_or_none(own.within_sample),
         "forbidden_bands": [
             {"low_s": b.low_s, "high_s": b.high_s, "observed": b.observed, "expected": b.expected, "p_value": b.p_value}
             for b in own.bands
@@ -118,18 +119,13 @@ def _step_json(own: StepComparison) -> dict[str, Any]:
     }
 
 
-def _finite(value: float) -> float | None:
-    """NaN and infinity as null."""
-    import math
-
-    return float(value) if math.isfinite(value) else None
-
-
 def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> None:
     """Tables for a person."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
+
+    from bench.terminal.comparison import sentences, unfit_steps
 
     title = f"{name}{' (simulated rig)' if simulated else ''} against the model"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
@@ -146,50 +142,5 @@ def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> N
         )  # fmt: skip
     console = Console()
     console.print(shown)
-    for line in (*doubts(held), *lines(held, scale)):
+    for line in (*unfit_steps(held), *sentences(held, scale)):
         console.print(line, soft_wrap=True, highlight=False)
-
-
-def doubts(held: Comparison) -> list[str]:
-    """Periodic steps that cannot judge the model, and why."""
-    why = {
-        "sensitive": "the uncertainty of gamma alone moves the prediction",
-        "unsettled": "the predicted cycle attracts too slowly for the settle time",
-    }
-    found: dict[str, list[str]] = {}
-    for s in held.steps:
-        if s.unfit_reason:
-            found.setdefault(s.unfit_reason, []).append(str(s.step))
-    return [f"? {name} ({why.get(name, name)}): step {', '.join(steps)}" for name, steps in found.items()]
-
-
-def lines(held: Comparison, scale: GammaScale) -> list[str]:
-    """What it comes to, in sentences, gamma as ``scale`` shows it."""
-    effects = ", ".join(held.effects) if held.effects else "no effects (ideal)"
-    out = [f"model with {effects}"]
-    if held.short_by == held.short_by:
-        size, way = abs(100 * held.short_by), "shorter" if held.short_by >= 0 else "longer"
-        out.append(f"measured flights are {size:.2f} % {way} than the model's (median over cycles, bounces apart)")
-    if held.periodic_flights:
-        share = 100 * held.within_sample
-        out.append(f"periodic windows: {share:.1f} % of {held.periodic_flights} flights within one sample of the model")
-    out.append(f"double hits: {held.double_hits}")
-    first = held.first
-    if first.measured is None:
-        out.append("no bifurcation measured after take-off")
-    else:
-        before, after = (scale.factor * x for x in (first.measured.gamma_before, first.measured.gamma_after))
-        out.append(
-            f"first bifurcation measured: {first.measured.type}, {scale.name} between {before:.4f} and {after:.4f}"
-        )
-    if first.predicted_type:
-        at = scale.factor * first.predicted_gamma
-        out.append(f"first bifurcation predicted: {first.predicted_type} at {scale.name} {at:.4f}")
-        if first.measured is not None:
-            out.append(f"measured / predicted: {first.ratio:.3f}")
-    bands = [b for s in held.steps for b in s.bands]
-    if bands:
-        observed, expected = sum(b.observed for b in bands), sum(b.expected for b in bands)
-        out.append(f"flights in the ideal ball's forbidden bands: {observed} (their neighbourhood: {expected:.0f})")
-    out.append(scale.definition)
-    return out

@@ -82,8 +82,8 @@ def command(
 
 def _simulated(name: str) -> tuple[Profile, str]:
     """The profile and its text; refused unless its back end is the simulated one and its limits allow the ramp."""
-    from bench.commands.plan import planned, refusal
     from bench.profiles.find import load
+    from bench.profiles.plan import planned, refusal
     from daq.setup.errors import InputError
 
     profile, text = load(name)
@@ -133,7 +133,7 @@ def _claim(folder: Path) -> None:
 
 def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -> Path:
     """Record the ramp on the simulated rig; an `InputError` tells why a run was not completed."""
-    from bench.commands.ramp import record, warm_up
+    from bench.jobs.run_ramp import record, warm_up
     from bench.terminal.progress import progress_bar
     from daq.setup.errors import InputError
     from rig.backends.simulated import SimulatedBackend
@@ -159,8 +159,8 @@ def _reprocess(recording: Path, folder: Path) -> None:
     from analysis.flights.compare import compare
     from analysis.flights.table import write_csv
     from analysis.report.gamma import gamma_scale
-    from bench.commands.compare import lines
-    from bench.commands.reprocess import draw
+    from bench.jobs.reprocess import draw
+    from bench.terminal.comparison import sentences
     from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
 
@@ -175,7 +175,7 @@ def _reprocess(recording: Path, folder: Path) -> None:
         with progress_bar() as say:
             say("predicting", 0.0)
             held = compare(table, opened.setup, steps_table=opened.steps)
-        for line in lines(held, gamma_scale(opened.setup.forcing, held.ratio)):
+        for line in sentences(held, gamma_scale(opened.setup.forcing, held.ratio)):
             typer.echo(f"       {line}")
 
 

@@ -59,7 +59,7 @@ def command(
 
 
 def fits(profile: Profile, card: Card) -> bool:
-    """Whether the profile's sound card can be ``card``: its name, and enough channels."""
+    """True where the profile's sound card can be ``card``: its name, and enough channels."""
     from rig.backends.kinds.soundcard import CardOptions
 
     table = profile.backend

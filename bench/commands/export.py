@@ -12,7 +12,7 @@ from bench.terminal.console import EXIT_USAGE, fail, write_json
 
 
 class Kind(enum.StrEnum):
-    """What can be written."""
+    """Formats of export."""
 
     csv = "csv"
     npz = "npz"

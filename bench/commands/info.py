@@ -74,7 +74,7 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             "name": setup.name,
             "description": setup.description,
             "frequency_hz": setup.forcing.frequency_hz,
-            "ratio": setup.forcing.ratio,
+            "tone_ratio": setup.forcing.ratio,
             "declared": setup.declared_values(),
         },
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
@@ -107,7 +107,7 @@ def _print(told: dict[str, Any]) -> None:
         "samples": f"{told['n_samples']} ({told['seconds']:.3f} s at {told['rate_hz']:.9g} Hz), "
                    f"{told['lost_samples']} lost",
         "channels": ", ".join(told["channels"]),
-        "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['ratio']}"
+        "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
                    + (f"; {profile['description']}" if profile["description"] else ""),
         "declared": declared or "no effects",
         "steps": str(len(told["steps"])),

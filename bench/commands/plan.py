@@ -25,6 +25,7 @@ def command(
     """
     from bench.outputs import JSON, File, check_outputs
     from bench.profiles.find import load
+    from bench.profiles.plan import planned, refusal
     from bench.terminal.console import EXIT_USAGE, fail, write_json
     from daq.setup.errors import InputError
 
@@ -41,24 +42,6 @@ def command(
         fail(refusal(profile, faults), EXIT_USAGE)
 
 
-def planned(profile: Profile) -> tuple[Programme, list[tuple[Step, Peaks]], list[str]]:
-    """The programme, what each step asks for, and one line for each limit that a step would exceed."""
-    from rig.programme.ramp import forbidden, peaks, plan
-
-    programme = plan(profile)
-    by_gamma = {gamma: peaks(profile, gamma) for gamma in {step.gamma for step in programme.steps}}
-    rows = [(step, by_gamma[step.gamma]) for step in programme.steps]
-    faults = [line for step, asked in rows for line in forbidden(profile.limits, step, asked)]
-    return programme, rows, faults
-
-
-def refusal(profile: str, faults: list[str]) -> str:
-    """The message that refuses a ramp."""
-    shown = "\n".join(f"  {line}" for line in faults[:20])
-    more = f"\n  and {len(faults) - 20} more" if len(faults) > 20 else ""
-    return f"{profile}: limits forbid this ramp; lower ramp.gamma or change [limits]\n{shown}{more}"
-
-
 def as_json(
     profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]], faults: list[str]
 ) -> dict[str, Any]:
@@ -66,7 +49,7 @@ def as_json(
     return {
         "profile": profile.name,
         "frequency_hz": profile.forcing.frequency_hz,
-        "ratio": profile.forcing.ratio,
+        "tone_ratio": profile.forcing.ratio,
         "rate_hz": programme.rate_hz,
         "n_samples": programme.n_samples,
         "seconds": programme.n_samples / programme.rate_hz,

@@ -48,7 +48,8 @@ def command(
 
     bench predict --gamma-range 0.5 4 --steps 10000 --grid restitution.e0=0:0.9:100 --workers 2 --out map.h5
     """
-    from bench.predict.orbit import Request, run
+    from bench.predict.answer import run
+    from bench.predict.request import Request
 
     run(
         Request(

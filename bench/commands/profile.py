@@ -33,14 +33,15 @@ def list_profiles(
         profile, _ = load(name)
         rows.append({
             "name": name, "backend": profile.backend.kind, "frequency_hz": profile.forcing.frequency_hz,
-            "ratio": profile.forcing.ratio, "description": profile.description,
+            "tone_ratio": profile.forcing.ratio, "description": profile.description,
         })  # fmt: skip
     write_json({"folder": shipped_folder(), "profiles": rows, "scenarios": scenario_names()}, json)
     if json == "-":
         return
     table = Table("name", "back end", "Hz", "c", "description", box=None, pad_edge=False)
     for row in rows:
-        table.add_row(row["name"], row["backend"], f"{row['frequency_hz']:g}", str(row["ratio"]), row["description"])
+        figures = (f"{row['frequency_hz']:g}", str(row["tone_ratio"]))
+        table.add_row(row["name"], row["backend"], *figures, row["description"])
     print_table(table)
     print_lines(f"scenarios: {', '.join(scenario_names())}")
     print_lines("make one yours: bench profile new my_rig.toml --like NAME")
@@ -77,13 +78,14 @@ def new(
     Example: bench profile new my_rig.toml --like soundcard
     """
     from bench.outputs import PROFILE, File, check_outputs
+    from bench.profiles.edit import with_values
     from bench.terminal.console import EXIT_USAGE, fail, print_lines
     from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
     try:
         check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
-        text = _named(_text_of(like), out.stem, like)
+        text = with_values(_text_of(like), {"name": out.stem}, like)
         parse_profile(text, like)
         out.write_text(text, encoding="utf-8")
     except InputError as error:
@@ -110,18 +112,3 @@ def _text_of(name: str) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: wanted a readable TOML file in UTF-8; {error}") from error
-
-
-def _named(text: str, name: str, source: str) -> str:
-    """``text`` under another name; comments and all else as they are (raises `InputError`)."""
-    import tomlkit
-    from tomlkit.exceptions import ParseError
-
-    from daq.setup.errors import InputError
-
-    try:
-        document = tomlkit.parse(text)
-    except ParseError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from error
-    document["name"] = name
-    return tomlkit.dumps(document)

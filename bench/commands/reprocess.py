@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cmath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from bench.outputs import Overwrite
+from bench.terminal.console import finite_or_none
 
 if TYPE_CHECKING:
     from analysis.flights.assemble import Flights
@@ -29,6 +31,7 @@ def command(
     from analysis.flights.classify import classify
     from analysis.flights.plausibility import plausibility_warnings
     from analysis.flights.table import write_csv
+    from bench.jobs.reprocess import draw, flights_with_progress
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.recording import open_recording
@@ -40,14 +43,14 @@ def command(
             inputs=[recording], overwrite=overwrite,
         )  # fmt: skip
         with open_recording(recording) as opened:
-            table = with_progress(opened, quiet=json == "-")
+            table = flights_with_progress(opened, quiet=json == "-")
             classes = classify(table)
             if flights is not None:
                 write_csv(table, flights)
             if figures is not None:
                 draw(opened, table, figures)
             odd = plausibility_warnings(opened, table.plate)
-            write_json(as_json(opened, table, classes) | {"doubts": odd}, json)
+            write_json(as_json(opened, table, classes) | {"warnings": odd}, json)
             if json != "-":
                 _print(opened, table, classes)
                 for line in odd:
@@ -56,31 +59,6 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{recording}: {error}; free some space, or name files that can be read and written", EXIT_FAILED)
-
-
-def with_progress(opened: Recording, *, quiet: bool) -> Flights:
-    """The flights, with a bar on standard error while the file is read."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from analysis.flights.assemble import flights_of
-
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
-        task = progress.add_task(f"reading {opened.path.name}", total=1.0)
-        return flights_of(opened, progress=lambda part: progress.update(task, completed=part))
-
-
-def draw(opened: Recording, table: Flights, folder: Path) -> None:
-    """Every picture of a recording."""
-    from analysis.flights.compare import compare
-    from analysis.report.figures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
-    from analysis.report.figures_plate import draw_plate
-
-    draw_plate(opened, table, folder)
-    if len(table):
-        draw_bifurcations(opened, table, folder)
-        draw_trajectory(opened, table, folder)
-        draw_return_maps(opened, table, compare(table, opened.setup, steps_table=opened.steps), folder)
 
 
 def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> dict[str, Any]:
@@ -99,11 +77,11 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
             "closing_tau_s": report.closing.tau_s,
             "dips": report.dips,
         },
-        "second_witness": None
+        "sensor_offset": None
         if witness is None
         else {
             "offset_s": witness.offset_s,
-            "uncertainty_s": _finite(witness.uncertainty_s),
+            "uncertainty_s": finite_or_none(witness.uncertainty_s),
             "pairs": witness.pairs,
         },
         "accelerometer_noise_mps2": table.plate.noise_mps2,
@@ -120,22 +98,22 @@ def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
         "flights": own.flights,
         "double_hits": own.double_hits,
         "modes": own.modes,
-        "mean_flight_time_s": _finite(own.mean_s),
-        "repeat_s": _finite(own.repeat_s),
-        "expected_repeat_s": _finite(own.expected_s),
+        "mean_flight_time_s": finite_or_none(own.mean_s),
+        "repeat_s": finite_or_none(own.repeat_s),
+        "expected_repeat_s": finite_or_none(own.expected_s),
     }
     if plate is None:
         return row
     fit = plate.acceleration
     row |= {
-        "gamma": _finite(plate.gamma),
-        "gamma_uncertainty": _finite(plate.gamma_uncertainty),
+        "gamma": finite_or_none(plate.gamma),
+        "gamma_uncertainty": finite_or_none(plate.gamma_uncertainty),
         "gamma_peak": plate.gamma_peak,
-        "gamma_from_drive": _finite(plate.gamma_drive),
+        "gamma_from_drive": finite_or_none(plate.gamma_drive),
         "frequency_hz": plate.frequency_hz,
         "masked": plate.masked,
         "tones": [
-            {"frequency_hz": f, "amplitude_mps2": abs(z), "phase_rad": _angle(z), "uncertainty_mps2": s}
+            {"frequency_hz": f, "amplitude_mps2": abs(z), "phase_rad": cmath.phase(z), "uncertainty_mps2": s}
             for f, z, s in zip(
                 fit.frequencies_hz.tolist(), fit.amplitudes.tolist(), fit.amplitude_sigma().tolist(), strict=True
             )
@@ -143,19 +121,6 @@ def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
         "below_forcing": [{"frequency_hz": n.frequency_hz, "amplitude_mps2": n.amplitude_mps2} for n in plate.lines],
     }
     return row
-
-
-def _angle(z: complex) -> float:
-    import cmath
-
-    return cmath.phase(z)
-
-
-def _finite(value: float) -> float | None:
-    """NaN and infinity as null."""
-    import math
-
-    return float(value) if math.isfinite(value) else None
 
 
 def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> None:

@@ -1,1 +1,4 @@
-"""TODO what jobs is for."""
+"""The work behind the commands: runs, calibrations, reprocessing, drop tests.
+
+Other packages take `run_ramp`, `drop_test`.
+"""

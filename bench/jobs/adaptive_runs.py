@@ -40,7 +40,7 @@ def until_clear(
     InputError
         When the first recording was not made on the simulated rig.
     """
-    from bench.commands.ramp import make_backend, record
+    from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.next_run import possible_runs, profile_of, profile_text
     from bench.terminal.progress import progress_bar
     from daq.recording import open_recording

@@ -1,6 +1,6 @@
-"""Calibrations of a rig by its own means: accelerometer, drive and contact circuit, in a profile's words.
+"""Calibrations of a rig by its own means: accelerometer, drive and contact circuit, under a profile's keys.
 
-The rule kept here: a calibration that moves the plate is a ramp like any other, behind the same interlock, recorded,
+A calibration that moves the plate is a ramp like any other, behind the same interlock, recorded,
 and read by the analysis' own estimators. What could not be measured is refused, never guessed.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,8 +17,9 @@ import numpy as np
 from analysis.events.sensor_offset import ONSET_S
 from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.motion import StepPlate
-from bench.commands.plan import planned, refusal
-from bench.commands.ramp import record
+from bench.jobs.run_ramp import record
+from bench.profiles.edit import Measured
+from bench.profiles.plan import planned, refusal
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from rig.backends.base import Backend
@@ -32,16 +32,6 @@ CONTACT_PEAKS = (1.4, 1.7, 2.0, 2.4)  # of g: impacts of several speeds, or a la
 SETTLE_CYCLES, HOLD_CYCLES = 15, 60
 LEAST_PAIRS = 20  # of impacts and edges
 ESTIMATOR = 5e-5  # relative: what the tone fit itself leaves
-
-
-@dataclass(frozen=True)
-class Measured:
-    """One value for a profile: its dotted key, standard uncertainty, and how it was found."""
-
-    key: str
-    value: float
-    uncertainty: float
-    source: str
 
 
 def accelerometer(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[Measured]:

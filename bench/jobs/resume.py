@@ -1,6 +1,6 @@
-"""Go on with a ramp that was stopped, or repeat one of its steps, as a new recording that names the first.
+"""Continuation of a stopped ramp, or repetition of one step, as a new recording that names the first.
 
-The rule kept here: the first recording is only read. The new one says which it continues and from which step, and its
+The first recording is only read. The new one names which it continues and from which step, and its
 profile must drive the same ramp.
 """
 
@@ -15,7 +15,7 @@ from rig.profile import Profile, parse_profile
 
 
 def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[Profile, dict[str, Any]]:
-    """What is left of a ramp, and the free keys by which the new recording names the first.
+    """The rest of a ramp, and the free keys by which the new recording names the first.
 
     Parameters
     ----------

@@ -1,1 +1,4 @@
-"""TODO what predict is for."""
+"""The parts of `bench predict`: one orbit, bifurcations, diagrams, a profile's ramp, and their figures.
+
+Other packages take `request`, `bifurcations`, `profile_ramp`.
+"""

@@ -1,6 +1,6 @@
 """The diagrams of `bench predict`: over a range of gammas and any other axes, on one core, several, or a cluster.
 
-The rule kept here: progress goes to standard error, at most once a second.
+Progress goes to standard error, at most once a second.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bench.predict.request import Request, check_adaptive
 from bench.terminal.console import write_json
 from daq.setup.errors import InputError
 from model.orbits.attractor import Ball
@@ -24,12 +25,8 @@ from model.surveys.diagram import KINDS, Rows, adaptive, empty_rows
 from model.surveys.diagram import diagram as rows_at
 from model.tones import Forcing
 
-if TYPE_CHECKING:
-    from bench.predict.orbit import Request
-
 MOST_ROWS_AS_JSON = 100_000
 MOST_GAMMAS = 1_000_000
-MOST_ADAPTIVE = 20_000
 
 
 def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str, Mapping[str, float]]) -> None:
@@ -87,12 +84,6 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
         sweep=request.sweep is not None,
         g_mps2=request.g_mps2,
     )
-
-
-def check_adaptive(steps: int) -> None:
-    """Refuse more gammas than an adaptive diagram, kept in memory, can be refined from."""
-    if steps > MOST_ADAPTIVE:
-        raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
 
 
 def _axis(text: str) -> ensemble.Axis:

@@ -10,23 +10,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report import style
 from analysis.report.gamma import GAMMA_TEX, PEAK_TEX
-from bench.predict.diagram import check_adaptive
+from bench.predict.request import Request, check_adaptive
 from daq.setup.errors import InputError
 from model.bifurcations.events import bifurcations
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import Rows, adaptive, diagram
 from model.tones import Forcing
-
-if TYPE_CHECKING:
-    from bench.predict.orbit import Request
 
 Floats = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
-"""What a profile gives `bench predict`: forcing, frequency, gravity, declared effects, and the steps of its ramp.
+"""The part of a profile that `bench predict` uses: forcing, frequency, gravity, declared effects, and its ramp.
 
-The rule kept here: a gamma given beside a profile is what its programme asks of the drive; answers carry the plate's
+A gamma given beside a profile is what its programme asks of the drive; answers carry the plate's
 gamma, which declared effects of the drive make another one. ``--gamma-peak`` is the plate's own.
 """
 
@@ -9,15 +9,16 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bench.predict.diagram import Progress
+from bench.predict.orbit import orbit_json
+from bench.predict.request import Request, ball_for
 from bench.profiles.find import load, load_measuring
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.effects.routing import Effects, of_the_ball, plate_gain, reading, shapes_the_plate
-
-if TYPE_CHECKING:
-    from bench.predict.orbit import Request
+from model.orbits.attractor import AT_REST, Attractor, attractor
 
 SAME_SIZE = 1e-9
 
@@ -92,10 +93,6 @@ def ramp_json(request: Request, name: str) -> list[dict[str, Any]]:
     InputError
         When the profile has no ramp.
     """
-    from bench.predict.diagram import Progress
-    from bench.predict.orbit import ball_for, orbit_json
-    from model.orbits.attractor import AT_REST, Attractor, attractor
-
     profile = load(name)[0]
     asked = profile.ramp.gammas()
     plate = [plate_gamma(profile, g, controlled=profile.control is not None) for g in asked]

@@ -1,1 +1,4 @@
-"""TODO what profiles is for."""
+"""Profiles of rigs: found by name, planned, edited in place, improved, and turned into the next run's.
+
+Other packages take `find`, `edit`, `plan`, `improved`.
+"""

@@ -1,26 +1,94 @@
-"""Write measured values into a profile's file.
+"""Edits of a profile's TOML text: values set in place, measured quantities, declared effects.
 
-The rule kept here: only the values named change; comments, order and everything else of the file stay as they are, and
-a file that would no longer be a profile is not written.
+Only the values named change; comments, order and everything else of the text stay as they are.
 """
 
 from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, MutableMapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import tomlkit
-from tomlkit.items import InlineTable, Table
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import InlineTable
 
-from bench.jobs.calibrate import Measured
 from daq.recording.whole_file import whole
+from daq.setup.errors import InputError
 from rig.profile import parse_profile
 
 
-def write_into(path: Path, measured: Sequence[Measured], on: datetime.date) -> None:
-    """Put each value, with uncertainty, date and source, at its dotted key in the profile ``path``.
+class Quantity(Protocol):
+    """A value with its standard uncertainty and source, for a dotted key of a profile."""
+
+    @property
+    def key(self) -> str: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def uncertainty(self) -> float: ...
+    @property
+    def source(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One value for a profile: its dotted key, standard uncertainty, and how it was found."""
+
+    key: str
+    value: float
+    uncertainty: float
+    source: str
+
+
+def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
+    """The profile ``text`` with each of ``values`` at its dotted key.
+
+    Parameters
+    ----------
+    text
+        TOML.
+    values
+        Numbers, strings, dates, lists and tables by dotted key, ``ramp.gamma``; tables that are missing are made.
+    where
+        Name of the text, for messages.
+
+    Raises
+    ------
+    InputError
+        When ``text`` is not TOML, or a key leads through something that is no table.
+    """
+    try:
+        document, wanted = tomlkit.parse(text), tomllib.loads(text)
+    except (TOMLKitError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{where}: not valid TOML: {error}") from error
+    for dotted, value in values.items():
+        *tables, key = dotted.split(".")
+        table: MutableMapping[str, Any] = document
+        for depth, name in enumerate(tables):
+            table = _table(table, name, where, holds_tables=depth + 1 < len(tables))
+        table[key] = _item(value)
+        plain = wanted
+        for name in tables:
+            plain = plain.setdefault(name, {})
+        plain[key] = value
+    edited = tomlkit.dumps(document)
+    if tomllib.loads(edited) != wanted:
+        raise InputError(f"{where}: {', '.join(values)} cannot be set in this text; write each table once and in a row")
+    return edited
+
+
+def declare(text: str, measured: Iterable[Quantity], on: datetime.date, where: str) -> str:
+    """The profile ``text`` with ``measured``, each with its uncertainty, date and source; raises as `with_values`."""
+    return with_values(text, {one.key: _quantity(one, on) for one in measured}, where)
+
+
+def write_into(path: Path, measured: Iterable[Measured], on: datetime.date) -> None:
+    """Put each value, rounded to what is known of it, at its dotted key in the profile ``path``.
 
     Raises
     ------
@@ -29,25 +97,38 @@ def write_into(path: Path, measured: Sequence[Measured], on: datetime.date) -> N
     OSError
         When it cannot be read or written.
     """
-    document = tomlkit.parse(path.read_bytes().decode("utf-8"))
-    for one in measured:
-        *tables, key = one.key.split(".")
-        table: Table | tomlkit.TOMLDocument = document
-        for depth, name in enumerate(tables):
-            if name not in table:
-                table[name] = tomlkit.table(is_super_table=depth + 1 < len(tables))
-            table = table[name]
-        table[key] = _quantity(one, on)
-    text = tomlkit.dumps(document)
+    text = declare(path.read_bytes().decode("utf-8"), map(_rounded, measured), on, str(path))
     parse_profile(text, str(path))
     with whole(path) as part:
         part.write_bytes(text.encode("utf-8"))
 
 
-def _quantity(one: Measured, on: datetime.date) -> InlineTable:
-    """An inline table, value and uncertainty rounded to what is known of them."""
+def _table(parent: MutableMapping[str, Any], name: str, where: str, *, holds_tables: bool) -> MutableMapping[str, Any]:
+    """The table ``name`` of ``parent``, made where there is none."""
+    if name not in parent:
+        parent[name] = tomlkit.inline_table() if isinstance(parent, InlineTable) else tomlkit.table(holds_tables)
+    found = parent[name]
+    if not isinstance(found, MutableMapping):
+        raise InputError(f"{where}: {name}: expected a table, found {found!r}")
+    return found
+
+
+def _item(value: Any) -> Any:
+    """A mapping as an inline table; anything else as it is."""
+    if not isinstance(value, Mapping):
+        return value
     item = tomlkit.inline_table()
-    places = 1 - math.floor(math.log10(one.uncertainty)) if one.uncertainty > 0.0 else 12
-    item["value"], item["uncertainty"] = round(one.value, places + 1), round(one.uncertainty, places)
-    item["date"], item["source"] = on, one.source
+    item.update(value)
     return item
+
+
+def _quantity(one: Quantity, on: datetime.date) -> dict[str, Any]:
+    """Value, uncertainty, date and source as a profile holds them."""
+    source = " ".join(one.source.split())
+    return {"value": float(one.value), "uncertainty": float(one.uncertainty), "date": on, "source": source}
+
+
+def _rounded(one: Measured) -> Measured:
+    """Value and uncertainty to two digits of the uncertainty, the value to one more."""
+    places = 1 - math.floor(math.log10(one.uncertainty)) if one.uncertainty > 0.0 else 12
+    return replace(one, value=round(one.value, places + 1), uncertainty=round(one.uncertainty, places))

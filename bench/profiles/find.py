@@ -1,6 +1,6 @@
 """Find a rig profile or a scenario by its path, or by the name under which it is shipped.
 
-The rule kept here: a path wins over a name, and what is not found is answered with what there is.
+A path wins over a name; a name that is not found is answered with those that are.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _BENCH = Path(__file__).resolve().parents[1]
 
 
 def shipped_folder(kind: str = "rig_profiles") -> Path:
-    """Where the shipped profiles (or ``scenarios``) lie: inside an installed `bench`, beside it in a checkout."""
+    """Folder of the shipped profiles (or ``scenarios``): inside an installed `bench`, beside it in a checkout."""
     installed = _BENCH / kind
     return installed if installed.is_dir() else _BENCH.parent / kind
 
@@ -82,7 +82,7 @@ def load_measuring(name_or_path: str | Path) -> tuple[Setup, str]:
 
 
 def _check_declared(setup: Setup, path: Path) -> None:
-    """Refuse declared effects that the model does not know; only this room knows both profile and model."""
+    """Refuse declared effects that the model does not know; neither `rig` nor `daq` imports the model."""
     if not setup.declared:
         return
     from model.effects.registry import resolve

@@ -9,9 +9,9 @@ from __future__ import annotations
 import datetime
 from pathlib import Path
 
-from analysis.drop.declare import Measured, declare
 from analysis.loop.close_loop import ClosedLoop
 from analysis.residuals.forward_model import DRIFT
+from bench.profiles.edit import Measured, declare
 from daq.recording import open_recording
 from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
@@ -48,10 +48,9 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     if not text.strip():
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
     fitted, on = loop.best.fitted, datetime.date.today()
+    source = f"closed loop on {recording.name}"
     found = [
-        Measured(
-            name, q, float(fitted.values[name, q]), float(fitted.sigma((name, q))), f"closed loop on {recording.name}"
-        )
+        Measured(f"declared.{name}.{q}", float(fitted.values[name, q]), float(fitted.sigma((name, q))), source)
         for name, q in loop.best.free
         if not q.endswith(DRIFT)
     ]
@@ -71,12 +70,12 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     write_whole(path, edited + "".join(f"# {line}".rstrip() + "\n" for line in comments))
     if not found and not left:
         return [f"improved profile: {path} (unchanged: nothing was found to declare)"]
-    refused = [f"{m.effect}.{m.parameter} = {m.value:.4g}: the verdict is unexplained" for m in doubtful]
+    refused = [f"{m.key.removeprefix('declared.')} = {m.value:.4g}: the verdict is unexplained" for m in doubtful]
     return [f"improved profile: {path}", *(f"  not declared in it: {words}" for words in (*refused, *left))]
 
 
 def not_declared(loop: ClosedLoop) -> list[str]:
-    """What was found and no profile can hold: a trend during the run, and a term without a name."""
+    """Findings that no profile can hold: a trend during the run, and a term without a name."""
     left = []
     for name, q in loop.best.free:
         if q.endswith(DRIFT):

@@ -1,22 +1,24 @@
 """The profile of the next run: the recording's own, with another ratio, other gammas or another order of steps.
 
-The rule kept here: only lines of ``[forcing]`` and ``[ramp]`` change, the result is parsed and checked against the
-rig's limits, and a design that a limit forbids is passed over.
+The result is parsed and checked against the rig's limits; a design that a limit forbids is passed over.
 """
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.loop.close_loop import ClosedLoop
 from analysis.loop.design import Design, Ranked, designs_for, rank
+from bench.profiles.edit import with_values
+from bench.profiles.plan import planned
 from daq.recording import open_recording
 from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
+
+WHERE = "the recording's profile"
 
 
 def profile_text(recording: Path) -> str:
@@ -26,60 +28,27 @@ def profile_text(recording: Path) -> str:
 
 
 def profile_of(text: str, design: Design) -> str:
-    """The profile ``text`` changed to make ``design``.
-
-    Raises
-    ------
-    InputError
-        When the profile has no ramp, or cannot be edited line by line.
-    """
-    wanted = tomllib.loads(text)
-    if "ramp" not in wanted or "forcing" not in wanted:
-        raise InputError(
-            "the recording's profile has no [ramp]: it cannot be turned into a next run; write one by hand"
-        )
-    changes = {
-        ("forcing", "ratio"): str(design.ratio),
-        ("ramp", "gamma"): "[" + ", ".join(f"{g:.6g}" for g in design.gammas) + "]",
-        ("ramp", "order"): f'"{design.order}"',
+    """The profile ``text`` changed to make ``design``; raises `InputError` where it has no ramp."""
+    found = tomllib.loads(text)
+    if "ramp" not in found or "forcing" not in found:
+        raise InputError(f"{WHERE} has no [ramp]: it cannot be turned into a next run; write one by hand")
+    values = {
+        "forcing.ratio": design.ratio,
+        "ramp.gamma": [float(f"{gamma:.6g}") for gamma in design.gammas],
+        "ramp.order": design.order,
     }
-    lines = text.splitlines()
-    for (section, key), value in changes.items():
-        _put(lines, section, key, value)
-    edited = "\n".join(lines) + "\n"
-    try:
-        found = tomllib.loads(edited)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"the recording's profile cannot be edited line by line ({error}); write the next one by hand"
-        ) from error
-    if found["forcing"].get("ratio") != design.ratio or found["ramp"].get("order") != design.order:
-        raise InputError("the recording's profile cannot be edited line by line; write the next one by hand")
-    return edited
-
-
-def _put(lines: list[str], section: str, key: str, value: str) -> None:
-    """Set ``key`` in ``[section]``, in place."""
-    start = next(i for i, line in enumerate(lines) if re.match(rf"\s*\[\s*{section}\s*\]", line))
-    stop = next((i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines))
-    at = next((i for i in range(start + 1, stop) if re.match(rf"\s*{key}\s*=", lines[i])), None)
-    if at is None:
-        lines.insert(start + 1, f"{key} = {value}")
-    else:
-        lines[at] = f"{key} = {value}"
+    return with_values(text, values, WHERE)
 
 
 def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
     """Ranked next runs that the rig's limits allow; every design where the recording's profile has no ramp."""
-    from bench.commands.plan import planned
-
     text = profile_text(recording)
     allowed = []
     for design in designs_for(loop.world.evidence):
         try:
             profile = parse_profile(profile_of(text, design), "next run")
         except InputError:
-            allowed.append(design)  # nothing to check it against: it is advice
+            allowed.append(design)  # no limits to check against: the design is advice
             continue
         if not planned(profile)[2]:
             allowed.append(design)

@@ -1,1 +1,4 @@
-"""TODO what terminal is for."""
+"""Input and output at a terminal: messages, tables, progress, displays, signals.
+
+Other packages take `console`, `comparison`.
+"""

@@ -1,11 +1,12 @@
-"""What every command shares: exit codes, error lines, tables for a person and JSON for a machine.
+"""Exit codes, error lines, tables for a person and JSON for a machine, shared by all commands.
 
-The rule kept here: exit 0 the job was done, 1 the run failed, 2 the call was wrong.
+Exit 0: the job was done; 1: the run failed; 2: the call was wrong.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from pathlib import Path
@@ -80,7 +81,7 @@ def print_table(table: Table) -> None:
 
 
 def _has_width(console: Console) -> bool:
-    """Whether there is a terminal, or a person, that gave a width."""
+    """True where a terminal or the environment gives a width."""
     return console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
 
 
@@ -104,6 +105,11 @@ def _rows_in_lines(table: Table, console: Console) -> list[str]:
                 line = f"{line}, {pair}" if line else pair
         lines.append(line)
     return lines
+
+
+def finite_or_none(value: float) -> float | None:
+    """The number as JSON can hold it: NaN and infinity as null."""
+    return float(value) if math.isfinite(value) else None
 
 
 def _plain(value: Any) -> Any:

@@ -1,8 +1,7 @@
-"""What an operator sees while a ramp runs: three lines on standard error, drawn anew a few times a second;
-on a narrow terminal one line a figure.
+"""The display during a ramp: three lines on standard error, drawn a few times a second.
 
-The rule kept here: the screen is fed once a block and only draws; nothing waits for it, and no stop goes through it.
-A terminal that is gone (closed, or a dropped connection) is drawn to no more, and costs the run nothing.
+A narrow terminal has one line a figure. The screen is fed once a block and only draws; nothing waits for it, and no
+stop goes through it. A terminal that is gone (closed, or a dropped connection) costs the run nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class Screen(io.TextIOBase):
         return self._stream.encoding if self._stream is not None else "utf-8"
 
     def isatty(self) -> bool:
-        """Whether a person looks at it."""
+        """True for a terminal."""
         return self._stream is not None and self._stream.isatty()
 
     def fileno(self) -> int:
@@ -112,6 +111,6 @@ def health_line(status: Status) -> str:
 
 
 def limits_line(status: Status) -> str:
-    """How much of each limit is in use."""
+    """The part of each limit in use."""
     parts = (f"{word} {status.limits_in_use[key]:.0%}" for key, word in LIMITS.items() if key in status.limits_in_use)
     return f"of the limits: {', '.join(parts)}"

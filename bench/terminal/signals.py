@@ -1,12 +1,13 @@
-"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP) as wishes to stop: a run ends softly, not where it happens to be.
+"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP) as requests to stop a run softly.
 
-The rule kept here: the first signal ramps down, the second is at zero now; the handlers that stood before come back.
-A terminal that closes may say so several times: that alone never makes a soft stop a hard one.
+The first signal ramps down, the second sets the drive to zero at once; the former handlers are restored.
+A closing terminal may send SIGHUP several times: that alone never makes a soft stop a hard one.
 """
 
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -22,9 +23,11 @@ def _numbers() -> list[signal.Signals]:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """A `StopRequest` that SIGINT, SIGTERM and SIGHUP speak to while the block runs (main thread only)."""
+    """A `StopRequest` that SIGINT, SIGTERM and SIGHUP set while the block runs; in the main thread only."""
     request = StopRequest()
-
+    if threading.current_thread() is not threading.main_thread():
+        yield request  # Python delivers signals to the main thread alone
+        return
     asked: list[str] = []
 
     def handle(number: int, frame: FrameType | None) -> None:

@@ -1,6 +1,6 @@
 """Standard output and error that never end a command in a traceback: any code page, a full disk, a closed pipe.
 
-The rule kept here: a character that a console cannot show becomes the nearest plain one, or its escape. Output that
+A character that a console cannot show becomes the nearest plain one, or its escape. Output that
 cannot be delivered ends the program with one line and status 1; messages that cannot be delivered end nothing.
 """
 
@@ -26,7 +26,7 @@ PLAIN = {
 
 
 def nearest(error: UnicodeError) -> tuple[str, int]:
-    """What stands for the characters that a console cannot show (an error handler of `codecs`)."""
+    """Replacement for characters that a console cannot show (an error handler of `codecs`)."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(_plain(sign) for sign in error.object[error.start : error.end]), error.end

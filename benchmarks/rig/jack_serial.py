@@ -72,7 +72,7 @@ def plant(server: str, port: str, out: str, hidden: str) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Start everything, run, compare."""
-    from bench.commands.ramp import record
+    from bench.jobs.run_ramp import record
     from benchmarks.rig import jack_server
     from rig.backends.registry import open_backend
     from rig.profile import parse_profile

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.commands.ramp import record
+from bench.jobs.run_ramp import record
 from bench.profiles.find import load
 from daq.recording import verify
 from rig.backends.simulated import SimulatedBackend

@@ -168,7 +168,7 @@ def _declare(profile: Path, hidden: dict[str, float]) -> None:
 # -- the own rig --------------------------------------------------------------------------------------------------
 def _own(job: Job, folder: Path) -> Path:
     """A ramp on the simulated rig, as `bench ramp` drives it."""
-    from bench.commands.ramp import make_backend, record
+    from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.find import load
     from rig.sim.blind_scenarios import sealed_scenario
 

@@ -1,4 +1,4 @@
-"""Read a frames file: what a recording is while the run lasts, or after it was cut off (written by `daq.recording.frame_writer`).
+"""Reader of a frames file: a recording while the run lasts, or one that was cut off.
 
 The rule kept here: only acknowledged blocks count, and rows that fit their checksum. The rest is said and left out.
 """

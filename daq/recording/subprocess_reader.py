@@ -36,6 +36,9 @@ class Answer:
     at: str = ""
 
 
+SERVE = "from daq.recording.subprocess_reader import serve; serve()"
+
+
 def apart(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
     """Call ``module:function`` in a process of its own.
 
@@ -54,7 +57,7 @@ def apart(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Ans
     errors: list[str] = []
     said: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     with subprocess.Popen(
-        [sys.executable, "-c", "from daq.recording.subprocess_reader import serve; serve()", function, json.dumps(arguments)],
+        [sys.executable, "-c", SERVE, function, json.dumps(arguments)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace",
         env=os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1", "PYTHONIOENCODING": "utf-8"},
     ) as process:  # fmt: skip

@@ -24,6 +24,7 @@ def verdict_on(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
     return json.loads(report.read_text(encoding="utf-8")), folder / "truth.json"
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
     """On a clean recording the verdict is that nothing is missing, and the error is the noise."""
     verdict, sealed = verdict_on(tmp_path, "--c", "1", "--seed", "31")
@@ -33,6 +34,7 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
     assert json.loads(sealed.read_text(encoding="utf-8"))["hidden"] == {}
 
 
+@pytest.mark.slow
 def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
     """A friction declared nowhere is named alone, sized within its interval, and brings the error to the noise."""
     hidden = ("--effect", "coulomb_friction", "--strength", "strong")
@@ -48,6 +50,7 @@ def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
     assert verdict["before"]["landing_nmad_us"] > 10.0 * verdict["after"]["landing_nmad_us"]
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_not_called_explained(tmp_path: Path) -> None:
     """A pull that sets in above a height is outside the library: something is left, and the verdict says so."""
     verdict, _ = verdict_on(tmp_path, "--c", "2", "--effect", "upper_stop", "--strength", "strong", "--seed", "33")

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 TRIAL = """
@@ -24,6 +26,7 @@ print(lasts({}), updraught, lasts({"local_gravity": {"excess_mps2": -0.5}}))
 """
 
 
+@pytest.mark.slow
 def test_the_effect_of_the_how_to_flies(tmp_path: Path) -> None:
     """The how-to's file, put beside the others with nothing else edited, lengthens a flight as weaker gravity would."""
     page = (ROOT / "docs" / "how-to" / "add-an-effect.md").read_text(encoding="utf-8")

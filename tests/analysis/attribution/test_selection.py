@@ -58,6 +58,7 @@ def test_noise_is_given_no_name(explain: Explain) -> None:
     assert found.ties == ()
 
 
+@pytest.mark.slow
 def test_two_causes_are_both_named(explain: Explain) -> None:
     """Damping with a plate that holds the ball: neither can stand in for the other."""
     found = explain({RATE: 1.5, ("adhesion", "a_mps2"): 1.5}, 3, tuple(np.linspace(0.35, 1.35, 14)))
@@ -81,6 +82,7 @@ def test_an_idle_companion_is_left_out_again(
     assert said == ["step back: quadratic_drag is no longer needed"]
 
 
+@pytest.mark.slow
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:

@@ -53,6 +53,7 @@ def search_of(world: ForwardModel, fitter: Fitter) -> TermSearch:
     return TermSearch(world, fitter, explanation, (), fitter.train, tables)
 
 
+@pytest.mark.slow
 def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
@@ -75,6 +76,7 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     assert before.landing_rms_us > 5.0 * floor
 
 
+@pytest.mark.slow
 def test_nothing_is_discovered_in_noise(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
@@ -117,6 +119,7 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
     assert found.curve.at(speeds) == pytest.approx(0.12 - 0.3 * speeds, abs=0.012)
 
 
+@pytest.mark.slow
 def test_the_band_of_a_smooth_force_holds_the_truth(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:

@@ -24,6 +24,7 @@ def left_by(world: ForwardModel, values: Values) -> Hypothesis:
     return cast(Hypothesis, SimpleNamespace(fitted=SimpleNamespace(values=values)))
 
 
+@pytest.mark.slow
 def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Eight runs of noise: none improbable, each test's p spread out, the covariates' like uniform ones."""
     every, scatter, serial = [], [], []

@@ -7,6 +7,7 @@ from analysis.flights.classify import StepClass
 from analysis.flights.compare import Comparison, FirstBifurcation, StepComparison
 from analysis.report.gamma import gamma_scale
 from bench.commands import compare
+from bench.terminal.comparison import sentences
 from daq.setup.setup import Forcing
 
 
@@ -40,6 +41,6 @@ def test_no_number_is_cut(columns: str, monkeypatch: pytest.MonkeyPatch, capsys:
 @pytest.mark.parametrize(("ratio", "name", "at"), [(1, "gamma_peak", "3.3000"), (2, "gamma", "1.6500")])
 def test_one_measure_of_forcing(ratio: int, name: str, at: str) -> None:
     """Sentences speak of the table's measure, gamma_peak at c = 1 and gamma else, and define it once."""
-    said = compare.lines(held(ratio), gamma_scale(Forcing(frequency_hz=25.0, ratio=ratio), ratio))
+    said = sentences(held(ratio), gamma_scale(Forcing(frequency_hz=25.0, ratio=ratio), ratio))
     assert f"first bifurcation predicted: lock at {name} {at}" in said
     assert sum(line.startswith(f"{name} = ") for line in said) == 1

@@ -83,7 +83,7 @@ def test_profile_list_show_and_new(run: Path, tmp_path: Path) -> None:
     result = bench("profile", "list")
     assert result.exit_code == 0 and "soundcard" in result.stdout and "scenarios: " in result.stdout
     listed = json.loads(bench("profile", "list", "--json", "-").stdout)
-    assert {"name": "c2", "backend": "simulated", "frequency_hz": 25.37, "ratio": 2}.items() <= listed["profiles"][
+    assert {"name": "c2", "backend": "simulated", "frequency_hz": 25.37, "tone_ratio": 2}.items() <= listed["profiles"][
         0
     ].items()
     for like in ("soundcard", str(run.with_name("rig.toml")), str(run)):

@@ -124,7 +124,7 @@ def test_doubts_reach_reprocess_and_compare(raw: Path, tmp_path: Path) -> None:
     bench("import", raw, "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
     for command in ("reprocess", "compare"):
         assert "mapped the wrong way round" in bench(command, tmp_path / "r.h5").output.replace("\n", " ")
-        (said,) = json.loads(bench(command, tmp_path / "r.h5", "--json", "-").stdout)["doubts"]
+        (said,) = json.loads(bench(command, tmp_path / "r.h5", "--json", "-").stdout)["warnings"]
         assert "exchanged they would agree" in said
 
 

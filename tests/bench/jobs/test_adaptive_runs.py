@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-import bench.commands.ramp
+import bench.jobs.run_ramp
 import bench.profiles.next_run
 from bench.jobs import adaptive_runs
 from daq.setup.errors import InputError
@@ -41,8 +41,8 @@ def test_a_failed_run_keeps_the_verdict_before_it(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(bench.profiles.next_run, "profile_of", lambda text, design: text)
     monkeypatch.setattr(bench.profiles.next_run, "profile_text", lambda path: "")
     monkeypatch.setattr("rig.profile.parse_profile", lambda *a: None)
-    monkeypatch.setattr(bench.commands.ramp, "make_backend", lambda *a, **k: None)
-    monkeypatch.setattr(bench.commands.ramp, "record", fails)
+    monkeypatch.setattr(bench.jobs.run_ramp, "make_backend", lambda *a, **k: None)
+    monkeypatch.setattr(bench.jobs.run_ramp, "record", fails)
     found, made, failure = adaptive_runs.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
     assert found is loop and made == [Path("run.h5")]
     assert "no space left" in failure

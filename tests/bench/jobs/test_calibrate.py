@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.cli import app
-from bench.commands.ramp import make_backend
-from bench.jobs.calibrate import Measured, contact, drive
-from bench.profiles.edit import write_into
+from bench.jobs.calibrate import contact, drive
+from bench.jobs.run_ramp import make_backend
+from bench.profiles.edit import Measured, write_into
 from bench.profiles.find import load, shipped_folder
 from daq.setup.calibration_age import calibration_warnings
 from daq.setup.errors import InputError

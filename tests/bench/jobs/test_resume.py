@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.commands.ramp import make_backend, record
 from bench.jobs.resume import continued
+from bench.jobs.run_ramp import make_backend, record
 from bench.profiles.find import load
 from daq.recording import open_recording
 from daq.setup.errors import InputError

@@ -146,5 +146,5 @@ def test_an_output_that_is_no_diagram_is_refused_and_kept(tmp_path):
     other = tmp_path / "notes.h5"
     other.write_text("notes", encoding="utf-8")
     said = predict("--gamma-range", 1, 2, "--steps", 4, "--out", other, code=2)
-    assert f"{other}: wanted a diagram written by bench predict --out" in said
+    assert f"--out {other}: exists already" in said
     assert other.read_text(encoding="utf-8") == "notes"

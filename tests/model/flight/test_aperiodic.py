@@ -17,6 +17,7 @@ from model.flight.first_landing import (
 from model.tones import Forcing
 
 
+@pytest.mark.slow
 def test_a_period_in_disguise():
     """Tones at half the phase speed, a half-integer and an integer, give the same flights in twice the phase."""
     whole, halves = Forcing.superposition(2), Forcing((0.5, 1.0), (1.0, 1.0), (0.0, 0.0))

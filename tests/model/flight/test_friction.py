@@ -23,6 +23,7 @@ def lasting(gamma_peak, rough, n=4, v0=0.0):
     return run_rough_orbit(ONE, gamma_peak / 2, rough, 4000, n, 1.5, v0)
 
 
+@pytest.mark.slow
 def test_friction_alone_locks_and_doubles_where_published():
     """At mu = 0.3 without restitution the 1-cycle locks at 4.0564 and doubles at 4.507."""
     rough = FrictionRestitution(0.3, 0.3)
@@ -92,6 +93,7 @@ def cases(n, seed, hanging):
             yield forcing, gamma, rough, phi0, v0, orbit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hanging", [False, True])
 def test_one_flight_to_60_digits(hanging):
     """Flight time, impact speed and hanging agree with the event-by-event 60-digit solver."""

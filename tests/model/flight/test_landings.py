@@ -15,6 +15,7 @@ from model.flight.first_landing import FlightFlag, edges, first_landing, relativ
 from model.tones import Forcing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_landing_is_the_first_to_60_digits(kind):
     """Adversarial flights land where the 60-digit solver lands, to the rounding of the height."""
@@ -87,6 +88,7 @@ def _q(forcing, phi):
     return float(np.sum(b * n * n * np.sin(n * phi + p)))
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     harmonics=st.lists(st.integers(1, 7), min_size=1, max_size=4, unique=True),

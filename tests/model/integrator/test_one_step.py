@@ -137,6 +137,7 @@ def marched(tones, ratio, om, ze, seconds, dt, listen):
     return off[:n_land], land[:n_land], kept / max(kept_s, 1e-12)
 
 
+@pytest.mark.slow
 def test_a_plate_mode_rings_as_a_fine_march_says():
     """With a mode struck by every impact, landings agree with a march in 2 microsecond steps to 5 % of its effect."""
     bare, ratio, om, ze = np.array([1.7 * G_MPS2 + 0j]), 0.03, 2.0 * math.pi * 6.3, 0.05

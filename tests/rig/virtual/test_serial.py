@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from daq.recording import open_recording, verify
 from rig.profile import Profile
@@ -27,6 +28,7 @@ def ramp(text: str, folder: Path) -> list[str]:
     return [*BENCH, "ramp", str(path), "--out", str(folder / "run.h5")]
 
 
+@pytest.mark.slow
 def test_a_rehearsal_in_real_time(virtual_both: tuple[Profile, str], tmp_path: Path) -> None:
     """A whole ramp through both drivers: complete, and on one time base to a ppm."""
     command = ramp(virtual_both[1], tmp_path)
@@ -39,6 +41,7 @@ def test_a_rehearsal_in_real_time(virtual_both: tuple[Profile, str], tmp_path: P
     assert np.all(np.abs(rows["rate"] - 80e-6) < 1e-6)
 
 
+@pytest.mark.slow
 def test_the_device_goes_away_in_mid_run(
     rehearse: Callable[..., Any], virtual_both: tuple[Profile, str], tmp_path: Path
 ) -> None:

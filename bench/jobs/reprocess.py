@@ -1,0 +1,31 @@
+"""Flights of a recording under a progress bar, and every picture of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from analysis.flights.assemble import Flights, flights_of
+from analysis.flights.compare import compare
+from daq.recording import Recording
+
+
+def flights_with_progress(opened: Recording, *, quiet: bool) -> Flights:
+    """The flights, with a bar on standard error while the file is read."""
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
+        task = progress.add_task(f"reading {opened.path.name}", total=1.0)
+        return flights_of(opened, progress=lambda part: progress.update(task, completed=part))
+
+
+def draw(opened: Recording, table: Flights, folder: Path) -> None:
+    """Every picture of a recording, into ``folder``."""
+    from analysis.report.figures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
+    from analysis.report.figures_plate import draw_plate  # matplotlib is slow to import
+
+    draw_plate(opened, table, folder)
+    if len(table):
+        draw_bifurcations(opened, table, folder)
+        draw_trajectory(opened, table, folder)
+        draw_return_maps(opened, table, compare(table, opened.setup, steps_table=opened.steps), folder)

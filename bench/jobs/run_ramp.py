@@ -1,0 +1,97 @@
+"""A ramp driven through the back end of its profile and recorded, with a display and soft stops."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from bench.profiles.find import find_scenario
+from bench.terminal.run_display import run_display
+from bench.terminal.signals import stop_on_signals
+from daq.recording import RecordingWriter
+from daq.recording.recorder_process import RecorderProcess
+from rig.backends.base import Backend
+from rig.backends.registry import open_backend
+from rig.backends.simulated import SimulatedBackend
+from rig.execution.priority import before_other_work
+from rig.execution.run import RunSummary, run_ramp
+from rig.profile import Profile
+from rig.programme.ramp import plan
+from rig.programme.sequencer import largest_block
+from rig.sim.scenario import Scenario
+
+
+def make_backend(
+    profile: Profile,
+    *,
+    scenario: Path | None = None,
+    seed: int = 0,
+    real_time: bool = False,
+    replay: Path | None = None,
+) -> Backend:
+    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
+    if scenario is not None and profile.backend.kind == "simulated":
+        scenario = find_scenario(scenario)
+    return open_backend(profile, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
+
+
+def record(
+    profile: Profile,
+    text: str,
+    backend: Backend,
+    out: Path,
+    *,
+    note: str | None = None,
+    extra: dict[str, Any] | None = None,
+    quiet: bool = False,
+    paced: bool = False,
+) -> RunSummary:
+    """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly.
+
+    What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
+    """
+    programme = plan(profile)
+    options: dict[str, Any] = {
+        "profile_text": text,
+        "channels": backend.channels,
+        "scales": backend.scales,
+        "backend": backend.name,
+        "simulated": backend.simulated,
+        "note": note,
+        "extra": extra,
+        "scenario_sha256": backend.scenario_sha256,
+        "expected_samples": programme.n_samples,
+    }
+    if not backend.simulated:
+        warm_up(profile)
+    first = nullcontext() if backend.simulated else before_other_work()
+    with stop_on_signals() as request, first, run_display(quiet) as progress:
+        if paced or not backend.simulated:
+            patience_s = 10.0 if backend.simulated else 0.0
+            block_samples = largest_block(programme.clock, profile.backend.block_samples)
+            writer: RecordingWriter | RecorderProcess = RecorderProcess(
+                out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
+            )
+        else:
+            writer = RecordingWriter(out, profile.setup(), **options)
+        try:
+            return run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)
+        finally:
+            if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
+                out.unlink(missing_ok=True)
+
+
+def warm_up(profile: Profile) -> None:
+    """One short step of ``profile`` on the simulated rig: nothing is left to be compiled while a device waits."""
+    short = profile.ramp.model_copy(
+        update={"gamma": (max(profile.ramp.gammas()),), "order": None, "settle_cycles": 2, "hold_cycles": 8}
+    )
+    rig = SimulatedBackend(profile.sampling.rate_hz, Scenario("ideal"), 0)
+    with TemporaryDirectory() as folder:
+        writer = RecordingWriter(
+            Path(folder) / "warm.h5", profile.setup(), profile_text="", channels=rig.channels, scales=rig.scales,
+            backend=rig.name, simulated=True,
+        )  # fmt: skip
+        run_ramp(profile.model_copy(update={"ramp": short}), rig, writer)

@@ -1,0 +1,93 @@
+"""The options of `bench predict` as a value, and the ball and forcing that they describe."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.setup.errors import InputError
+from model.orbits.attractor import Ball
+from model.orbits.make_ball import ball_of
+from model.tones import STANDARD_GRAVITY_MPS2, Forcing
+
+MOST_ADAPTIVE = 20_000  # gammas from which an adaptive diagram may begin
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of `bench predict`, as given."""
+
+    ratio: int = 1
+    gamma: float | None = None
+    gamma_peak: float | None = None
+    gamma_range: tuple[float, float] | None = None
+    bifurcations: bool = False
+    effects: tuple[str, ...] = ()
+    frequency_hz: float | None = None
+    sweep: str | None = None
+    phase_deg: float = 0.0
+    steps: int = 1000
+    adaptive: bool = False
+    grid: tuple[str, ...] = ()
+    narrowest: float | None = None
+    workers: int = 1
+    cluster: str | None = None
+    paper_figure: int | None = None
+    json_to: str | None = None
+    profile: str | None = None
+    g_mps2: float = STANDARD_GRAVITY_MPS2
+    out: Path | None = None
+    figure: Path | None = None
+    overwrite: bool = False
+
+
+def parse_effects(given: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """``name.parameter=value`` options as a table by effect and parameter.
+
+    Raises
+    ------
+    InputError
+        For text of another form.
+    """
+    effects: dict[str, dict[str, float]] = {}
+    for text in given:
+        place, equals, value = text.partition("=")
+        name, dot, parameter = place.strip().partition(".")
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (equals and dot and name and parameter and math.isfinite(number)):
+            raise InputError(f"--effect wants name.parameter=number, such as restitution.e0=0.514, not {text!r}")
+        effects.setdefault(name, {})[parameter] = number
+    return effects
+
+
+def forcing_of(request: Request) -> Forcing:
+    """The plate's motion but for its amplitude."""
+    return Forcing.superposition(request.ratio, phase_rad=(0.0, math.radians(request.phase_deg)))
+
+
+def ball_for(request: Request) -> Ball:
+    """The ball that ``request`` is about.
+
+    Raises
+    ------
+    InputError
+        For options without meaning.
+    """
+    if request.sweep not in (None, "up", "down"):
+        raise InputError(f"--sweep wants up or down, not {request.sweep!r}")
+    if request.frequency_hz is not None and not (math.isfinite(request.frequency_hz) and request.frequency_hz > 0):
+        raise InputError(f"--frequency-hz wants a positive number, not {request.frequency_hz!r}")
+    forcing = forcing_of(request)
+    if not forcing.moves:
+        raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")
+    return ball_of(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
+
+
+def check_adaptive(steps: int) -> None:
+    """Refuse more gammas than an adaptive diagram, kept in memory, can be refined from."""
+    if steps > MOST_ADAPTIVE:
+        raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
