@@ -20,7 +20,7 @@ from bench.terminal.console import EXIT_USAGE, fail, write_json
 from daq.setup.errors import InputError
 from model.bifurcations.events import Bifurcation
 from model.orbits.attractor import Attractor, Ball, attractor, sweep
-from model.orbits.make_ball import ball_of
+from model.orbits.make_ball import make_ball
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 SWEEP_STEPS = 400  # gammas of the sweep that leads to a single gamma
@@ -165,7 +165,7 @@ def ball_for(request: Request) -> Ball:
     forcing = forcing_of(request)
     if not forcing.moves:
         raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")
-    return ball_of(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
+    return make_ball(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
 
 
 def _gamma(request: Request) -> float:
@@ -219,7 +219,7 @@ def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float |
 
 
 def _bifurcations(ball: Ball, request: Request) -> None:
-    from model.bifurcations.find import sequence
+    from model.bifurcations.find import find_bifurcations
     from model.flight.branches import q_and_slope
     from model.flight.first_landing import turning_points
 
@@ -227,7 +227,7 @@ def _bifurcations(ball: Ball, request: Request) -> None:
     peak = max(q_and_slope(forcing.tones, float(p))[0] for p in turning_points(forcing))
     low, high = request.gamma_range or (0.0, 0.0)
     # what happens at the very start of the range is not a change within it
-    found = [b for b in sequence(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low]
+    found = [b for b in find_bifurcations(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low]
     write_json([bifurcation_json(b, peak) for b in found], request.json_to)
     if request.json_to is None:
         print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from kernels import njit
 
 Floats = NDArray[np.float64]
-Flags = NDArray[np.int8]
-Rows = NDArray[np.int64]
 _F = TypeVar("_F", bound=Callable[..., object])
 
 
