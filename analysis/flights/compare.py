@@ -286,8 +286,8 @@ def _step(
 def seen_by_instrument(found: Attractor, frequency_hz: float, flights: Flights) -> Floats:
     """Flight times (s) of an attractor as this recording's instrument shows them.
 
-    With the accelerometer as second witness every flight is seen; without it `model.orbits.contact_sensor` merges those whose
-    contact in between is too short for the sampled circuit.
+    With the accelerometer as second witness every flight is seen; without it `model.orbits.contact_sensor` merges those
+    whose contact in between is too short for the sampled circuit.
     """
     unit = 1.0 / (2.0 * np.pi * frequency_hz)
     if flights.edges.witness is not None or found.tau.size == 0:
@@ -315,7 +315,9 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), 1.2 * max(p.gamma for p in plates)
-    found = [b for b in observed_bifurcations(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS]
+    found = [
+        b for b in observed_bifurcations(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS
+    ]
     if not found:
         return FirstBifurcation(measured, "", nan, nan)
     same = next((b.gamma for b in found if measured is not None and b.type == measured.type), nan)

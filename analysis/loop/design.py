@@ -24,6 +24,7 @@ from daq.setup.setup import Setup
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect
 from model.integrator.one_step import Measured, PlateSteps, simulate
+from model.tones import Plate
 
 Array = NDArray[np.float64]
 

@@ -227,7 +227,9 @@ def _bifurcations(ball: Ball, request: Request) -> None:
     peak = max(q_and_slope(forcing.tones, float(p))[0] for p in turning_points(forcing))
     low, high = request.gamma_range or (0.0, 0.0)
     # what happens at the very start of the range is not a change within it
-    found = [b for b in find_bifurcations(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low]
+    found = [
+        b for b in find_bifurcations(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low
+    ]
     write_json([bifurcation_json(b, peak) for b in found], request.json_to)
     if request.json_to is None:
         print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")

@@ -1,9 +1,10 @@
 """The model against its peers, in one run: ``python -m benchmarks.model.kernels [--quick]``.
 
 Job J: bifurcation diagrams for c = 1, 2, 3, 2000 gammas each, 100 transient and 200 kept flights. The kernel's rate is
-that of the orbits that `model.surveys.diagram` flies, which stops where an orbit closes; a peer flies what it can in a few seconds of the same flights, and its J is that rate times 1.8 million.
-Times are processor seconds of this process (on a shared machine wall time says little). Wrong landings are counted on
-flights whose landing interval bisection or 60 digits have proven (``tests/model``): tiny ones and grazes.
+that of the orbits that `model.surveys.diagram` flies; a diagram itself stops each orbit where it closes. A peer flies
+what it can in a few seconds of the same flights, and its J is that rate times 1.8 million. Times are processor seconds
+of this process (on a shared machine wall time tells little). Wrong landings are counted on flights whose landing
+interval bisection or 60 digits have proven (``tests/model``): tiny ones and grazes.
 """
 
 from __future__ import annotations

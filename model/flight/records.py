@@ -32,7 +32,7 @@ class FrictionRestitution(NamedTuple):
 
 
 class EdgeTables(NamedTuple):
-    """Window edges (`model.flight.branches.fill_edges`) at the pulls going up and going down, and numbers of windows."""
+    """Window edges (`model.flight.branches.fill_edges`) at the pulls going up and going down, and their windows."""
 
     up: Floats
     n_up: int

@@ -15,7 +15,7 @@ from model.effects.registry import absent_row, registry, row
 from model.integrator import predict
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
-from model.integrator.records import Events, Law, Plate, Probe, Steps, Visibility
+from model.integrator.records import Events, Law, Mode, Plate, Probe, Steps, Visibility
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
@@ -44,6 +44,11 @@ def _active(rows: Array, hook: str) -> bool:
 def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
     """An array as the kernels take it, contiguous and writable: numba compiles each layout, and each right, anew."""
     return np.require(values, requirements=["C", "W"])
+
+
+def _tones(omega_radps: Array, acceleration_mps2: NDArray[np.complex128]) -> Array:
+    """Tones (..., k) as the kernels take them, (..., k, 3)."""
+    return np.stack([omega_radps, acceleration_mps2.real, acceleration_mps2.imag], axis=-1)
 
 
 def _of_each(value: Array | float, n: int) -> Array:
@@ -222,12 +227,17 @@ class _Problem:
         out = np.full((n, predict.OUT_COLUMNS), np.nan)
         predict.one_ahead(
             Events(
-                *map(_for_kernel, (m.opening_s, m.landing_s, m.at_once, m.linked, wanted, m.step)),
+                _for_kernel(m.opening_s),
+                _for_kernel(m.landing_s),
+                _for_kernel(m.at_once),
+                _for_kernel(m.linked),
+                _for_kernel(wanted),
+                _for_kernel(m.step),
                 np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1),
                 _of_each(d.gap_m, n),
                 _of_each(d.weak_mps, n),
             ),
-            Steps(*map(_for_kernel, (self.plate.period_s, self.plate.omega_radps, tones.real, tones.imag))),
+            Steps(_for_kernel(self.plate.period_s), _tones(self.plate.omega_radps, tones)),
             self.rows,
             _active(self.rows, "force"),
             _active(self.rows, "dry_friction"),
@@ -298,9 +308,8 @@ def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> N
     """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
     row = _for_kernel(row)
     om, ze, _ = plate_mode(row)
-    bare = Plate(_for_kernel(omega_radps), _for_kernel(tones.real), _for_kernel(tones.imag), 0.0, 0.0, om, ze)
-    with_ball = loaded(0.0, bare, row)
-    factor = np.divide(with_ball.re + 1j * with_ball.im, tones, out=np.ones_like(tones), where=tones != 0.0)
+    _, re, im = loaded(0.0, Plate(_tones(omega_radps, tones), Mode(0.0, 0.0, om, ze)), row).tones.T
+    factor = np.divide(re + 1j * im, tones, out=np.ones_like(tones), where=tones != 0.0)
     return np.asarray(tones * (1.0 - 1.0 / factor))
 
 
@@ -346,8 +355,7 @@ def simulate(
     """
     rows = row(effects, g_mps2)
     out = np.empty((flights, 6))
-    z = plate.acceleration
-    tones = Plate(_for_kernel(plate.omega_radps), _for_kernel(z.real), _for_kernel(z.imag), 0.0, 0.0, 0.0, 0.0)
+    tones = _tones(plate.omega_radps, plate.acceleration)
     law = Law(_for_kernel(rows), 0.0, _active(rows, "force"), _active(rows, "dry_friction"))
-    out = out[: predict.simulate(*map(float, start), period_s, tones, law, unseen_s, out)]
+    out = out[: predict.simulate(float(start[0]), float(start[1]), period_s, tones, law, unseen_s, out)]
     return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))

@@ -12,6 +12,7 @@ from model.integrator.records import (
     Events,
     Floats,
     Law,
+    Mode,
     Plate,
     Probe,
     Steps,
@@ -34,7 +35,7 @@ def _begin_chain(i: int, events: Events, period: float, last: Chain, plate: Plat
     if 0.0 <= rested < LONGEST_PERIODS * period:
         q, qd = mode_under_ball(last.t, rested, with_state(plate, last.q, last.qd), p)
     else:
-        q, qd, _ = mode_at_rest(opening, plate, p)
+        q, qd, _ = mode_at_rest(opening, plate.tones, p)
     return Chain(opening, last.impact, q, qd, False, 0)
 
 
@@ -47,7 +48,7 @@ def _predict(i: int, events: Events, last: Chain, bare: Plate, law: Law, seen: V
     found = next_flight(last.t, last.impact, plate, law, own, events.opening[i])
     land, hit, passed = found.landing, found.impact, 0
     if found.kind >= 0 and hit < events.weak_mps[i]:
-        q, qd = strike(with_state(bare, found.q, found.qd), land - found.takeoff, hit, law.p)
+        q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
         struck = with_state(bare, q, qd)
         land, hit, passed, out[9] = weak_rebounds(
             (land, hit), events.landing[i], events.weak_mps[i], seen.closure_s, struck, law
@@ -101,8 +102,8 @@ def one_ahead(
     for i in range(events.landing.shape[0]):
         m, p, landing, bounces = events.step[i], rows[i], events.landing[i], events.bounces[i]
         om, ze, ratio = plate_mode(p)
-        bare = Plate(steps.omega[m], steps.re[m], steps.im[m], 0.0, 0.0, om, ze)
-        law = Law(p, step_length(steps.period[m], bare), forced, rubbed)
+        bare = Plate(steps.tones[m], Mode(0.0, 0.0, om, ze))
+        law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed)
         out[i, 6], out[i, 9] = -1.0, 0.0
         passed, chained = 0, last.chained + 1
         if not events.linked[i]:
@@ -125,20 +126,22 @@ def one_ahead(
         if ratio != 0.0 and events.linked[i]:
             project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
             project_mode(start, landing, False, flying, p, probe, m)
-        q, qd = strike(flying, landing - start, hit, p)
+        q, qd = strike(flying.mode, landing - start, hit, p)
         last = Chain(landing, hit, q, qd, True, chained)
 
 
 @compiled
-def simulate(start_s: float, impact: float, period: float, bare: Plate, law: Law, unseen_s: float, out: Floats) -> int:
+def simulate(
+    start_s: float, impact: float, period: float, tones: Floats, bare: Law, unseen_s: float, out: Floats
+) -> int:
     """Flights one after another from an impact: fills ``out`` (n, 6) and returns how many.
 
     Columns: take-off, launch velocity, landing, impact speed, kind, flights passed over.
     """
-    p = law.p
+    p = bare.p
     om, ze, _ = plate_mode(p)
-    plate = Plate(bare.omega, bare.re, bare.im, 0.0, 0.0, om, ze)
-    law = Law(p, step_length(period, plate), law.forced, law.rubbed)
+    plate = Plate(tones, Mode(0.0, 0.0, om, ze))
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed)
     seen = Visibility(0.0, unseen_s, 0.0, 0.0)
     t = start_s
     for i in range(out.shape[0]):
@@ -147,7 +150,7 @@ def simulate(start_s: float, impact: float, period: float, bare: Plate, law: Law
             return i
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = found.takeoff, found.launch, found.landing, found.impact
         out[i, 4], out[i, 5] = found.kind, found.hidden
-        q, qd = strike(with_state(plate, found.q, found.qd), found.landing - found.takeoff, found.impact, p)
+        q, qd = strike(with_state(plate, found.q, found.qd).mode, found.landing - found.takeoff, found.impact, p)
         plate = with_state(plate, q, qd)
         t, impact = found.landing, found.impact
-    return out.shape[0]
+    return len(out)

@@ -1,4 +1,7 @@
-"""Records that the integrator's kernels take; named tuples, which numba passes as it passes their fields."""
+"""Records that the integrator's kernels take; named tuples, which numba passes as it passes their fields.
+
+Reading an array out of a record counts a reference: what runs at every step takes the arrays themselves.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +24,28 @@ def compiled(function: _F) -> _F:
     return cast(_F, njit(error_model="numpy", nogil=True)(function))
 
 
+def inlined(function: _F) -> _F:
+    """Compile ``function`` into every kernel that calls it."""
+    return cast(_F, njit(error_model="numpy", forceinline=True)(function))
+
+
+class Mode(NamedTuple):
+    """A free damped oscillator: displacement, velocity, angular frequency, damping ratio."""
+
+    q: float
+    qd: float
+    omega: float
+    damping: float
+
+
 class Plate(NamedTuple):
     """The plate as it moves under a flight: its tones, and a mode that rings from a given moment on.
 
-    Angular frequencies (k,), real and imaginary parts of the tones' accelerations (k,) in m/s^2; displacement and
-    velocity of the mode at that moment, its angular frequency and its damping ratio.
+    ``tones`` (k, 3) holds their angular frequencies and the real and imaginary parts of their accelerations in m/s^2.
     """
 
-    omega: Floats
-    re: Floats
-    im: Floats
-    q: float
-    qd: float
-    mode_omega: float
-    damping: float
+    tones: Floats
+    mode: Mode
 
 
 class Law(NamedTuple):
@@ -120,12 +131,10 @@ class Events(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """The plate in each step: period of the forcing (m,), angular frequencies and accelerations of its tones (m, k)."""
+    """The plate in each step: period of the forcing (m,), and its tones (m, k, 3) as in `Plate`."""
 
     period: Floats
-    omega: Floats
-    re: Floats
-    im: Floats
+    tones: Floats
 
 
 class Probe(NamedTuple):

@@ -27,7 +27,7 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
     e = min(max(rebound(impact, p), 0.0), MOST_RESTITUTION)
     v0 = e * impact
     plate = loaded(t, bare, p)
-    net = pull(t, 0.0, 0.0, plate, p)
+    net = pull(t, 0.0, 0.0, plate.tones, plate.mode, p)
     up = net - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell0, p)
     shortest = TAIL_PART * (law.step_s * STEPS_PER_PERIOD)
     if v0 > 0.0:
@@ -82,10 +82,10 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
             return Flight(off, v0, off + lasts, v_hit, opens, hidden, kind, qt, qdt)
         dwell = 0.0 if kind == 1 else off - t + dwell
         t = off + lasts
-        q, qd = strike(flying, lasts, v_hit, law.p)
+        q, qd = strike(flying.mode, lasts, v_hit, law.p)
         plate = with_state(plate, q, qd)
         impact = v_hit
-    return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.q, plate.qd)
+    return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.mode.q, plate.mode.qd)
 
 
 @compiled
@@ -111,7 +111,7 @@ def weak_rebounds(
             lasts, v_next, _ = flight(off, v0, plate, law, 0.0)
             if lasts < 0.0:
                 break
-            q, qd = strike(plate, lasts, v_next, law.p)
+            q, qd = strike(plate.mode, lasts, v_next, law.p)
             plate = with_state(plate, q, qd)
         land, hit = off + lasts, v_next
         if land - near <= RESOLVED_S:
@@ -132,11 +132,11 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
     Secant on the landing time from the drag-free answer, or from a launch velocity ``v_near`` known to land at
     ``t_near`` (-1: none); the drag-free answer itself where no flight lands at t1.
     """
-    g = law.p[-1]
-    x0, vp0, _ = tones_at(t0, plate)
-    x1, vp1, _ = tones_at(t1, plate)
-    rx0, rv0 = plate.q, plate.qd
-    rx1, rv1, _ = mode_at(t1 - t0, plate)
+    g, (tones, mode) = law.p[-1], plate
+    x0, vp0, _ = tones_at(t0, tones)
+    x1, vp1, _ = tones_at(t1, tones)
+    rx0, rv0 = mode.q, mode.qd
+    rx1, rv1, _ = mode_at(t1 - t0, mode)
     lasts = t1 - t0
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
@@ -173,20 +173,20 @@ def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
     """The last moment before an opening at which the plate throws a ball at rest; the opening where there is none."""
     p = law.p
     level = dry_friction(0.0, 0.0, 1.0, p) + takeoff_threshold(1e9, p)
-    plate = loaded(t_open, bare, p)
+    tones, mode = loaded(t_open, bare, p)
     back = 0.5 * period
     n = int(back / law.step_s) * 4
     d = back / n
     later = t_open + 4.0 * d
-    above = pull(later, later - t_open, 0.0, plate, p) - level
+    above = pull(later, later - t_open, 0.0, tones, mode, p) - level
     for _ in range(n + 4):
         t = later - d
-        over = pull(t, t - t_open, 0.0, plate, p) - level
+        over = pull(t, t - t_open, 0.0, tones, mode, p) - level
         if above > 0.0 >= over:
             lo, hi, below = t, later, over
             for k in range(MOST_SECANTS):
                 mid = between(lo, hi, below, above, k)
-                here = pull(mid, mid - t_open, 0.0, plate, p) - level
+                here = pull(mid, mid - t_open, 0.0, tones, mode, p) - level
                 if here > 0.0:
                     hi, above, below = mid, here, 0.5 * below
                 else:

@@ -46,6 +46,11 @@ class Flown(NamedTuple):
     threshold: Integers
     mark: Integers
 
+    def upto(self, n: int) -> Flown:
+        """The first ``n`` flights."""
+        tau, phase, speed, symbol, threshold, mark = self
+        return Flown(tau[:n], phase[:n], speed[:n], symbol[:n], threshold[:n], mark[:n])
+
 
 def room_for(n: int) -> Flown:
     """Arrays to be filled, for ``n`` flights."""

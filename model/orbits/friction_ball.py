@@ -89,7 +89,7 @@ class FrictionBall:
         first, stop, periods, phi, v = friction_cycles.fly_until_closed(
             self.forcing.tones, gamma, self._tables(gamma), self.law, start.phase, start.speed, flown
         )
-        return Flown(*(x[:stop] for x in flown)), first, periods, State(phi, v)
+        return flown.upto(stop), first, periods, State(phi, v)
 
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbits.attractor.Ball.fly`."""

@@ -63,7 +63,7 @@ class IdealBall:
                 return resting(State(rest_at % TWO_PI))
         flown = room_for(max_flights)
         first, stop, periods = ideal_cycles.fly_until_closed(self.forcing.tones, gamma, edge, n_windows, rest_at, flown)
-        tau_, phase, speed, _, threshold, _ = (x[:stop] for x in flown)
+        tau_, phase, speed, _, threshold, _ = flown.upto(stop)
         lead = len(lead_tau)
         slope = self._slopes(gamma, phase, tau_, speed, threshold)
         return Path(

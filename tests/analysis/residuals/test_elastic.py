@@ -11,8 +11,8 @@ import pytest
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import fragile, held_out_errors, judged_rows, noise_floors_us
 from model.effects.registry import row
-from model.integrator.takeoff import RESOLVED_S
 from model.integrator.one_step import Detection, Measured, PlateSteps, one_ahead, simulate
+from model.integrator.takeoff import RESOLVED_S
 
 G = 9.80665
 E0 = 0.4
@@ -78,7 +78,9 @@ def test_bounces_too_close_to_be_told_apart_are_no_free_choice(closure_s: float)
         flights = table(
             np.array([0.0, seen]), np.array([-2.0 * speed / G, 0.0]), np.array([False, True]), np.array([False, True])
         )
-        p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": e}}, G), Detection(weak_mps=np.inf, closure_s=closure_s))
+        p = one_ahead(
+            flights, moving(0.0), row({"restitution": {"e0": e}}, G), Detection(weak_mps=np.inf, closure_s=closure_s)
+        )
         assert p.landing_s[1] == pytest.approx(wanted, abs=1e-6)
         assert p.ambiguity_s[1] == pytest.approx(0.2 * (wanted - first), abs=1e-6)
 
