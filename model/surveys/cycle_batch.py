@@ -44,7 +44,7 @@ def _batch_of(from_rest: Callable[..., Any]) -> Callable[..., None]:
     def cycle_batch(
         tones: Floats, turning: Floats, gammas: Floats, laws: Floats, flown: Flown, outcome: Integers, kept: Floats
     ) -> None:
-        """Fill ``outcome`` (m, OUTCOME_SIZE; FLIGHTS -1 where the orbit from rest did not close) and ``kept`` (m, keep).
+        """Fill ``outcome`` (m, OUTCOME_SIZE; FLIGHTS -1 where the orbit did not close) and ``kept`` (m, keep).
 
         ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``.
         """

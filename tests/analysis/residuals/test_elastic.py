@@ -13,6 +13,7 @@ from analysis.residuals.prediction_errors import fragile, held_out_errors, judge
 from model.effects.registry import row
 from model.integrator.one_step import Detection, Measured, PlateSteps, one_ahead, simulate
 from model.integrator.takeoff import RESOLVED_S
+from model.tones import Plate
 
 G = 9.80665
 E0 = 0.4

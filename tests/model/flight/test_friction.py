@@ -89,7 +89,7 @@ def test_orbits_are_flown_flight_by_flight():
 
 
 def cases(n, seed, hanging):
-    """Random balls with friction on random plates, with their take-offs; those that hang in mid-air or those that do not."""
+    """Random balls with friction on random plates, with their take-offs: those that hang in mid-air, or the others."""
     rng = np.random.default_rng(seed)
     while n > 0:
         forcing = Forcing.superposition(int(rng.integers(1, 5)), (1.0, 1.0), (0.0, rng.uniform(0, 6)))
