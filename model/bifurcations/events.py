@@ -1,6 +1,6 @@
 """Every change of the cycle reached from rest, as gamma grows: where, of which kind, from which period to which.
 
-The rule kept here: each is located by its own equation. An edge of a window with a reset is where a landing meets a
+Each is located by its own equation. An edge of a window with a reset is where a landing meets a
 threshold or the end of a take-off window, or where a graze begins (bisected on whole numbers to neighbouring doubles);
 a period doubling or a fold of a locked cycle is the root of its multiplier; a take-off window is born at a maximum of
 the forcing; at an accumulation a landing falls on an unstable cycle.

@@ -9,7 +9,7 @@ On a plate whose pull changes slowly over one bounce, a rebound at ``v`` comes t
 ``'`` being the derivative with the phase. With ``a`` and ``d`` the accelerations back to the plate going up and down,
 both changing at the rate ``-j`` (j the jerk): ``A = 1/a + 1/sqrt(a d)`` and ``rho = e0 sqrt(d/a)``.
 
-The rule kept here: the sum is taken only where its first neglected term is below `PHASE_BOUND`; sooner the bounces are
+The sum is taken only where its first neglected term is below `PHASE_BOUND`; sooner the bounces are
 flown one by one.
 """
 

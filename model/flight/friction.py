@@ -1,7 +1,7 @@
 """Flights with Coulomb friction and restitution, compiled: rise, hang, fall, rebound, chatter, each in closed form.
 
-The rule kept here: between events no step is taken, and the events are proven first. Going up only ``h' = 0`` can end
-the stage, because the height grows; falling the height is monotone, so the plate and the standstill are looked for
+Between events no step is taken, and the events are proven first. Going up only ``h' = 0`` can end
+the segment, because the height grows; falling the height is monotone, so the plate and the standstill are looked for
 branch by branch; a standing ball hangs while it lies inside a window of the falling level and outside one of the rising
 level. ``up`` and ``down`` are the tables of `model.flight.branches` at the levels ``1 + mu_up`` and ``1 - mu_down``.
 """

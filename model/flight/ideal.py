@@ -1,6 +1,6 @@
 """One ideal flight, compiled: the first landing, proven first, and the next take-off.
 
-The rule kept here: a landing is returned only when every earlier branch of the flight (`model.flight.branches`) is
+A landing is returned only when every earlier branch of the flight (`model.flight.branches`) is
 proven free of roots (`model.flight.segment`).
 """
 

@@ -1,8 +1,8 @@
 """The one way this room compiles a kernel, and the sine and cosine that every kernel shares.
 
-The rule kept here: numba, cached on disk, IEEE division (`error_model="numpy"`: a division by zero gives inf, not a
-branch), so that the compiler can vectorise; of `fastmath` only the fused multiply-add, never a reordering, because the
-rounding bounds rely on the order.
+Kernels are compiled by numba and cached on disk, with IEEE division (`error_model="numpy"`: a division by zero gives
+inf, not a branch), so that the compiler can vectorise. Of `fastmath` only the fused multiply-add is allowed, never a
+reordering, because the rounding bounds rely on the order.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ From a phase ``phi0`` with height ``h0`` and relative speed ``v0``, under a stea
     s(phi) = sum_j b_j sin(n_j phi + p_j),
 
 the paper's eq. 4 when ``h0 = v0 = 0`` and ``level = 1``. Its second derivative is ``gamma q - level``, so the edges of
-`model.flight.branches` at ``gamma / level`` split it into convex and concave branches. The rule kept here: a root is
+`model.flight.branches` at ``gamma / level`` split it into convex and concave branches. A root is
 returned only when it is proven to be the first of its branch. A concave branch entered above the plate holds a root
 only if it ends below, and then one; in a convex one Newton from the left cannot pass the first root, and ``h' >= 0``
 with ``h > 0`` proves there is none.

@@ -1,7 +1,7 @@
 """A short bounce, by the Taylor series of the plate's motion about the impact.
 
 Most flights of a bouncing ball are short, and both their halves lie within one expansion of the plate's motion: two
-Newton iterations on polynomials replace all trigonometry but the one at the impact. The rule kept here: a bounce is
+Newton iterations on polynomials replace all trigonometry but the one at the impact. A bounce is
 taken only where the pull provably keeps its sign, so that either half has one root and no more.
 """
 

@@ -1,6 +1,6 @@
 """The ball with any set of effects, flown by the integrator.
 
-The rule kept here: SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
+SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
 the take-off phase from rest repeats within `REPEATS`, not exactly.
 """
 

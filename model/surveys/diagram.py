@@ -1,6 +1,6 @@
 """Bifurcation diagrams: the cycle at each of many gammas, on a grid or with more gammas where something happens.
 
-The rule kept here: a row says what its attractor is, not only where its points lie; flight times are those of one
+A row says what its attractor is, not only where its points lie; flight times are those of one
 cycle, so a diagram needs no transient thrown away and shows no point twice.
 """
 

@@ -1,6 +1,6 @@
 """Many parameter points on many cores: a job, cut into chunks, flown by a pool of processes or a cluster, kept in HDF5.
 
-The rule kept here: a chunk is computed from the job and its bounds alone, so it can run anywhere and in any order; the
+A chunk is computed from the job and its bounds alone, so it can run anywhere and in any order; the
 file is written by one process, and a file left unfinished is continued where it stopped.
 """
 
