@@ -14,7 +14,7 @@ import numpy as np
 
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
 from model.flight.ideal import RESTS
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import Floats, compiled, inlined
 from model.flight.records import EdgeTables, FrictionRestitution, Segment
 from model.flight.segment import (
     UNDECIDED,
@@ -123,10 +123,9 @@ def fall(
         lo = down[i]
 
 
-@compiled
-def hang(tables: EdgeTables, phi: float) -> tuple[bool, float, float, bool]:
+@inlined
+def hang(up: Floats, n_up: int, down: Floats, n_down: int, phi: float) -> tuple[bool, float, float, bool]:
     """Next motion of a ball standing in mid-air at ``phi``: ``(rises, waiting time, phase, at a threshold)``."""
-    up, n_up, down, n_down = tables
     if n_down == 0:
         return False, 0.0, phi, False
     at = fold(phi, down[0])
@@ -144,18 +143,18 @@ def hang(tables: EdgeTables, phi: float) -> tuple[bool, float, float, bool]:
     return False, wait, fold(down[i + 1], down[0]), True
 
 
-@compiled
+@inlined
 def next_event(
-    tones: Floats, gamma: float, tables: EdgeTables, segment: Segment, rising: bool
+    tones: Floats, gamma: float, up: Floats, n_up: int, down: Floats, n_down: int, segment: Segment, rising: bool
 ) -> tuple[bool, float, float, float, int]:
     """End of a segment: ``(landed, time, phase, impact speed, flag)``; not landed means that the ball stood still."""
     if rising:
-        tau, phi = rise(tones, gamma, tables.up, tables.n_up, segment)
+        tau, phi = rise(tones, gamma, up, n_up, segment)
         return False, tau, phi, 0.0, 0
-    return fall(tones, gamma, tables.down, tables.n_down, segment)
+    return fall(tones, gamma, down, n_down, segment)
 
 
-@compiled
+@inlined
 def next_segment(
     tones: Floats, gamma: float, law: FrictionRestitution, rising: bool, at: tuple[float, float, float, bool]
 ) -> Segment:
@@ -185,20 +184,21 @@ def land_with_friction(
         short, tau, speed = short_bounce(tones, gamma, law, phi0, v0)
         if short:
             return tau, phi0 + tau, speed, 0
-    at = fold(phi0, tables.up[0]) if tables.n_up > 0 else phi0
+    up, n_up, down, n_down = tables  # taken out once: reading an array out of a record counts a reference
+    at = fold(phi0, up[0]) if n_up > 0 else phi0
     rising = True
     segment = next_segment(tones, gamma, law, rising, (at, 0.0, v0, at_threshold))
     total = 0.0
     flag = 0
     for _ in range(MOST_SEGMENTS):
-        landed, tau, phi, speed, graze = next_event(tones, gamma, tables, segment, rising)
+        landed, tau, phi, speed, graze = next_event(tones, gamma, up, n_up, down, n_down, segment, rising)
         flag |= graze
         if landed:
             return total + tau, phi, speed, flag
         h, v, _ = motion(tones, gamma, segment, phi, tau)
         if h <= 0.0:  # lifted by less than rounding
             return total + tau, phi, 0.0, flag | UNDECIDED
-        rising, wait, phi, at_edge = hang(tables, phi)
+        rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
         if wait > 0.0:
             flag |= HUNG
             v = 0.0

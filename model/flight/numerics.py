@@ -25,6 +25,11 @@ def compiled(function: _F) -> _F:
     return cast(_F, njit(error_model="numpy", fastmath={"contract"})(function))
 
 
+def inlined(function: _F) -> _F:
+    """Compile ``function`` into every kernel that calls it."""
+    return cast(_F, njit(error_model="numpy", fastmath={"contract"}, forceinline=True)(function))
+
+
 # pi/2 = HALF_PI_1 + HALF_PI_2 + HALF_PI_3, the first two of 33 bits: k times them is exact for |k| < 2^20
 HALF_PI_1 = float.fromhex("0x1.921fb54400000p+0")
 HALF_PI_2 = float.fromhex("0x1.0b4611a600000p-34")

@@ -135,13 +135,14 @@ def flight_and_tangent(
     ``(0, 1)``; both then move freely. At a standstill the pull changes and the speed's shift with it, in proportion;
     hanging takes the speed's shift away, because the release does not know when the ball stopped.
     """
-    at = fold(phi0, tables.up[0])
+    up, n_up, down, n_down = tables
+    at = fold(phi0, up[0])
     rising = True
     segment = next_segment(tones, gamma, law, rising, (at, 0.0, v0, at_threshold))
     h_phi, w_phi, h_v, w_v = -v0, -segment.acceleration, 0.0, 1.0
     total = 0.0
     for _ in range(MOST_SEGMENTS):
-        landed, tau, phi, speed, _ = next_event(tones, gamma, tables, segment, rising)
+        landed, tau, phi, speed, _ = next_event(tones, gamma, up, n_up, down, n_down, segment, rising)
         h, _, pull = motion(tones, gamma, segment, phi, tau)
         h_phi += w_phi * tau
         h_v += w_v * tau
@@ -149,7 +150,7 @@ def flight_and_tangent(
         if landed or h <= 0.0:
             speed = max(speed, 0.0)
             return total, phi, speed, _landing_tangent(law, speed, pull, (h_phi, w_phi, h_v, w_v))
-        rising, wait, phi, at_edge = hang(tables, phi)
+        rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
         total += wait
         segment = next_segment(tones, gamma, law, rising, (phi, h, 0.0, at_edge))
         factor = 0.0 if wait > 0.0 or pull == 0.0 else segment.acceleration / pull
