@@ -1,1 +1,4 @@
-"""What the ideal ball would do, and each effect that may be added to it."""
+"""Models of the ball on the vibrating plate, from the exact ideal flight to any set of effects.
+
+Other rooms take `tones`, and the rooms below: flight < integrator < orbits < bifurcations < surveys; effects beside.
+"""

@@ -1,6 +1,6 @@
 """The plate's motion as a sum of tones: in SI (`Plate`) and in the kernels' dimensionless form (`Forcing`).
 
-The rule kept here: the drive amplitude is one number, ``gamma``, and everything else about the motion is in the tones.
+The drive amplitude is one number, ``gamma``, and everything else about the motion is in the tones.
 Dimensionless: phase ``phi = w t``, lengths in ``g / w^2``, speeds in ``g / w``, accelerations in ``g``; the plate is at
 
     chi_p(phi) = gamma * sum_j b_j sin(n_j phi + p_j)
@@ -123,36 +123,6 @@ class Plate:
         object.__setattr__(self, "omega_radps", omega)
         object.__setattr__(self, "acceleration", acceleration)
 
-    @classmethod
-    def from_gamma(
-        cls,
-        gamma: float,
-        ratio: float,
-        omega_radps: float,
-        g_mps2: float = STANDARD_GRAVITY_MPS2,
-        amplitude: tuple[float, float] = (1.0, 1.0),
-        phase_rad: tuple[float, float] = (0.0, 0.0),
-    ) -> Plate:
-        """The paper's superposition ``A [b1 sin(wt + p1) + b2 sin(cwt + p2)]`` with ``A = gamma g / w^2``.
-
-        Parameters
-        ----------
-        gamma : float
-            ``A w^2 / g`` (not ``gamma_peak``).
-        ratio : float
-            ``c``; at 1 the two tones are summed into one.
-        omega_radps : float
-            ``w``, rad/s.
-        g_mps2 : float
-            Local gravity.
-        amplitude, phase_rad : tuple of float
-            ``b1, b2`` relative to ``A``, and ``p1, p2``.
-        """
-        forcing = Forcing.superposition(ratio, amplitude, phase_rad)
-        n, b, p = (np.array(x) for x in (forcing.harmonic, forcing.amplitude, forcing.phase_rad))
-        # x = A b sin(n w t + p) = Re[-i A b e^{ip} e^{i n w t}], and a = -(n w)^2 x
-        return cls(n * omega_radps, 1j * gamma * g_mps2 * n**2 * b * np.exp(1j * p))
-
     def acceleration_at(self, t_s: ArrayLike) -> NDArray[np.float64]:
         """Plate acceleration at the times ``t_s`` (any shape), m/s^2."""
         return self._sum(t_s, 0)
@@ -170,17 +140,3 @@ class Plate:
         t = np.asarray(t_s, dtype=np.float64)[..., None]
         z = self.acceleration / (1j * self.omega_radps) ** integrals
         return np.asarray((z * np.exp(1j * self.omega_radps * t)).real.sum(axis=-1))
-
-    def dimensionless(self, omega_radps: float, g_mps2: float = STANDARD_GRAVITY_MPS2) -> tuple[Forcing, float]:
-        """The same motion as ``(forcing, gamma)`` about the base frequency ``omega_radps``.
-
-        ``gamma`` is the first tone's ``A w^2 / g`` (so that tone has ``b = 1``); a still plate has gamma 0.
-        """
-        n = self.omega_radps / omega_radps
-        near = np.round(n)
-        n = np.where(np.abs(n - near) < 1e-12 * near, near, n)  # w and 2 w divided in doubles are still 1 and 2
-        z = -1j * self.acceleration / (g_mps2 * n**2)  # b e^{ip} gamma, see from_gamma
-        moving = np.flatnonzero(np.abs(z) > 0)
-        gamma = float(np.abs(z[moving[0]])) if moving.size else 0.0
-        scale = gamma or 1.0
-        return Forcing(tuple(n.tolist()), tuple((np.abs(z) / scale).tolist()), tuple(np.angle(z).tolist())), gamma

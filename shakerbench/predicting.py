@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from bench.predict.bifurcations import gamma_peak_over_gamma
 from bench.predict.profile_ramp import ramp_json, with_profile
 from bench.predict.request import Request
-from model.bifurcations.find import sequence
+from model.bifurcations.find import find_bifurcations
+from model.orbits import make_ball as balls
 from model.orbits.attractor import Attractor, Ball
 from model.orbits.attractor import attractor as attractor_at
-from model.orbits.make_ball import ball_of
 from model.surveys.diagram import KINDS, Rows, swept
 from model.surveys.diagram import diagram as rows_at
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
@@ -124,7 +124,7 @@ def make_ball(
     2
     """
     forcing = Forcing.superposition(c, phase_rad=(0.0, math.radians(phase_deg)))
-    ball = ball_of(forcing, effects or {}, frequency_hz=frequency_hz, g_mps2=g_mps2)
+    ball = balls.make_ball(forcing, effects or {}, frequency_hz=frequency_hz, g_mps2=g_mps2)
     return PredictedBall(ball, forcing, c, frequency_hz)
 
 
@@ -224,7 +224,7 @@ def bifurcations(ball: PredictedBall, low: float, high: float, *, narrowest: flo
     >>> bifurcations(make_ball(), 0.4, 1.0)["type"].tolist()
     ['take-off']
     """
-    found = [b for b in sequence(ball.ball, low, high, narrowest=narrowest) if b.gamma > low]
+    found = [b for b in find_bifurcations(ball.ball, low, high, narrowest=narrowest) if b.gamma > low]
     gammas = np.array([b.gamma for b in found])
     columns: dict[str, Any] = {
         "gamma": gammas,

@@ -16,12 +16,12 @@ from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
 from model.bifurcations.forbidden_zones import forbidden_zones
-from model.bifurcations.sweep import observed
-from model.contact_sensor import Instrument, observe
+from model.bifurcations.sweep import observed_bifurcations
 from model.effects.registry import resolve
-from model.effects.routing import Effects, of_the_ball, reading
+from model.effects.routing import Effects, accelerometer_factor, ball_effects
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
-from model.orbits.make_ball import ball_of
+from model.orbits.contact_sensor import Instrument, observe
+from model.orbits.make_ball import make_ball
 from model.tones import Forcing
 
 Floats = npt.NDArray[np.float64]
@@ -140,7 +140,7 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
             m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > HARMONIC_SIGMAS * sigma[i]
         ]
     rows = [plate.multiples.index(m) for m in multiples]
-    z = plate.acceleration.amplitudes[rows] / reading(effects)
+    z = plate.acceleration.amplitudes[rows] / accelerometer_factor(effects)
     n = np.array(multiples, dtype=float)
     displacement = np.abs(z) / n**2
     phase = np.angle(z) - 0.5 * np.pi
@@ -155,8 +155,8 @@ def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, For
     Effects between drive and plate are part of the measured motion.
     """
     forcing, gamma = forcing_of(plate, setup, effects)
-    own = of_the_ball(effects)
-    return ball_of(forcing, own, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value), forcing, gamma
+    own = ball_effects(effects)
+    return make_ball(forcing, own, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value), forcing, gamma
 
 
 def _check_plausible(flights: Flights) -> None:
@@ -292,8 +292,8 @@ def _step(
 def as_detected(found: Attractor, frequency_hz: float, flights: Flights) -> Floats:
     """Flight times (s) of an attractor as this recording's sensors show them.
 
-    With impacts in the accelerometer every flight is detected. Without them `model.contact_sensor` merges flights whose
-    contact in between is too short for the sampled circuit.
+    With impacts in the accelerometer every flight is detected. Without them the model of the contact sensor merges
+    flights whose contact in between is too short for the sampled circuit.
     """
     unit = 1.0 / (2.0 * np.pi * frequency_hz)
     if flights.edges.sensor_offset is not None or found.tau.size == 0:
@@ -321,7 +321,9 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), BIFURCATION_RANGE * max(p.gamma for p in plates)
-    found = [b for b in observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS]
+    found = [
+        b for b in observed_bifurcations(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS
+    ]
     if not found:
         return FirstBifurcation(measured, "", nan, nan)
     same = next((b.gamma for b in found if measured is not None and b.type == measured.type), nan)

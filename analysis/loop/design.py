@@ -23,7 +23,8 @@ from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect
-from model.integrator.one_step import Measured, PlateSteps, march
+from model.integrator.one_step import Measured, PlateSteps, simulate
+from model.tones import Plate
 
 Array = NDArray[np.float64]
 
@@ -189,15 +190,8 @@ def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array
             moved = value + values.get((name, q + DRIFT), 0.0) * part[i]
             effects.setdefault(name, {})[q] = float(np.clip(moved, parameter.low, parameter.high))
         period = plate.period_s[i]
-        orbit = march(
-            effects,
-            g_mps2=g_mps2,
-            period_s=period,
-            omega_radps=plate.omega_radps[i],
-            acceleration_mps2=plate.acceleration_mps2[i],
-            flights=600,
-            unseen_s=1e-3,
-        )
+        tones = Plate(plate.omega_radps[i], plate.acceleration_mps2[i])
+        orbit = simulate(effects, tones, g_mps2=g_mps2, period_s=period, flights=600, unseen_s=1e-3)
         keep = (orbit.takeoff_s > SETTLE_CYCLES * period) & (orbit.landing_s < (SETTLE_CYCLES + HOLD_CYCLES) * period)
         n = int(keep.sum())
         first = np.arange(n) == 0

@@ -84,8 +84,8 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     """
     ev = world.evidence
     events, step = ev.measured, ev.measured.step
-    shift = world.per_step(values, "shift_s", 0.0)[step]
-    reading = world.per_step(values, "reading", 1.0)
+    shift = world.per_step(values, "contact_delay_s", 0.0)[step]
+    reading = world.per_step(values, "accelerometer_factor", 1.0)
     plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / reading[:, None])
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked

@@ -18,8 +18,9 @@ from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import INEXACT, Ringing
 from analysis.residuals.plate_observables import expected, power_uncertainty
+from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, offsets, registry, row
-from model.integrator.one_step import Predicted, one_ahead
+from model.integrator.one_step import Detection, Predicted, one_ahead
 
 Array = NDArray[np.float64]
 ParameterId = tuple[str, str]
@@ -155,9 +156,9 @@ class ForwardModel:
         """One event ahead at ``values``; times are those that the instrument would show."""
         ev = self.evidence
         step = ev.measured.step
-        shift = self.per_step(values, "shift_s", 0.0)[step]
-        reading = self.per_step(values, "reading", 1.0)
-        loaded = self.per_step(values, "gate", 0.0)
+        shift = self.per_step(values, "contact_delay_s", 0.0)[step]
+        reading = self.per_step(values, "accelerometer_factor", 1.0)
+        loaded = self.per_step(values, "flight_gain", 0.0)
         gap = self.per_step(values, "gap_m", 0.0)[step]
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
         if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
@@ -173,12 +174,9 @@ class ForwardModel:
             measured,
             plate,
             self.rows(values) if rows is None else rows,
-            gap_m=gap,
-            unseen_s=ev.unseen_s,
-            closure_s=ev.closure_s,
-            weak_mps=ev.weak_mps,
+            Detection(gap, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps),
             kick=kick,
-            ear=self.ringing,
+            probe=self.ringing,
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
@@ -226,7 +224,7 @@ class ForwardModel:
             rung, vague = self.ringing.added(ev.plate, ev.steps.plate, p)
             said = said + rung
         if self.loading is not None:
-            said = said + self.loading.added(self.per_step(values, "gate", 0.0)[ev.plate.step])
+            said = said + self.loading.added(self.per_step(values, "flight_gain", 0.0)[ev.plate.step])
         if (swell := self._swell(values)) is not None:
             swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
             said, vague = said + swelling, np.hypot(vague, leaking)
@@ -239,7 +237,7 @@ class ForwardModel:
         ev = self.evidence
         n = len(ev)
         base = self.predict(values)
-        open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2 + _finite(base.doubt_s) ** 2
+        open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2 + _finite(base.ambiguity_s) ** 2
         index = np.arange(n)
         for colour in range(3):
             chosen = index % 3 == colour
@@ -252,7 +250,7 @@ class ForwardModel:
         columns_open, columns_land = [], []
         steps = ev.steps
         sigma = steps.sigma_mps2
-        told = INEXACT * np.abs(base.rung[:, : sigma.shape[1]])
+        told = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
         if (swell := self._swell(values)) is not None:
             told = np.hypot(told, swell[0].leaking(steps.plate, *swell[1:]))
         wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)
@@ -287,5 +285,6 @@ def _slope(difference: Array) -> Array:
 @functools.cache
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
-    flying = {"force", "dry", "hold", "rebound", "mode", "shift_s", "reading", "gap_m", "modulation", "gate"}
+    of_plate_and_sensors = {"contact_delay_s", "accelerometer_factor", "gap_m", "modulation", "flight_gain"}
+    flying = of_plate_and_sensors | set(COMPILED_HOOKS)
     return frozenset(r.effect.name for r in registry() if r.hooks and not flying & r.hooks.keys())

@@ -107,9 +107,9 @@ class Ringing:
     # -- what plate data make of it ---------------------------------------------------------------------------------
     def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Array, Array]:
         """What the mode of a prediction adds to each datum, and how well that is known, (r,) each."""
-        if not np.any(p.rung):
+        if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))
-        return self._added(data, plate, p.rung, p.heard, p.heard_s)
+        return self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s)
 
     def _added(
         self, data: PlateData, plate: PlateSteps, rung: Complex, heard: Complex, heard_s: Array

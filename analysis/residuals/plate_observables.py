@@ -276,9 +276,9 @@ def _logarithm_of_transfer(
 
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "transfer": (GAIN, float),
-    "reading": (GAIN, lambda factor: float(np.log(factor))),
+    "accelerometer_factor": (GAIN, lambda factor: float(np.log(factor))),
     "hum_mps2": (HUM, lambda size: size**2),
-    "gate": (GATE, lambda change: float(np.log1p(change))),
+    "flight_gain": (GATE, lambda change: float(np.log1p(change))),
     "offset_mps2": (OFFSET, float),
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
 }

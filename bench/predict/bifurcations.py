@@ -7,7 +7,7 @@ from typing import Any
 from bench.predict.request import Request, forcing_of
 from bench.terminal.console import write_json
 from model.bifurcations.events import Bifurcation
-from model.bifurcations.find import sequence
+from model.bifurcations.find import find_bifurcations
 from model.flight.branches import q_and_slope
 from model.flight.first_landing import turning_points
 from model.orbits.attractor import Ball
@@ -19,7 +19,9 @@ def bifurcations(ball: Ball, request: Request) -> None:
     peak = gamma_peak_over_gamma(forcing_of(request))
     low, high = request.gamma_range or (0.0, 0.0)
     # what happens at the very start of the range is not a change within it
-    found = [b for b in sequence(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low]
+    found = [
+        b for b in find_bifurcations(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low
+    ]
     write_json([bifurcation_json(b, peak) for b in found], request.json_to)
     if request.json_to is None:
         print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")

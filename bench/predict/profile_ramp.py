@@ -17,7 +17,7 @@ from bench.predict.request import Request, ball_for
 from bench.profiles.find import load, load_measuring
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from model.effects.routing import Effects, of_the_ball, plate_gain, reading, shapes_the_plate
+from model.effects.routing import Effects, accelerometer_factor, ball_effects, plate_gain, shapes_the_plate
 from model.orbits.attractor import AT_REST, Attractor, attractor
 
 SAME_SIZE = 1e-9
@@ -39,7 +39,7 @@ def with_profile(request: Request, name: str) -> Request:
     omitted = shapes_the_plate(declared)
     if omitted:
         print(f"left out of the prediction, their phase being unknown: {', '.join(omitted)}", file=sys.stderr)
-    known = tuple(f"{n}.{k}={v!r}" for n, table in of_the_ball(declared).items() for k, v in table.items())
+    known = tuple(f"{n}.{k}={v!r}" for n, table in ball_effects(declared).items() for k, v in table.items())
     first_deg, second_deg = forcing.phase_deg
     low_high = request.gamma_range
     return dataclasses.replace(
@@ -67,7 +67,7 @@ def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> floa
     size = _size(setup)
     declared: Effects = setup.declared_values()
     if controlled:
-        return asked * size / reading(declared)
+        return asked * size / accelerometer_factor(declared)
     first_g = asked * abs(setup.forcing.displacement_tones()[0][1])
     return asked * size * plate_gain(declared, first_g)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daq.setup.errors import InputError
 from model.orbits.attractor import Ball
-from model.orbits.make_ball import ball_of
+from model.orbits.make_ball import make_ball
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 MOST_ADAPTIVE = 20_000  # gammas from which an adaptive diagram may begin
@@ -84,7 +84,7 @@ def ball_for(request: Request) -> Ball:
     forcing = forcing_of(request)
     if not forcing.moves:
         raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")
-    return ball_of(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
+    return make_ball(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
 
 
 def check_adaptive(steps: int) -> None:

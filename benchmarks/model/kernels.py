@@ -1,9 +1,10 @@
 """The model against its peers, in one run: ``python -m benchmarks.model.kernels [--quick]``.
 
-Job J: bifurcation diagrams for c = 1, 2, 3, 2000 gammas each, 100 transient and 200 kept flights. This project flies
-all of it; a peer flies what it can in a few seconds of the same flights, and its J is that rate times 1.8 million.
-Times are processor seconds of this process (on a shared machine wall time says little). Wrong landings are counted on
-flights whose landing interval bisection or 60 digits have proven (``tests/model``): tiny ones and grazes.
+Job J: bifurcation diagrams for c = 1, 2, 3, 2000 gammas each, 100 transient and 200 kept flights. The kernel's rate is
+that of the orbits that `model.surveys.diagram` flies; a diagram itself stops each orbit where it closes. A peer flies
+what it can in a few seconds of the same flights, and its J is that rate times 1.8 million. Times are processor seconds
+of this process (on a shared machine wall time tells little). Wrong landings are counted on flights whose landing
+interval bisection or 60 digits have proven (``tests/model``): tiny ones and grazes.
 """
 
 from __future__ import annotations
@@ -19,16 +20,14 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.model import peers
 from benchmarks.model.adversarial import flights_of
+from benchmarks.model.every_flight import every_flight
 from model.flight import friction
-from model.flight.first_landing import (
-    first_landing,
-    run_diagram,
-    run_orbit,
-    take_off_phases,
-    turning_points,
-)
-from model.series import batched_ideal
-from model.series.friction_orbit import FrictionRestitution, run_rough_diagram
+from model.flight.first_landing import first_landing, take_off_phases, turning_points
+from model.flight.records import FrictionRestitution
+from model.orbits.attractor import AT_REST, Ball
+from model.orbits.friction_ball import FrictionBall
+from model.orbits.ideal_ball import IdealBall
+from model.surveys.diagram import MOST_FLIGHTS, diagram
 from model.tones import Forcing
 
 GRIDS = {1: np.linspace(0.55, 6, 2000), 2: np.linspace(0.25, 6, 2000), 3: np.linspace(0.12, 6, 2000)}
@@ -48,21 +47,29 @@ def best_of(n: int, job: Callable[[], object]) -> float:
     return min(times)
 
 
+def flown_until_closed(ball: Ball, gammas: np.ndarray, most: int) -> int:
+    """Flights that the kernel flies from rest at each gamma, until the orbit closes or ``most`` are flown."""
+    return sum(ball.fly(float(gamma), AT_REST, most).tau.size for gamma in gammas)
+
+
+def rate_alone(ball: IdealBall | FrictionBall, gammas: np.ndarray, n: int) -> float:
+    """Flights a second of the kernel, orbits from rest at every gamma flown until they close."""
+    most = TRANSIENT + KEPT
+    ball.itinerary_codes(gammas[-3:], most)
+    return flown_until_closed(ball, gammas, most) / best_of(n, lambda: ball.itinerary_codes(gammas, most))
+
+
 def own(n: int) -> tuple[float, float, int]:
-    """Seconds of J with every flight flown and with the shortcut, and the flights the shortcut flies."""
-    seconds = {True: 0.0, False: 0.0}
+    """Seconds of J with every flight flown and as the diagram of its attractors, and the flights the latter flies."""
+    every_s = diagram_s = 0.0
     flown = 0
     for c, gammas in GRIDS.items():
-        forcing = Forcing.superposition(c)
-        for every in seconds:
-            run_diagram(forcing, gammas[-3:], 1, 1, every_flight=every)
-            seconds[every] += best_of(
-                n, lambda f=forcing, g=gammas, e=every: run_diagram(f, g, TRANSIENT, KEPT, every_flight=e)
-            )
-        out = np.empty((2000, KEPT)), np.empty((2000, KEPT)), np.empty((2000, KEPT), dtype=np.int8)
-        tables = turning_points(forcing)
-        flown += batched_ideal.lockstep_diagram(forcing.tones, tables, gammas, 0.0, TRANSIENT, False, out)
-    return seconds[True], seconds[False], flown
+        ball = IdealBall(Forcing.superposition(c))
+        every_s += gammas.size * (TRANSIENT + KEPT) / rate_alone(ball, gammas, n)
+        diagram(ball, gammas[-3:])
+        diagram_s += best_of(n, lambda b=ball, g=gammas: diagram(b, g))
+        flown += flown_until_closed(ball, gammas, MOST_FLIGHTS)
+    return every_s, diagram_s, flown
 
 
 def flights_of_j(n: int, rng: np.random.Generator) -> list[Known]:
@@ -71,9 +78,9 @@ def flights_of_j(n: int, rng: np.random.Generator) -> list[Known]:
     for _ in range(n):
         c = int(rng.integers(1, 4))
         gamma = float(rng.choice(GRIDS[c]))
-        orbit = run_orbit(Forcing.superposition(c), gamma, 20, 5)
+        orbit = every_flight(IdealBall(Forcing.superposition(c)), gamma, 20, 5)
         k = int(rng.integers(5))
-        chosen.append((c, gamma, float(orbit.takeoff_phase[k]), float(orbit.tau[k])))
+        chosen.append((c, gamma, float(orbit.phase[k]), float(orbit.tau[k])))
     return chosen
 
 
@@ -127,11 +134,11 @@ def march_rate(seconds: float) -> float:
     return flown / (time.process_time() - start)
 
 
-def rough_solve_ivp(c: int, gamma: float, rough: FrictionRestitution, phi0: float) -> tuple[float, float]:
-    """One rough flight from rest at a threshold by solve_ivp with events: ``(tau, impact speed)``."""
+def friction_solve_ivp(c: int, gamma: float, law: FrictionRestitution, phi0: float) -> tuple[float, float]:
+    """One flight with friction from rest at a threshold by solve_ivp with events: ``(tau, impact speed)``."""
     phi, h, rising = phi0, 0.0, True
     for _ in range(100):
-        level = 1 + rough.mu_up if rising else 1 - rough.mu_down
+        level = 1 + law.mu_up if rising else 1 - law.mu_down
 
         def motion(t: float, y: np.ndarray, level: float = level) -> tuple[float, float]:
             return y[1], gamma * (math.sin(t) + c * c * math.sin(c * t)) - level
@@ -149,34 +156,30 @@ def rough_solve_ivp(c: int, gamma: float, rough: FrictionRestitution, phi0: floa
             return float(done.t_events[1][0] - phi0), float(-done.y_events[1][0][1])
         phi, h = float(done.t_events[0][0]), float(done.y_events[0][0][0])
         pull = gamma * (math.sin(phi) + c * c * math.sin(c * phi)) - 1
-        while -rough.mu_down <= pull <= rough.mu_up:  # hang: step until the pull wins
+        while -law.mu_down <= pull <= law.mu_up:  # hang: step until the pull wins
             phi += 1e-4
             pull = gamma * (math.sin(phi) + c * c * math.sin(c * phi)) - 1
         rising = pull > 0
     return math.nan, math.nan
 
 
-def rough_part(n: int, seconds: float) -> None:
+def friction_part(n: int, seconds: float) -> None:
     """Friction and restitution: rates at every c, and solve_ivp beside them."""
     print("\nFriction 0.3 and restitution 0.514 (every bounce flown until the chatter is summed)")
     for c, gammas in GRIDS.items():
         forcing = Forcing.superposition(c)
         line = [f"c = {c}:"]
-        for rough in (FrictionRestitution(0.3, 0.3), FrictionRestitution(0.3, 0.3, 0.514)):
-            run_rough_diagram(forcing, gammas[:2], rough, 1, 1)
-            spent = best_of(n, lambda f=forcing, g=gammas, r=rough: run_rough_diagram(f, g[::4], r, TRANSIENT, KEPT))
-            line.append(f"e = {rough.e0}: {500 * (TRANSIENT + KEPT) / spent / 1e6:.2f} M flights/s")
-        rough, rng, errors = FrictionRestitution(0.3, 0.3), np.random.default_rng(2), []
+        for ball in (FrictionBall(forcing, 0.3, 0.3), FrictionBall(forcing, 0.3, 0.3, 0.514)):
+            line.append(f"e = {ball.e0}: {rate_alone(ball, gammas[::4], n) / 1e6:.2f} M flights/s")
+        law, rng, errors = FrictionRestitution(0.3, 0.3), np.random.default_rng(2), []
         start = time.process_time()
         while time.process_time() - start < seconds:
             gamma = float(rng.choice(gammas[500:]))
-            up, down = np.zeros(30), np.zeros(30)
-            tables = turning_points(forcing)
-            n_up, n_down = friction.fill_rough_edges(forcing.tones, tables, gamma, rough.packed, up, down)
-            if n_up == 0:
+            tables = friction.edge_tables(forcing.tones, turning_points(forcing), gamma, law)
+            if tables.n_up == 0:
                 continue
-            tau, speed = rough_solve_ivp(c, gamma, rough, float(up[0]))
-            exact = friction.rough_land(forcing.tones, gamma, up, n_up, down, n_down, rough.packed, up[0], 0.0, True)
+            tau, speed = friction_solve_ivp(c, gamma, law, float(tables.up[0]))
+            exact = friction.land_with_friction(forcing.tones, gamma, tables, law, tables.up[0], 0.0, True)
             errors.append(max(abs(tau - exact[0]) / exact[0], abs(speed - exact[2])))
         rate = len(errors) / (time.process_time() - start)
         wrong = sum(not e < WRONG for e in errors)
@@ -194,8 +197,8 @@ def main() -> None:
     print(f"J = {J_FLIGHTS / 1e6:.1f} M flights, processor seconds; wrong landings of {n} tiny, {n} grazing flights")
     print(f"{'who':28s} {'flights/s':>12s} {'J':>12s} {'tiny':>5s} {'graze':>6s} {'error':>9s} {'slower':>9s}")
     rate = J_FLIGHTS / every_s
-    print(f"{'this, every flight':28s} {rate:12,.0f} {every_s:10.3f} s {0:5d} {0:6d} {'':9s} {1:9.1f}")
-    print(f"{'this, exact shortcut':28s} {'':12s} {short_s:10.3f} s   (flies {flown:,} of them)")
+    print(f"{'this, at the rate of its kernel':28s} {rate:12,.0f} {every_s:10.3f} s {0:5d} {0:6d} {'':9s} {1:9.1f}")
+    print(f"{'this, the diagram of J':28s} {'':12s} {short_s:10.3f} s   (flies {flown:,} of them)")
     found, missing = peers.installed()
     flights, tiny, grazes = flights_of_j(200, np.random.default_rng(1)), traps("tiny", n), traps("graze", n)
     for name, flight in found.items():
@@ -219,7 +222,7 @@ def main() -> None:
     )
     for line in missing:
         print(line)
-    rough_part(max(1, runs // 2), seconds)
+    friction_part(max(1, runs // 2), seconds)
 
 
 if __name__ == "__main__":

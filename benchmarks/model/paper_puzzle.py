@@ -18,13 +18,14 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.model.every_flight import Series, every_flight
 from model.bifurcations.events import Bifurcation
-from model.bifurcations.find import sequence
-from model.bifurcations.sweep import key, observed
-from model.contact_sensor import Instrument, observe
+from model.bifurcations.find import find_bifurcations
+from model.bifurcations.sweep import key, observed_bifurcations
+from model.flight.records import FrictionRestitution
 from model.orbits.attractor import AT_REST, attractor
+from model.orbits.contact_sensor import Instrument, observe
 from model.orbits.friction_ball import FrictionBall
-from model.series.friction_orbit import FrictionRestitution, RoughFlag, RoughOrbit, run_rough_diagram
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]
@@ -67,7 +68,7 @@ READINGS = (
 
 def ball(rough: FrictionRestitution, c: int = 1) -> FrictionBall:
     """The ball of a model."""
-    return FrictionBall(Forcing.superposition(c), *rough.packed)
+    return FrictionBall(Forcing.superposition(c), *rough)
 
 
 def first_change(rough: FrictionRestitution, c: int, low: float, high: float, steps: int = 120) -> Bifurcation | None:
@@ -77,7 +78,9 @@ def first_change(rough: FrictionRestitution, c: int, low: float, high: float, st
         found = attractor(own, float(b), state, 1024)
         state = found.last
         if found.flights and before is not None and key(found) != before:
-            return next(x for x in observed(own, float(a), float(b), sweep="up", steps=1) if x.type != "take-off")
+            return next(
+                x for x in observed_bifurcations(own, float(a), float(b), sweep="up", steps=1) if x.type != "take-off"
+            )
         before = key(found) if found.flights else None
     return None
 
@@ -85,21 +88,21 @@ def first_change(rough: FrictionRestitution, c: int, low: float, high: float, st
 def levels(reading: Reading) -> dict[str, float]:
     """gamma_peak of take-off, lock, period doubling and the 2-cycle's sticking; no bounce."""
     found = {"take-off": 1.0 + reading.rough.mu_up}
-    for event in sequence(ball(reading.rough), 0.5, 2.45, narrowest=1e-3):
+    for event in find_bifurcations(ball(reading.rough), 0.5, 2.45, narrowest=1e-3):
         name = "2-cycle sticks" if event.type == "stick gained" else event.type
         found.setdefault(name, 2.0 * event.gamma)
     wanted = ("take-off", "lock", "period doubling", "2-cycle sticks")
     return {k: reading.weight * found[k] if k in found else math.nan for k in wanted}
 
 
-def flown(rough: FrictionRestitution, gammas: Floats, c: int = 1, keep: int = KEEP) -> RoughOrbit:
+def flown(rough: FrictionRestitution, gammas: Floats, c: int = 1, keep: int = KEEP) -> list[Series]:
     """Flights in the long run at each gamma."""
-    return run_rough_diagram(Forcing.superposition(c), gammas, rough, SETTLE, keep)
+    return [every_flight(ball(rough, c), float(gamma), SETTLE, keep) for gamma in gammas]
 
 
-def shown(orbit: RoughOrbit, i: int, instrument: Instrument) -> Floats:
-    """Flight times (phase) of the ``i``-th gamma as the contact circuit shows them, in order."""
-    tau, phase = orbit.tau[i], orbit.takeoff_phase[i]
+def shown(orbit: Series, instrument: Instrument) -> Floats:
+    """Flight times (phase) as the contact circuit shows them, in order."""
+    tau, phase = orbit.tau, orbit.phase
     if not tau.any():
         return np.zeros(0)
     takeoff, landed = np.empty(tau.size), 0.0
@@ -112,9 +115,9 @@ def shown(orbit: RoughOrbit, i: int, instrument: Instrument) -> Floats:
     return np.asarray((landing_s[seen.last] - takeoff[seen.first] / OMEGA)[1:-1] * OMEGA)
 
 
-def from_rest(orbit: RoughOrbit, i: int) -> Floats:
+def from_rest(orbit: Series) -> Floats:
     """Flights that start from rest: the first of each train of bounces."""
-    return np.asarray(orbit.tau[i][(orbit.flag[i] & RoughFlag.RESET) > 0])
+    return np.asarray(orbit.tau[orbit.reset])
 
 
 def mean(x: Floats) -> float:
@@ -165,7 +168,7 @@ def readings() -> None:
     for reading in READINGS:
         at = levels(reading)
         orbit = flown(reading.rough, gammas / reading.weight)
-        ratios = [mean(from_rest(orbit, i)) / mean(from_rest(base, i)) for i in range(gammas.size)]
+        ratios = [mean(from_rest(orbit[i])) / mean(from_rest(base[i])) for i in range(gammas.size)]
         doubled = at["period doubling"] / ideal["period doubling"]
         row(reading.words, at["take-off"], at["lock"], at["period doubling"], doubled, *ratios)
     print(f"\n{SHARE:.0%} becomes {SHARE_FRICTION:.0%} if the expectation is {low:.3f} .. {high:.3f} of the ideal one")
@@ -176,16 +179,16 @@ def flights() -> None:
     peaks = np.arange(1.05, 4.0, 0.01)
     bands = ((1.05, 1.3), (1.3, 1.6), (1.6, 2.05), (2.05, 3.2), (3.2, 4.0))
     base = flown(FrictionRestitution(), peaks / 2.0, keep=400)
-    ideal = np.array([mean(base.tau[i]) for i in range(peaks.size)])
+    ideal = np.array([mean(base[i].tau) for i in range(peaks.size)])
     head("model", "flights counted", *(f"{a:g} to {b:g}" for a, b in bands), "1.3 to 4")
     for name, rough in list(MODELS.items())[1:]:
         orbit = flown(rough, peaks / 2.0)
-        each = [shown(orbit, i, SEEN) for i in range(peaks.size)]
-        counted = {"first of each train": [from_rest(orbit, i) for i in range(peaks.size)]}
+        each = [shown(orbit[i], SEEN) for i in range(peaks.size)]
+        counted = {"first of each train": [from_rest(orbit[i]) for i in range(peaks.size)]}
         if rough.e0 > 0.0:  # without a bounce all are the same
             counted["every one that shows"] = each
             counted["longer than 5 ms"] = [x[x > 5e-3 * OMEGA] for x in each]
-            counted["trains as one, no contact seen within"] = [shown(orbit, i, MERGED) for i in range(peaks.size)]
+            counted["trains as one, no contact seen within"] = [shown(orbit[i], MERGED) for i in range(peaks.size)]
         for words, found in counted.items():
             ratio = np.array([mean(x) for x in found]) / ideal
             row(name, words, *(_median(ratio[(peaks >= a) & (peaks < b)]) for a, b in (*bands, (1.3, 4.0))))
@@ -203,7 +206,7 @@ def return_maps() -> None:
         for peak in (2.25, 3.4):
             found = np.linspace(peak - 0.02, peak + 0.02, 9)
             orbit = flown(rough, found / 2.0)
-            trains = [shown(orbit, i, SEEN) < math.pi for i in range(found.size)]
+            trains = [shown(orbit[i], SEEN) < math.pi for i in range(found.size)]
             turns = [mean((x[1:] != x[:-1]).astype(float)) for x in trains]
             row(name, peak, mean(np.concatenate(trains).astype(float)), _median(np.array(turns)))
 
@@ -214,7 +217,7 @@ def forbidden() -> None:
     bins = np.arange(40.0, 92.0, 4.0)
     head("model", *(f"{a:g} to {b:g} ms" for a, b in pairwise(bins)))
     for name, rough in MODELS.items():
-        time_ms = 1e3 * flown(rough, peaks / 2.0, keep=600).tau / OMEGA
+        time_ms = 1e3 * np.concatenate([x.tau for x in flown(rough, peaks / 2.0, keep=600)]) / OMEGA
         row(name, *(f"{x / time_ms.size:.2%}" for x in np.histogram(time_ms, bins)[0]))
 
 
@@ -230,7 +233,7 @@ def two_tones() -> None:
             at = math.nan if found is None else found.gamma
             first = at if name == "ideal" else first
             gammas = np.array([1.02 * at])
-            ratio = mean(shown(flown(rough, gammas, c), 0, SEEN)) / mean(flown(FrictionRestitution(), gammas, c).tau[0])
+            ratio = mean(shown(flown(rough, gammas, c)[0], SEEN)) / mean(flown(FrictionRestitution(), gammas, c)[0].tau)
             row(c, name, low, at, found.type if found else "-", at / first, ratio)
 
 
@@ -244,7 +247,7 @@ def picture(path: Path) -> None:
     drawn = pyplot.figure(figsize=(9.6, 8.6), constrained_layout=True)
     axes = drawn.subplot_mosaic([["ideal", "f"], ["e", "both"], ["two", "three"]], height_ratios=(1, 1, 1.15))
     base = flown(FrictionRestitution(), peaks / 2.0, keep=400)
-    once = np.array([mean(base.tau[i]) / (2.0 * math.pi) for i in range(peaks.size)])
+    once = np.array([mean(base[i].tau) / (2.0 * math.pi) for i in range(peaks.size)])
     once[(peaks <= 1.0) | (peaks > 3.72)] = np.nan
     for panel, (name, rough) in zip(("ideal", "f", "e", "both"), MODELS.items(), strict=True):
         ax = axes[panel]
@@ -262,7 +265,7 @@ def picture(path: Path) -> None:
         ax = axes[panel]
         orbit = flown(MODELS["both"], np.linspace(peak - 0.01, peak + 0.01, 5) / 2.0)
         for i in range(5):  # a bench holds gamma to half a percent
-            times = shown(orbit, i, SEEN) / (2.0 * math.pi)
+            times = shown(orbit[i], SEEN) / (2.0 * math.pi)
             ax.plot(times[:-1], times[1:], ".", ms=3, color="#12355b")
         ax.plot([0, 2], [0, 2], color="#adb5bd", lw=0.8)
         ax.set_title(rf"both, $\Gamma_{{\mathrm{{peak}}}}$ = {peak:g}: each flight against the one before", loc="left",
@@ -276,7 +279,7 @@ def picture(path: Path) -> None:
 
 def _diagram(ax: object, peaks: Floats, rough: FrictionRestitution) -> None:
     orbit = flown(rough, peaks / 2.0, keep=120)
-    dots = [shown(orbit, i, SEEN) / (2.0 * math.pi) for i in range(peaks.size)]
+    dots = [shown(orbit[i], SEEN) / (2.0 * math.pi) for i in range(peaks.size)]
     at = np.concatenate([np.full(d.size, p) for p, d in zip(peaks, dots, strict=True)])
     ax.plot(at, np.concatenate(dots), ".", ms=1.1, mew=0, color="#12355b")  # type: ignore[attr-defined]
 

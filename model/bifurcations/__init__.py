@@ -1,1 +1,4 @@
-"""TODO what bifurcations is for."""
+"""Where the motion changes as gamma grows.
+
+Other rooms take `find`, `events`, `sweep`, `forbidden_zones`.
+"""

@@ -1,6 +1,6 @@
-"""A locked cycle followed in gamma, or in any one parameter, to where it ends; and an end followed in a second one.
+"""A locked cycle followed in gamma, or in any one parameter, to where it ends.
 
-The rule kept here: a cycle is followed by Newton from the cycle before, never by running the orbit; a period doubling
+A cycle is followed by Newton from the cycle before, never by running the orbit; a period doubling
 is the root of ``multiplier + 1``, a fold that of ``(1 - multiplier)^2``, which is straight where the multiplier itself
 has a vertical slope.
 """
@@ -110,38 +110,6 @@ def _lost(close: Close, trail: Sequence[tuple[float, LockedCycle]]) -> tuple[flo
     before, old = trail[-2]
     a, b = (1.0 - old.multiplier) ** 2, (1.0 - cycle.multiplier) ** 2
     return (here if a == b else here + b * (here - before) / (a - b)), "fold"
-
-
-def doubling_curve(
-    close_at: Callable[[float], Close], second: Floats, gamma: float, cycle: LockedCycle, reach: float = 0.2
-) -> Floats:
-    """Gamma of a period doubling as a function of a second parameter.
-
-    Parameters
-    ----------
-    close_at
-        Maps the second parameter to the `Close` in gamma.
-    second : (m,) array
-        Values of the second parameter, the first one near that at which ``gamma`` and ``cycle`` are known.
-    gamma, cycle
-        The doubling there and its cycle.
-    reach
-        How far gamma is searched for from one value to the next.
-
-    Returns
-    -------
-    (m,) array
-        NaN from the value on at which the cycle or its doubling is lost.
-    """
-    out = np.full(len(second), np.nan)
-    for i, value in enumerate(second):
-        close = close_at(float(value))
-        found = doubling_near(close, gamma, cycle, reach)
-        if found is None:
-            break
-        gamma, cycle = found
-        out[i] = gamma
-    return out
 
 
 def doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) -> tuple[float, LockedCycle] | None:

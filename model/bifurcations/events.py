@@ -1,6 +1,6 @@
 """Every change of the cycle reached from rest, as gamma grows: where, of which kind, from which period to which.
 
-The rule kept here: each is located by its own equation. An edge of a window with a reset is where a landing meets a
+Each is located by its own equation. An edge of a window with a reset is where a landing meets a
 threshold or the end of a take-off window, or where a graze begins (bisected on whole numbers to neighbouring doubles);
 a period doubling or a fold of a locked cycle is the root of its multiplier; a take-off window is born at a maximum of
 the forcing; at an accumulation a landing falls on an unstable cycle.
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from model.bifurcations import itinerary_windows
-from model.bifurcations.itinerary_windows import Window
+from model.bifurcations.itinerary_windows import Search, Window
 from model.bifurcations.locked_windows import Map, locked_beside, locked_within
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import State
+from model.orbits.cycles import FLIGHTS, PERIOD
 from model.orbits.ideal_ball import Itinerary
-from model.orbits.ideal_cycles import FLIGHTS, PERIOD
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
@@ -97,6 +97,12 @@ def bifurcations(
     return sorted(events, key=lambda e: e.gamma)
 
 
+def check_range(low: float, high: float) -> None:
+    """Refuse a range of gamma that is empty, negative or not finite (ValueError)."""
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
+        raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+
+
 def cycle_windows(
     ball: Map, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
 ) -> list[Window]:
@@ -107,8 +113,7 @@ def cycle_windows(
     ValueError
         If the range is empty, negative or not finite.
     """
-    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
-        raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+    check_range(low, high)
     if not narrowest > 0.0:
         raise ValueError(f"the narrowest window must be wider than 0, not {narrowest:g}")
     finest = min(narrowest, ball.coarse)
@@ -124,16 +129,12 @@ def cycle_windows(
     for a, b in zip([low, *levels], [*levels, high], strict=True):
         if not births.size or b <= births[0]:
             continue
-        room = 4 * np.spacing(max(b, 1.0))  # at the level itself the tables are in two minds
+        room = 4 * np.spacing(max(b, 1.0))  # at the level itself rounding decides the number of windows
         out += itinerary_windows.windows(
-            lambda g: ball.signatures(g, ball.most_flights),
+            lambda g: ball.itinerary_codes(g, ball.most_flights),
             lambda w: locked_beside(ball, w),
             lambda stretches, spacing: locked_within(ball, stretches, spacing),
-            a + room,
-            b - room,
-            narrowest,
-            longest,
-            ball.coarse,
+            Search(a + room, b - room, narrowest, longest, ball.coarse),
         )
     return out
 
@@ -206,20 +207,20 @@ def _unstuck(side: Side) -> Side:
 
 
 def change(below: Itinerary, above: Itinerary) -> str:
-    """What happens between two neighbouring gammas: told by the first flight whose landing index differs."""
-    n = min(below.index.size, above.index.size)
-    differ = np.flatnonzero((below.index[:n] != above.index[:n]) | (below.rests[:n] != above.rests[:n]))
+    """What happens between two neighbouring gammas: told by the first flight whose symbol differs."""
+    n = min(below.symbol.size, above.symbol.size)
+    differ = np.flatnonzero((below.symbol[:n] != above.symbol[:n]) | (below.rests[:n] != above.rests[:n]))
     if differ.size == 0:
         return "basin"
     k = int(differ[0])
-    if below.index[k] == above.index[k]:  # a chatter that comes to its end, or just does not
+    if below.symbol[k] == above.symbol[k]:  # a chatter that comes to its end, or just does not
         return "stick lost" if below.rests[k] else "stick gained"
     if abs(math.remainder(below.landing[k] - above.landing[k], TWO_PI)) > CONTINUOUS:
         return "grazing"
     if k < min(below.first, above.first):
         return "basin"
-    crossed = max(int(below.index[k]), int(above.index[k]))
-    lands_later_above = above.index[k] > below.index[k]
+    crossed = max(int(below.symbol[k]), int(above.symbol[k]))
+    lands_later_above = above.symbol[k] > below.symbol[k]
     if crossed % 2 == 0:  # the edge crossed is a threshold: before it the ball sticks, after it it is thrown
         return "stick lost" if lands_later_above else "stick gained"
     return "flight lost" if lands_later_above else "flight gained"
@@ -235,7 +236,7 @@ def _side_at(ball: Map, gamma: float, direction: int, windows: list[Window]) -> 
     for window in windows:
         if window.low <= beside <= window.high:
             return _side(window)
-    row = ball.signatures(np.array([beside]), ball.most_flights)[0]
+    row = ball.itinerary_codes(np.array([beside]), ball.most_flights)[0]
     if row[FLIGHTS] == 0:
         return Side(1, 0, 0)
     return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[1])) if row[FLIGHTS] > 0 else Side()
@@ -258,11 +259,11 @@ def _accumulations(ball: Map, windows: list[Window], cuts: list[float]) -> list[
 def _falls_on_cycle(ball: Map, low: float, high: float, n: int) -> float | None:
     """The gamma between two at which the orbits' last common landing falls on an unstable cycle of ``n`` flights."""
     below, above = ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights)
-    m = min(below.index.size, above.index.size)
-    differ = np.flatnonzero(below.index[:m] != above.index[:m])
+    m = min(below.symbol.size, above.symbol.size)
+    differ = np.flatnonzero(below.symbol[:m] != above.symbol[:m])
     common = int(differ[0]) if differ.size else m
     for k in range(common - 1, max(common - 1 - LAST_COMMON, -1), -1):
-        if below.index[k] % 2 == 1:
+        if below.symbol[k] % 2 == 1:
             return None
 
         def miss(gamma: float, k: int = k) -> float:

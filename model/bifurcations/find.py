@@ -1,12 +1,9 @@
-"""The bifurcations of any ball in order: by the map's own equations where there are some, else by what is seen.
-
-The rule kept here: one call for every ball, so that the command line need not know which it has.
-"""
+"""The bifurcations of any ball in order: by the map's own equations where there are some, else by stepping gamma."""
 
 from __future__ import annotations
 
 from model.bifurcations.events import NARROWEST, Bifurcation, bifurcations
-from model.bifurcations.sweep import observed
+from model.bifurcations.sweep import observed_bifurcations
 from model.orbits.attractor import Ball
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
@@ -14,7 +11,7 @@ from model.orbits.ideal_ball import IdealBall
 BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
 
 
-def sequence(
+def find_bifurcations(
     ball: Ball, low: float, high: float, *, narrowest: float | None = None, sweep: str | None = None
 ) -> list[Bifurcation]:
     """Bifurcations between ``low`` and ``high`` of the attractor reached from rest, or carried along by ``sweep``.
@@ -33,4 +30,4 @@ def sequence(
     if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
         finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
         return bifurcations(ball, low, high, narrowest=finest)
-    return observed(ball, low, high, sweep=sweep)
+    return observed_bifurcations(ball, low, high, sweep=sweep)

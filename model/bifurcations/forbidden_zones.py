@@ -1,6 +1,6 @@
 """Forbidden zones: flight times that no flight can have, whatever the phase of its take-off.
 
-The rule kept here: flight time as a function of take-off phase jumps only at a graze; between jumps it is continuous,
+Flight time as a function of take-off phase jumps only at a graze; between jumps it is continuous,
 so what is reached is a union of intervals, one a piece, and a zone is what lies between them.
 """
 

@@ -1,6 +1,6 @@
 """The windows of gamma in which the orbit from rest ends in one and the same cycle, to the last digit of their edges.
 
-The rule kept here: a window is told by whole numbers alone (`Signatures`), so an edge is bisected to neighbouring
+A window is told by whole numbers alone (`ItineraryCodes`), so an edge is bisected to neighbouring
 doubles with no tolerance; the stretch between two windows is searched again, ever finer, until it is narrower than the
 narrowest window asked for.
 """
@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from model.orbits.ideal_cycles import CODE, FLIGHTS, PERIOD, RESETS
+from model.orbits.cycles import CODE, FLIGHTS, PERIOD, RESETS
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Signatures = Callable[[Floats], Integers]
-"""Maps gammas (m,) to (m, SIGNATURE_SIZE) whole numbers, see `model.orbits.ideal_cycles`."""
+ItineraryCodes = Callable[[Floats], Integers]
+"""Maps gammas (m,) to (m, CODE_SIZE) whole numbers, see `model.orbits.cycles`."""
 
 DIGITS = 11  # of gamma, to which the same edge found twice is the same
 DOUBLES_APART = 2  # an edge is known when its bracket is this many units in the last place wide
@@ -44,39 +44,48 @@ class Window:
         return self.high - self.low
 
 
+@dataclass(frozen=True)
+class Search:
+    """Where windows are looked for; no take-off window may be born or merge between ``low`` and ``high``.
+
+    ``narrowest`` is their width in gamma, ``longest`` the flights of their cycle, and ``coarse`` the spacing of the
+    search that goes everywhere: a window between two of its gammas, with the same cycle on both sides, is missed.
+    """
+
+    low: float
+    high: float
+    narrowest: float
+    longest: int
+    coarse: float
+
+
 def windows(
-    signatures: Signatures,
+    codes: ItineraryCodes,
     locked_beside: Callable[[Window], list[Window]],
     locked_within: Callable[[list[tuple[float, float]], float], list[Window]],
-    low: float,
-    high: float,
-    narrowest: float,
-    longest: int,
-    coarse: float,
+    search: Search,
 ) -> list[Window]:
-    """Every window wider than ``narrowest`` of a cycle of at most ``longest`` flights, in order.
-
-    The orbits' tables must keep their shape between ``low`` and ``high`` (no take-off window is born or merged).
+    """Every window wider than ``search.narrowest`` of a cycle of at most ``search.longest`` flights, in order.
 
     Parameters
     ----------
-    signatures
+    codes
         Of the orbits from rest.
     locked_beside
         The windows of locked cycles that begin at the edges of a window with a reset.
     locked_within
         The windows of locked cycles that are met in stretches not yet covered, sampled at a spacing.
-    narrowest, coarse
-        Width in gamma, and spacing of the search that goes everywhere: what begins and ends between two of its gammas,
-        with the same cycle on both sides, is not seen.
     """
+    low, high, narrowest, longest = search.low, search.high, search.narrowest, search.longest
     pieces: list[Window] = []
     asked: set[tuple[float, float]] = set()
     locked: list[Window] = []
     found: list[Window] = []
     stretches = [(low, high)] if low < high else []
-    for spacing in [s for s in (100.0 * coarse, coarse, coarse / 10.0) if s > narrowest] + [0.9 * narrowest]:
-        pieces = _joined(pieces + _windows_of(signatures, _grid(stretches, spacing), narrowest, longest))
+    for spacing in [s for s in (100.0 * search.coarse, search.coarse, search.coarse / 10.0) if s > narrowest] + [
+        0.9 * narrowest
+    ]:
+        pieces = _joined(pieces + _windows_of(codes, _grid(stretches, spacing), narrowest, longest))
         closed = [w for w in pieces if w.width > narrowest]
         for window in closed:
             edges = round(window.low, DIGITS), round(window.high, DIGITS)
@@ -136,13 +145,13 @@ def _between(found: list[Window], low: float, high: float, narrowest: float) -> 
     return [(a, b) for a, b in zip(ends, starts, strict=True) if b - a > narrowest]
 
 
-def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, longest: int) -> list[Window]:
+def _windows_of(codes: ItineraryCodes, grids: list[Floats], narrowest: float, longest: int) -> list[Window]:
     """Windows met by the samples of each grid, their edges bisected between neighbouring samples that differ."""
     left: list[float] = []
     right: list[float] = []
     ends: list[tuple[float, Integers, float, float, bool]] = []
     for grid in grids:
-        rows = signatures(grid)
+        rows = codes(grid)
         change = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))
         first = np.concatenate([[0], change + 1])
         last = np.concatenate([change, [grid.size - 1]])
@@ -161,8 +170,8 @@ def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, l
     high, above = np.array(right), np.array([e[3] for e in ends])
     kin = np.array([e[4] for e in ends])
     for tolerance in (0.02 * narrowest, 0.0):
-        low, below = bisect(signatures, low, below, rows, tolerance)
-        high, above = bisect(signatures, high, above, rows, tolerance)
+        low, below = bisect(codes, low, below, rows, tolerance)
+        high, above = bisect(codes, high, above, rows, tolerance)
         wide = (high - low > 0.9 * narrowest) | kin
         kin = kin[wide]
         rows, low, below, high, above = rows[wide], low[wide], below[wide], high[wide], above[wide]
@@ -173,16 +182,16 @@ def _windows_of(signatures: Signatures, grids: list[Floats], narrowest: float, l
 
 
 def bisect(
-    signatures: Signatures, inside: Floats, outside: Floats, rows: Integers, tolerance: float
+    codes: ItineraryCodes, inside: Floats, outside: Floats, rows: Integers, tolerance: float
 ) -> tuple[Floats, Floats]:
-    """Brackets narrowed to ``tolerance`` (0: neighbouring doubles): where the signatures ``rows`` still hold, and not.
+    """Brackets narrowed to ``tolerance`` (0: neighbouring doubles): where the codes ``rows`` still hold, and not.
 
-    Where ``outside`` has the signature too (the search ended there) both are ``outside``.
+    Where ``outside`` has the code too (the search ended there) both are ``outside``.
     """
     inside, outside = inside.copy(), outside.copy()
     if inside.size == 0:
         return inside, outside
-    known = np.all(signatures(outside) == rows, axis=1)
+    known = np.all(codes(outside) == rows, axis=1)
     inside[known] = outside[known]
     while True:
         smallest = DOUBLES_APART * np.spacing(np.maximum(np.abs(inside), 1.0))
@@ -190,6 +199,6 @@ def bisect(
         if not open_.any():
             return inside, outside
         middle = 0.5 * (inside[open_] + outside[open_])
-        same = np.all(signatures(middle) == rows[open_], axis=1)
+        same = np.all(codes(middle) == rows[open_], axis=1)
         inside[open_] = np.where(same, middle, inside[open_])
         outside[open_] = np.where(same, outside[open_], middle)

@@ -1,6 +1,6 @@
 """Families of cycles that never sticks, followed from where they begin: the edge at which a landing meets a threshold.
 
-The rule kept here: a family is followed in the phase ``after`` the threshold at which its first flight leaves, and
+A family is followed in the phase ``after`` the threshold at which its first flight leaves, and
 gamma is solved for. So a fold is an ordinary point of the walk, and every end is the root of a smooth function of one
 number: multiplier = -1 (period doubling), multiplier = +1 (fold), or the two halves of the cycle meeting (the period
 doubling of the cycle of half the length, seen from the other side).
@@ -16,7 +16,7 @@ from typing import Literal
 from scipy.optimize import brentq
 
 Point = tuple[bool, float, float, float, int]
-"""What `model.orbits.ideal_cycles.locked_family` returns: ok, miss, multiplier, half, code."""
+"""What `model.orbits.cycles.locked_family_of` returns: ok, miss, multiplier, half, code."""
 
 Family = Callable[[float, float, int], Point]
 """Maps ``(gamma, after, n)`` to the point of the family of ``n`` flights."""

@@ -1,6 +1,6 @@
-"""The windows of gamma of cycles that never stick, and what a ball must know for its bifurcations to be found.
+"""The windows of gamma of cycles that never stick, and the protocol of a ball whose bifurcations can be found.
 
-The rule kept here: without restitution every locked cycle begins where a landing meets a threshold, and its family is
+Without restitution every locked cycle begins where a landing meets a threshold, and its family is
 followed from there (`model.bifurcations.locked_family`); with restitution there is no such place, and locked cycles are
 met by running orbits and followed from where they were met (`model.bifurcations.continuation`).
 """
@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 class Map(Ball, Protocol):
     """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
 
-    def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
-        """See `model.orbits.ideal_ball.IdealBall.signatures`."""
+    def itinerary_codes(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+        """See `model.orbits.ideal_ball.IdealBall.itinerary_codes`."""
         ...
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
@@ -35,7 +35,7 @@ class Map(Ball, Protocol):
         ...
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
-        """See `model.orbits.ideal_cycles.locked_family`."""
+        """See `model.orbits.cycles.locked_family_of`."""
         ...
 
     @property

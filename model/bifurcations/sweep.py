@@ -1,6 +1,6 @@
-"""Bifurcations as a bench sees them: gamma is stepped, the attractor is looked at, and a change is bisected.
+"""Bifurcations as a bench meets them: gamma is stepped, the attractor is found, and a change is bisected.
 
-The rule kept here: the state is carried from step to step (a sweep, with its hysteresis) or each step starts from rest;
+The state is carried from step to step (a sweep, with its hysteresis) or each step starts from rest;
 where the change is a period doubling it is then solved for by its own equation.
 """
 
@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from model.bifurcations.continuation import doubling_near
-from model.bifurcations.events import LONGEST, Bifurcation, Side
+from model.bifurcations.events import LONGEST, Bifurcation, Side, check_range
 from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
 from model.orbits.integrated_ball import IntegratedBall
 
@@ -35,7 +35,7 @@ class _Sweep:
         return attractor(self.ball, gamma, start if self.carry else AT_REST, MOST_FLIGHTS)
 
 
-def observed(
+def observed_bifurcations(
     ball: Ball, low: float, high: float, *, sweep: str | None = None, steps: int = STEPS, narrowest: float = 1e-6
 ) -> list[Bifurcation]:
     """Changes of the attractor between ``low`` and ``high`` in the order met.
@@ -55,8 +55,7 @@ def observed(
     ValueError
         If the range is empty, negative or not finite.
     """
-    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
-        raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+    check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
     walk = _Sweep(ball, sweep is not None, exact)

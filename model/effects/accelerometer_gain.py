@@ -18,6 +18,6 @@ EFFECT = Effect(
 )
 
 
-def reading(p: Mapping[str, float]) -> float:
+def accelerometer_factor(p: Mapping[str, float]) -> float:
     """Reading over truth."""
     return 1.0 + p["relative"]

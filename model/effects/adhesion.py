@@ -33,7 +33,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def hold(dwell_s: float, p: Row, k: int) -> float:
+def takeoff_threshold(dwell_s: float, p: Row, k: int) -> float:
     """Acceleration to be overcome at take-off, m/s^2."""
     if p[k] <= 0.0 or p[k + 1] <= 0.0:
         return float(p[k])

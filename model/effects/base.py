@@ -7,11 +7,11 @@ where ``p`` is the row of all parameters, the local g last, and ``k`` the place 
 ``force(s, h, v, u, p, k)``            acceleration of the ball in m/s^2, positive up; `s` seconds since take-off, `h`
                                        height above the plate (m), `v` velocity relative to the plate and `u` absolute
                                        velocity (m/s)
-``dry(h, speed, direction, p, k)``     dry friction as an acceleration >= 0 (m/s^2) against motion in ``direction``
+``dry_friction(h, speed, dir, p, k)``   dry friction as an acceleration >= 0 (m/s^2) against motion in ``dir``
                                        (+1 up, -1 down) relative to the plate
-``hold(dwell_s, p, k)``                what must be overcome at take-off besides gravity and friction, m/s^2 >= 0
+``takeoff_threshold(dwell_s, p, k)``   what must be overcome at take-off besides gravity and friction, m/s^2 >= 0
 ``rebound(v, p, k)``                   contribution to the coefficient of restitution at impact speed ``v`` (m/s)
-``mode(p, k)``                         ``(omega_radps, damping_ratio, mass_ratio)`` of a plate mode struck by impacts
+``plate_mode(p, k)``                   ``(omega_radps, damping_ratio, mass_ratio)`` of a plate mode struck by impacts
 ====================================== =========================================================================
 
 and, as plain functions of the effect's own parameters ``p`` by name, what it does to the plate and the instruments:
@@ -19,14 +19,14 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ====================================== =========================================================================
 ``transfer(p, omega_radps, accel_g)``  complex factor on drive -> plate at the tones ``omega_radps`` (k,), where the
                                        drive asks for first tones of ``accel_g`` (k,)
-``reading(p)``                         factor by which the accelerometer reads too much
-``shift_s(p)``                         delay of the continuity channel, both edges
+``accelerometer_factor(p)``            factor by which the accelerometer reads too much
+``contact_delay_s(p)``                 delay of the continuity channel, both edges
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
 accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,)
                                        as large: complex, its phase counted from where the first is a sine
 ``hum_mps2(p)``                        amplitude of the plate's motion at the mains frequency
 ``modulation(p)``                      ``(depth, omega_radps)`` of a slow modulation of the plate's amplitude
-``gate(p)``                            relative change of the plate's amplitude while the ball is off it
+``flight_gain(p)``                     relative change of the plate's amplitude while the ball is off it
 ``offset_mps2(p)``                     what the accelerometer reads at rest beyond what is declared
 ``time_scale(p)``                      factor of the recorder's clock
 ``gap_m(p)``                           height that the ball must reach before the circuit opens
@@ -46,15 +46,15 @@ from numpy.typing import NDArray
 Row = NDArray[np.float64]
 """The row of all parameters, the local g last."""
 
-COMPILED_HOOKS = ("force", "dry", "hold", "rebound", "mode")
+COMPILED_HOOKS = ("force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")
 PLAIN_HOOKS = (
     "transfer",
-    "reading",
-    "shift_s",
+    "accelerometer_factor",
+    "contact_delay_s",
     "harmonics",
     "hum_mps2",
     "modulation",
-    "gate",
+    "flight_gain",
     "offset_mps2",
     "time_scale",
     "gap_m",

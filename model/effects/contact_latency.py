@@ -20,6 +20,6 @@ EFFECT = Effect(
 )
 
 
-def shift_s(p: Mapping[str, float]) -> float:
+def contact_delay_s(p: Mapping[str, float]) -> float:
     """Delay of both edges."""
     return p["delay_s"]

@@ -25,6 +25,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     return float(p[-1] * (p[k] if direction > 0.0 else p[k + 1]))

@@ -27,7 +27,7 @@ EFFECT = Effect(
 )
 
 
-def gate(p: Mapping[str, float]) -> float:
+def flight_gain(p: Mapping[str, float]) -> float:
     """Relative change of the plate's amplitude while the ball is off it."""
     return p["relative"]
 

@@ -17,14 +17,14 @@ from model.effects.registry import effect
 Effects = Mapping[str, Mapping[str, float]]
 
 
-def of_the_ball(effects: Effects) -> dict[str, dict[str, float]]:
+def ball_effects(effects: Effects) -> dict[str, dict[str, float]]:
     """Effects that act on the ball's flight, its take-off or its impact."""
     return {n: dict(t) for n, t in effects.items() if effect(n).hooks.keys() & set(COMPILED_HOOKS)}
 
 
-def reading(effects: Effects) -> float:
+def accelerometer_factor(effects: Effects) -> float:
     """Factor by which the accelerometer reads too much."""
-    return math.prod(float(e.hooks["reading"](dict(t))) for e, t in _with(effects, "reading"))
+    return math.prod(float(e.hooks["accelerometer_factor"](dict(t))) for e, t in _with(effects, "accelerometer_factor"))
 
 
 def plate_gain(effects: Effects, accel_g: float) -> float:

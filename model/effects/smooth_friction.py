@@ -26,7 +26,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k] == 0.0:
         return 0.0

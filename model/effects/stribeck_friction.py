@@ -37,7 +37,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry(h: float, speed: float, direction: float, p: Row, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k + 1] == 0.0:
         return float(p[-1] * p[k])

@@ -37,6 +37,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def mode(p: Row, k: int) -> tuple[float, float, float]:
+def plate_mode(p: Row, k: int) -> tuple[float, float, float]:
     """``(omega_radps, damping_ratio, mass_ratio)``."""
     return 2.0 * math.pi * p[k + 1], p[k + 2], p[k]

@@ -1,1 +1,4 @@
-"""TODO what flight is for."""
+"""One flight, exactly: proofs and closed forms.
+
+Other rooms take `first_landing`, `branches`, `records`, `precision`.
+"""

@@ -1,7 +1,7 @@
 """Where the relative acceleration in flight changes sign: the phases that split a flight into branches.
 
 In flight the ball's height above the plate has ``h'' = gamma q - 1``, ``q(phi) = sum_j b_j n_j^2 sin(n_j phi + p_j)``.
-Where ``gamma q > 1`` (a take-off window) h is convex, elsewhere concave. The rule kept here: no sign change is missed.
+Where ``gamma q > 1`` (a take-off window) h is convex, elsewhere concave. No sign change is missed.
 The turning points of ``q`` do not depend on gamma; they are isolated by bounds that exclude a root or prove it single.
 Between them ``gamma q - 1`` is monotone, so a sign at either end decides.
 """

@@ -9,7 +9,7 @@ On a plate whose pull changes slowly over one bounce, a rebound at ``v`` comes t
 ``'`` being the derivative with the phase. With ``a`` and ``d`` the accelerations back to the plate going up and down,
 both changing at the rate ``-j`` (j the jerk): ``A = 1/a + 1/sqrt(a d)`` and ``rho = e0 sqrt(d/a)``.
 
-The rule kept here: the sum is taken only where its first neglected term is below `PHASE_BOUND`; sooner the bounces are
+The sum is taken only where its first neglected term is below `PHASE_BOUND`; sooner the bounces are
 flown one by one.
 """
 
@@ -19,20 +19,16 @@ import math
 
 from model.flight.branches import q_and_slope
 from model.flight.numerics import Floats, compiled
+from model.flight.records import FrictionRestitution
 
 PHASE_BOUND = 1e-9  # error of the phase of rest
 SLOW = 0.02  # rebounds faster than this (in g/w) are never summed
 
 
 @compiled
-def tail_of_chatter(
-    tones: Floats, gamma: float, rough: tuple[float, float, float, float], phi: float, v: float
-) -> float:
-    """Time from the rebound at ``phi`` with speed ``v`` to rest, to `PHASE_BOUND`; -1 where it cannot be summed yet.
-
-    ``rough`` is ``mu_up, mu_down, e0, e1``.
-    """
-    mu_up, mu_down, e0, e1 = rough
+def tail_of_chatter(tones: Floats, gamma: float, law: FrictionRestitution, phi: float, v: float) -> float:
+    """Time from the rebound at ``phi`` with speed ``v`` to rest, to `PHASE_BOUND`; -1 where it cannot be summed yet."""
+    mu_up, mu_down, e0, e1 = law
     if v > SLOW:
         return -1.0
     q, slope = q_and_slope(tones, phi)

@@ -1,7 +1,6 @@
-"""The ideal ball on a plate of tones: take-off phases, one flight, many flights; dimensionless (see `model.tones`).
+"""The ideal ball on a plate of tones: take-off phases and one flight; dimensionless (see `model.tones`).
 
-The rule kept here: this is the readable face of the compiled kernels (`model.flight.branches`, `model.flight.ideal`);
-it checks what it is given and does no arithmetic of its own.
+The readable face of the compiled kernels (`model.flight.branches`, `model.flight.ideal`), with checked arguments.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.flight import aperiodic, branches, ideal, segment
-from model.precision import check_gamma, check_harmonics
-from model.series import batched_ideal
+from model.flight import branches, ideal, segment
+from model.flight.precision import check_gamma, check_harmonics
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
@@ -26,8 +24,6 @@ Floats = NDArray[np.float64]
 class FlightFlag(enum.IntFlag):
     """What is special about a flight."""
 
-    RESET = ideal.RESET
-    """It started from rest, at a threshold."""
     UNDECIDED = segment.UNDECIDED
     """It grazed the plate closer than double precision can tell."""
     RESTS = ideal.RESTS
@@ -51,23 +47,15 @@ class Landing:
     flag: FlightFlag
 
 
-@dataclass(frozen=True)
-class Orbit:
-    """Successive flights, arrays of equal shape: time, take-off phase in [0, 2 pi), `FlightFlag` bits."""
-
-    tau: Floats
-    takeoff_phase: Floats
-    flag: NDArray[np.int8]
-
-    @property
-    def reset(self) -> NDArray[np.bool_]:
-        """Which flights started from rest at a threshold."""
-        return np.asarray(self.flag & FlightFlag.RESET, dtype=bool)
-
-
 @lru_cache(maxsize=64)
 def turning_points(forcing: Forcing) -> Floats:
-    """Phases in [0, 2 pi) where the plate's jerk vanishes: gamma-independent, so kept for each forcing."""
+    """Phases in [0, 2 pi) where the plate's jerk vanishes: gamma-independent, so kept for each forcing.
+
+    Raises
+    ------
+    ValueError
+        If a harmonic is no integer.
+    """
     if not forcing.periodic:
         raise ValueError(f"harmonics {forcing.harmonic} are not all integers: the motion has no period of 2 pi")
     if not forcing.moves:
@@ -82,7 +70,7 @@ def edges(forcing: Forcing, gamma: float) -> tuple[Floats, int]:
     Raises
     ------
     ValueError
-        If gamma is negative, not finite or too large (`model.precision`), or the forcing not periodic.
+        If gamma is negative, not finite or too large (`model.flight.precision`), or the forcing not periodic.
     """
     check_gamma(forcing, gamma)
     turning = turning_points(forcing)
@@ -125,12 +113,10 @@ def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) 
     Raises
     ------
     ValueError
-        If an argument is not finite or out of range.
+        If an argument is not finite or out of range, or the forcing not periodic.
     """
     if not (math.isfinite(phi0) and math.isfinite(v0) and v0 >= 0.0):
         raise ValueError(f"phi0 must be finite and v0 finite and not negative, not {phi0} and {v0}")
-    if not forcing.periodic:
-        return _first_landing_aperiodic(forcing, gamma, phi0, v0)
     table, n = edges(forcing, gamma)
     phi = branches.fold(phi0, table[0])
     snap = SNAP * max(1.0, abs(phi0))
@@ -144,62 +130,3 @@ def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) 
         return Landing(0.0, 0.0, FlightFlag.RESTS)
     tau, _, speed, flag = ideal.land(forcing.tones, gamma, table, n, phi, a0, v0)
     return Landing(tau, speed, FlightFlag(flag))
-
-
-def _first_landing_aperiodic(forcing: Forcing, gamma: float, phi0: float, v0: float) -> Landing:
-    """`first_landing` on tones without a period: ``phi0`` is not folded."""
-    check_gamma(forcing, gamma)
-    leaves, waits = aperiodic.next_take_off_aperiodic(forcing.tones, gamma, phi0)
-    at_threshold = waits and abs(leaves - phi0) <= SNAP * max(1.0, abs(phi0))
-    if v0 == 0.0 and waits and not at_threshold:
-        return Landing(0.0, 0.0, FlightFlag.RESTS)
-    tau, speed, flag = aperiodic.land_aperiodic(
-        forcing.tones, gamma, leaves if at_threshold else phi0, v0, at_threshold
-    )
-    return Landing(tau, speed, FlightFlag(flag))
-
-
-def run_orbit(forcing: Forcing, gamma: float, n_transient: int, n_keep: int, phi0: float = 0.0) -> Orbit:
-    """``n_keep`` flights at one gamma after ``n_transient``, from rest at ``phi0``.
-
-    Below take-off every flight is zero and flagged RESTS.
-    """
-    batch = run_diagram(forcing, np.array([gamma]), n_transient, n_keep, phi0)
-    return Orbit(batch.tau[0], batch.takeoff_phase[0], batch.flag[0])
-
-
-def run_diagram(
-    forcing: Forcing,
-    gammas: ArrayLike,
-    n_transient: int,
-    n_keep: int,
-    phi0: float = 0.0,
-    *,
-    every_flight: bool = False,
-) -> Orbit:
-    """`run_orbit` for many gammas: arrays of shape ``(len(gammas), n_keep)``.
-
-    An orbit that repeats a threshold repeats exactly, so the rest of it is copied, unless ``every_flight`` asks for
-    each flight to be flown (`model.series.batched_ideal`).
-
-    Raises
-    ------
-    ValueError
-        If a gamma is negative or not finite, or a count negative.
-
-    Notes
-    -----
-    On tones without a common period (a harmonic that is no integer) the phases are not folded: they are ``w t``.
-    """
-    grid = np.ascontiguousarray(gammas, dtype=np.float64)
-    check_gamma(forcing, grid)
-    if n_transient < 0 or n_keep < 0:
-        raise ValueError(f"flight counts must not be negative, not {n_transient} and {n_keep}")
-    shape = (grid.size, n_keep)
-    out = Orbit(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
-    if not forcing.periodic:
-        aperiodic.aperiodic_diagram(forcing.tones, grid, phi0, n_transient, out.tau, out.takeoff_phase, out.flag)
-        return out
-    kept = (out.tau, out.takeoff_phase, out.flag)
-    batched_ideal.lockstep_diagram(forcing.tones, turning_points(forcing), grid, phi0, n_transient, every_flight, kept)
-    return out

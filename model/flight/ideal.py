@@ -1,6 +1,6 @@
 """One ideal flight, compiled: the first landing, proven first, and the next take-off.
 
-The rule kept here: a landing is returned only when every earlier branch of the flight (`model.flight.branches`) is
+A landing is returned only when every earlier branch of the flight (`model.flight.branches`) is
 proven free of roots (`model.flight.segment`).
 """
 
@@ -10,29 +10,29 @@ import math
 
 from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
 from model.flight.numerics import Floats, compiled
-from model.flight.segment import UNDECIDED, Segment, motion, root_in_concave, root_in_convex, shape, surely_above
+from model.flight.records import Segment
+from model.flight.segment import UNDECIDED, motion, root_in_concave, root_in_convex, shape, surely_above
 
-RESET = 1  # this flight started from rest at a threshold
 RESTS = 4  # the ball does not leave at this phase
 TINY = 1e-7  # a window left sooner than this may have lifted the ball by less than rounding
 
 
 @compiled
-def _guess_in_concave(stage: Segment, lo: float, hi: float, h_hi: float, h1_hi: float) -> float:
+def _guess_in_concave(segment: Segment, lo: float, hi: float, h_hi: float, h1_hi: float) -> float:
     """Where a parabola through the branch's end, with the slope there and the full pull, crosses zero."""
-    pull = -0.5 * stage[6]
+    pull = -0.5 * segment.pull
     root = math.sqrt(max(h1_hi * h1_hi - 4.0 * pull * h_hi, 0.0))
     return max(hi + 2.0 * h_hi / (root - h1_hi), lo)
 
 
 @compiled
-def _land_below_threshold(tones: Floats, gamma: float, stage: Segment) -> tuple[float, float, float, int]:
+def _land_below_threshold(tones: Floats, gamma: float, segment: Segment) -> tuple[float, float, float, int]:
     """`land` where the plate never lifts a ball: the flight is concave for ever, any point below ends the bracket."""
-    phi0 = stage[0]
+    phi0 = segment.phase
     reach = 1.0
-    while motion(tones, gamma, stage, phi0 + reach, reach)[0] > 0.0:
+    while motion(tones, gamma, segment, phi0 + reach, reach)[0] > 0.0:
         reach *= 2.0
-    x, speed = root_in_concave(tones, gamma, stage, 0.0, phi0, phi0 + reach, phi0 + min(2.0 * stage[4], reach))
+    x, speed = root_in_concave(tones, gamma, segment, 0.0, phi0, phi0 + reach, phi0 + min(2.0 * segment.speed, reach))
     return x - phi0, x, speed, 0
 
 
@@ -60,25 +60,25 @@ def land(
     tau, landing phase (folded into the period of ``edge``), impact speed, flag
     """
     s0, slope0, _ = shape(tones, phi0)
-    stage = (phi0, s0, slope0, a0, v0, 0.0, 1.0)
+    segment = Segment(phi0, s0, slope0, a0, v0, 0.0, 1.0)
     if n_windows == 0:
-        return _land_below_threshold(tones, gamma, stage)
-    safe_from, safe_to = surely_above(tones, gamma, stage)
+        return _land_below_threshold(tones, gamma, segment)
+    safe_from, safe_to = surely_above(tones, gamma, segment)
     i = branch_of(edge, n_windows, phi0)
     turns, lo, slope_lo, flag = 0.0, phi0, v0, 0
     if i % 2 == 0:  # lifted through the rest of the window
         lo = edge[i + 1]
         tau = lo - phi0
-        if tau < TINY and motion(tones, gamma, stage, lo, tau)[0] <= 0.0:  # by less than rounding
+        if tau < TINY and motion(tones, gamma, segment, lo, tau)[0] <= 0.0:  # by less than rounding
             return 3.0 * tau, fold(phi0 + 3.0 * tau, edge[0]), 0.0, UNDECIDED
         i += 1
     while True:
         if i % 2 == 1:
             hi = edge[i + 1]
-            h, slope_lo, _ = motion(tones, gamma, stage, hi, hi - phi0 + turns)
+            h, slope_lo, _ = motion(tones, gamma, segment, hi, hi - phi0 + turns)
             if h <= 0.0:
-                guess = _guess_in_concave(stage, lo, hi, h, slope_lo)
-                x, speed = root_in_concave(tones, gamma, stage, turns, lo, hi, guess)
+                guess = _guess_in_concave(segment, lo, hi, h, slope_lo)
+                x, speed = root_in_concave(tones, gamma, segment, turns, lo, hi, guess)
                 return x - phi0 + turns, x, speed, flag
             tau = hi - phi0 + turns
             if safe_from < tau < safe_to - TWO_PI:
@@ -86,7 +86,7 @@ def land(
                 turns += skipped
                 slope_lo -= skipped
         elif slope_lo < 0.0:
-            found, x, speed, graze = root_in_convex(tones, gamma, stage, turns, edge[i], edge[i + 1])
+            found, x, speed, graze = root_in_convex(tones, gamma, segment, turns, edge[i], edge[i + 1])
             flag |= graze
             if found:
                 return x - phi0 + turns, x, speed, flag

@@ -1,8 +1,8 @@
 """The one way this room compiles a kernel, and the sine and cosine that every kernel shares.
 
-The rule kept here: numba, cached on disk, IEEE division (`error_model="numpy"`: a division by zero gives inf, not a
-branch), so that the compiler can vectorise; of `fastmath` only the fused multiply-add, never a reordering, because the
-rounding bounds rely on the order.
+Kernels are compiled by numba and cached on disk, with IEEE division (`error_model="numpy"`: a division by zero gives
+inf, not a branch), so that the compiler can vectorise. Of `fastmath` only the fused multiply-add is allowed, never a
+reordering, because the rounding bounds rely on the order.
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 from kernels import njit
 
 Floats = NDArray[np.float64]
-Flags = NDArray[np.int8]
-Rows = NDArray[np.int64]
 _F = TypeVar("_F", bound=Callable[..., object])
 
 
 def compiled(function: _F) -> _F:
     """Compile ``function`` at its first call (a decorator that keeps its type)."""
     return cast(_F, njit(error_model="numpy", fastmath={"contract"})(function))
+
+
+def inlined(function: _F) -> _F:
+    """Compile ``function`` into every kernel that calls it."""
+    return cast(_F, njit(error_model="numpy", fastmath={"contract"}, forceinline=True)(function))
 
 
 # pi/2 = HALF_PI_1 + HALF_PI_2 + HALF_PI_3, the first two of 33 bits: k times them is exact for |k| < 2^20

@@ -1,4 +1,4 @@
-"""A stage of a flight: the motion while gravity and friction keep their sign, and the roots of its height.
+"""A segment of a flight: the motion while gravity and friction keep their sign, and the roots of its height.
 
 From a phase ``phi0`` with height ``h0`` and relative speed ``v0``, under a steady pull ``level`` (1 for the ideal ball,
 ``1 + mu_up`` going up and ``1 - mu_down`` going down a rough rod), the height above the plate is
@@ -7,7 +7,7 @@ From a phase ``phi0`` with height ``h0`` and relative speed ``v0``, under a stea
     s(phi) = sum_j b_j sin(n_j phi + p_j),
 
 the paper's eq. 4 when ``h0 = v0 = 0`` and ``level = 1``. Its second derivative is ``gamma q - level``, so the edges of
-`model.flight.branches` at ``gamma / level`` split it into convex and concave branches. The rule kept here: a root is
+`model.flight.branches` at ``gamma / level`` split it into convex and concave branches. A root is
 returned only when it is proven to be the first of its branch. A concave branch entered above the plate holds a root
 only if it ends below, and then one; in a convex one Newton from the left cannot pass the first root, and ``h' >= 0``
 with ``h > 0`` proves there is none.
@@ -38,12 +38,11 @@ from model.flight.numerics import (
     compiled,
     sincos,
 )
+from model.flight.records import Segment
 
 UNDECIDED = 2  # a graze closer than double precision can tell
 SHORT = 0.125  # over shorter times the height is computed as tau^2 times a series: the plain sum is rounding noise
 ROUNDING = 32 * 2.2e-16  # bound on the relative rounding of a height
-
-Segment = tuple[float, float, float, float, float, float, float]  # phi0, s0, s0', a0 = h''(0), v0, h0, level
 
 
 @compiled
@@ -63,12 +62,12 @@ def shape(tones: Floats, phi: float) -> tuple[float, float, float]:
 
 
 @compiled
-def stage_from(
+def segment_from(
     tones: Floats, gamma: float, phi0: float, v0: float, h0: float, level: float, at_threshold: bool
 ) -> Segment:
-    """The stage that starts at ``phi0``; ``at_threshold`` says that ``gamma q = level`` there exactly."""
+    """The segment that starts at ``phi0``; ``at_threshold`` says that ``gamma q = level`` there exactly."""
     s0, slope0, q0 = shape(tones, phi0)
-    return phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - level, v0, h0, level
+    return Segment(phi0, s0, slope0, 0.0 if at_threshold else gamma * q0 - level, v0, h0, level)
 
 
 @compiled
@@ -87,14 +86,14 @@ def _remainders(x: float) -> tuple[float, float, float, float]:
 
 
 @compiled
-def _motion_short(tones: Floats, gamma: float, stage: Segment, tau: float) -> tuple[float, float, float]:
+def _motion_short(tones: Floats, gamma: float, segment: Segment, tau: float) -> tuple[float, float, float]:
     """`motion` at a small ``tau`` with a small *relative* error of ``h - h0`` and ``h'``."""
-    g = 0.5 * stage[3]
-    g_slope = stage[3]
-    a = stage[3]
+    g = 0.5 * segment.acceleration
+    g_slope = segment.acceleration
+    a = segment.acceleration
     for j in range(tones.shape[0]):
         n = tones[j, 0]
-        sine, cosine = sincos(n * stage[0] + tones[j, 2])
+        sine, cosine = sincos(n * segment.phase + tones[j, 2])
         weight = gamma * tones[j, 1] * n * n
         sine *= weight
         cosine *= weight
@@ -103,46 +102,48 @@ def _motion_short(tones: Floats, gamma: float, stage: Segment, tau: float) -> tu
         g += sine * cos_part + cosine * sin_part
         g_slope += sine * sinc_part + cosine * vers_part
         a += x * (cosine * (1.0 + sinc_part) - sine * vers_part)
-    return stage[5] + tau * (stage[4] + tau * g), stage[4] + tau * g_slope, a
+    return segment.height + tau * (segment.speed + tau * g), segment.speed + tau * g_slope, a
 
 
 @compiled
-def motion(tones: Floats, gamma: float, stage: Segment, phi: float, tau: float) -> tuple[float, float, float]:
-    """``h, h', h''`` at the phase ``phi`` (any turn), ``tau`` after the start of ``stage``."""
+def motion(tones: Floats, gamma: float, segment: Segment, phi: float, tau: float) -> tuple[float, float, float]:
+    """``h, h', h''`` at the phase ``phi`` (any turn), ``tau`` after the start of ``segment``."""
     if tau < SHORT:
-        return _motion_short(tones, gamma, stage, tau)
-    _, s0, slope0, _, v0, h0, level = stage
+        return _motion_short(tones, gamma, segment, tau)
+    _, s0, slope0, _, v0, h0, level = segment
     s, slope, q = shape(tones, phi)
     h = h0 + gamma * (s0 + slope0 * tau - s) + tau * (v0 - 0.5 * level * tau)
     return h, gamma * (slope0 - slope) + v0 - level * tau, gamma * q - level
 
 
 @compiled
-def rounding_of_height(tones: Floats, gamma: float, stage: Segment, tau: float) -> float:
+def rounding_of_height(tones: Floats, gamma: float, segment: Segment, tau: float) -> float:
     """Bound on the rounding error of the height from `motion` at ``tau``."""
     size = 0.0
     if tau < SHORT:
         for j in range(tones.shape[0]):
             size += tones[j, 1] * tones[j, 0] ** 2
-        return ROUNDING * (stage[5] + tau * (stage[4] + tau * (stage[6] + gamma * size)))
+        return ROUNDING * (segment.height + tau * (segment.speed + tau * (segment.pull + gamma * size)))
     for j in range(tones.shape[0]):
         size += tones[j, 1]
-    return ROUNDING * (stage[5] + gamma * (size + abs(stage[2]) * tau) + tau * (stage[4] + stage[6] * tau))
+    return ROUNDING * (
+        segment.height + gamma * (size + abs(segment.slope) * tau) + tau * (segment.speed + segment.pull * tau)
+    )
 
 
 @compiled
 def root_in_concave(
-    tones: Floats, gamma: float, stage: Segment, turns: float, lo: float, hi: float, guess: float
+    tones: Floats, gamma: float, segment: Segment, turns: float, lo: float, hi: float, guess: float
 ) -> tuple[float, float]:
     """The one root in ``(lo, hi]`` of a branch with ``h(lo) >= 0 >= h(hi)``, and ``-h'`` there: Halley in a bracket.
 
-    ``guess`` is where to begin; phases are those of the branch, ``turns`` more than the stage's.
+    ``guess`` is where to begin; phases are those of the branch, ``turns`` more than the segment's.
     """
     x = guess if lo < guess < hi else 0.5 * (lo + hi)
     h1 = 0.0
     for _ in range(100):
-        tau = x - stage[0] + turns
-        h, h1, h2 = motion(tones, gamma, stage, x, tau)
+        tau = x - segment.phase + turns
+        h, h1, h2 = motion(tones, gamma, segment, x, tau)
         if h > 0.0:
             lo = x
         elif h < 0.0:
@@ -168,7 +169,7 @@ def root_in_concave(
 
 @compiled
 def root_in_convex(
-    tones: Floats, gamma: float, stage: Segment, turns: float, lo: float, hi: float
+    tones: Floats, gamma: float, segment: Segment, turns: float, lo: float, hi: float
 ) -> tuple[bool, float, float, int]:
     """First root in ``(lo, hi]`` of a branch entered with ``h > 0 > h'``: ``(found, phase, -h', flag)``.
 
@@ -178,9 +179,9 @@ def root_in_convex(
     flag = 0
     h1 = 0.0
     for _ in range(200):
-        tau = x - stage[0] + turns
-        h, h1, h2 = motion(tones, gamma, stage, x, tau)
-        if abs(h - 0.5 * h1 * h1 / h2) < rounding_of_height(tones, gamma, stage, tau):
+        tau = x - segment.phase + turns
+        h, h1, h2 = motion(tones, gamma, segment, x, tau)
+        if abs(h - 0.5 * h1 * h1 / h2) < rounding_of_height(tones, gamma, segment, tau):
             flag = UNDECIDED
         if h1 >= 0.0:
             return False, x, 0.0, flag
@@ -197,7 +198,7 @@ def root_in_convex(
 
 @compiled
 def standstill(
-    tones: Floats, gamma: float, stage: Segment, turns: float, lo: float, hi: float, guess: float, rising: bool
+    tones: Floats, gamma: float, segment: Segment, turns: float, lo: float, hi: float, guess: float, rising: bool
 ) -> float:
     """The one phase in ``(lo, hi]`` where ``h' = 0``; ``rising`` says that it enters the branch below zero.
 
@@ -205,8 +206,8 @@ def standstill(
     """
     x = guess if lo < guess <= hi else 0.5 * (lo + hi)
     for _ in range(100):
-        tau = x - stage[0] + turns
-        _, h1, h2 = motion(tones, gamma, stage, x, tau)
+        tau = x - segment.phase + turns
+        _, h1, h2 = motion(tones, gamma, segment, x, tau)
         if h1 == 0.0:
             return x
         if (h1 < 0.0) == rising:
@@ -235,9 +236,9 @@ def total_speed(tones: Floats) -> float:
 
 
 @compiled
-def surely_above(tones: Floats, gamma: float, stage: Segment) -> tuple[float, float]:
+def surely_above(tones: Floats, gamma: float, segment: Segment) -> tuple[float, float]:
     """Times between which the plate at its highest stays below the ball's path; (1, 0) when there are none."""
-    _, s0, slope0, _, v0, h0, level = stage
+    _, s0, slope0, _, v0, h0, level = segment
     highest = 0.0
     for j in range(tones.shape[0]):
         highest += tones[j, 1]

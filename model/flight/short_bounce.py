@@ -1,7 +1,7 @@
 """A short bounce, by the Taylor series of the plate's motion about the impact.
 
 Most flights of a bouncing ball are short, and both their halves lie within one expansion of the plate's motion: two
-Newton iterations on polynomials replace all trigonometry but the one at the impact. The rule kept here: a bounce is
+Newton iterations on polynomials replace all trigonometry but the one at the impact. A bounce is
 taken only where the pull provably keeps its sign, so that either half has one root and no more.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from model.flight.numerics import Floats, compiled, sincos
+from model.flight.records import FrictionRestitution
 
 REACH = 0.25  # of the highest harmonic's phase: the first term left out, at order 11, is below 1e-14 of gamma
 NEWTON = 8
@@ -63,15 +64,15 @@ def _series(tones: Floats, gamma: float, phi: float) -> tuple[float, Series]:
 
 @compiled
 def short_bounce(
-    tones: Floats, gamma: float, rough: tuple[float, float, float, float], phi: float, v0: float
+    tones: Floats, gamma: float, law: FrictionRestitution, phi: float, v0: float
 ) -> tuple[bool, float, float]:
     """``(taken, tau, impact speed)`` of the flight from the plate at ``phi`` with relative speed ``v0 > 0``.
 
-    Not taken where it is not short, or where the pull might change its sign; then fly it stage by stage.
+    Not taken where it is not short, or where the pull might change its sign; then fly it segment by segment.
     """
     pull, series = _series(tones, gamma, phi)
-    a = 1.0 + rough[0] - pull
-    d = 1.0 - rough[1] - pull
+    a = 1.0 + law.mu_up - pull
+    d = 1.0 - law.mu_down - pull
     if d <= 0.0:
         return False, 0.0, 0.0
     longest = 1.5 * v0 * (1.0 / a + 1.0 / math.sqrt(a * d))

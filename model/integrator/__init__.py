@@ -1,1 +1,4 @@
-"""TODO what integrator is for."""
+"""Flights with any set of effects, numerically, in SI units.
+
+Other rooms take `one_step`, `flight`, `takeoff`.
+"""

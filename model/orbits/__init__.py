@@ -1,1 +1,4 @@
-"""TODO what orbits is for."""
+"""Long-run motion at one gamma, and what a contact circuit shows of it.
+
+Other rooms take `attractor`, `make_ball`, `ideal_ball`, `friction_ball`, `contact_sensor`.
+"""

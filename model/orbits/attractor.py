@@ -1,6 +1,6 @@
 """What a ball does in the long run at one gamma: cycles, chaos, coexisting attractors and their basins.
 
-The rule kept here: a cycle with a reset is closed exactly (the threshold repeats); a locked cycle is the root of its
+A cycle with a reset is closed exactly (the threshold repeats); a locked cycle is the root of its
 own equation (Newton) and stable by its multiplier; what is neither within `MAX_FLIGHTS` flights is called chaotic, and
 its exponent is measured.
 """

@@ -1,7 +1,7 @@
-"""The ball with Coulomb friction and restitution as `model.orbits.attractor` wants it, by the exact kernel.
+"""The ball with Coulomb friction and restitution as a `model.orbits.attractor.Ball`, by the exact kernel.
 
-The rule kept here: as in `model.orbits.ideal_ball`. Without restitution its state after a landing is one phase, and its
-bifurcations have equations of their own (`model.bifurcations.events`); with restitution it is a phase and a speed.
+Without restitution its state after a landing is one phase, and its bifurcations have equations of their own
+(`model.bifurcations.events`); with restitution it is a phase and a speed.
 """
 
 from __future__ import annotations
@@ -15,36 +15,29 @@ from numpy.typing import NDArray
 
 from model.flight import first_landing
 from model.flight.branches import TWO_PI
-from model.flight.friction import fill_rough_edges
-from model.orbits import friction_cycles as kernel
+from model.flight.friction import edge_tables
+from model.flight.precision import check_gamma, lengthened
+from model.flight.records import EdgeTables, FrictionRestitution
+from model.orbits import friction_cycles
 from model.orbits.attractor import LockedCycle, Path, State
+from model.orbits.cycles import CHATTERS, CODE_SIZE, SMALL, Flown, room_for
 from model.orbits.ideal_ball import IdealBall, Itinerary, has_shorter, resting
-from model.orbits.ideal_cycles import SIGNATURE_SIZE
-from model.precision import check_gamma, lengthened
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]
-Tables = tuple[Floats, int, Floats, int]
-
-
-@dataclass(frozen=True)
-class _Flown:
-    """What the kernel filled, and what it returned."""
-
-    tau: Floats
-    phase: Floats
-    speed: Floats
-    index: NDArray[np.int64]
-    threshold: NDArray[np.int64]
-    mark: NDArray[np.int64]
-    first: int
-    periods: int
-    last: State
 
 
 @dataclass(frozen=True)
 class FrictionBall:
-    """A ball with friction ``mu_up``, ``mu_down`` and restitution ``e0 - e1 v`` (v in g/w) on ``forcing``."""
+    """A ball with friction ``mu_up``, ``mu_down`` and restitution ``e0 - e1 v`` (v in g/w) on ``forcing``.
+
+    Friction is in units of the weight; restitution is kept within [0, 1].
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or out of range; with ``mu_down >= 1`` the ball would stay on the rod of a still plate.
+    """
 
     forcing: Forcing
     mu_up: float = 0.0
@@ -52,10 +45,19 @@ class FrictionBall:
     e0: float = 0.0
     e1: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        if not all(map(math.isfinite, self.law)):
+            raise ValueError(f"friction and restitution must be finite, not {self.law}")
+        if not (self.mu_up >= 0.0 and 0.0 <= self.mu_down < 1.0):
+            raise ValueError(f"friction must satisfy 0 <= mu_up and 0 <= mu_down < 1, not {self.mu_up}, {self.mu_down}")
+        if not 0.0 <= self.e0 <= 1.0:
+            raise ValueError(f"restitution at speed zero must be within [0, 1], not {self.e0}")
+
     @property
-    def rough(self) -> tuple[float, float, float, float]:
-        """As the kernels take it."""
-        return self.mu_up, self.mu_down, self.e0, self.e1
+    def law(self) -> FrictionRestitution:
+        """Friction and restitution as the kernels take them."""
+        return FrictionRestitution(float(self.mu_up), float(self.mu_down), float(self.e0), float(self.e1))
 
     @property
     def bounces(self) -> bool:
@@ -77,89 +79,74 @@ class FrictionBall:
     def _check(self, gamma: float | Floats) -> None:
         check_gamma(self.forcing, gamma, lengthened(self.mu_down, self.e0))
 
-    def _tables(self, gamma: float) -> Tables:
+    def _tables(self, gamma: float) -> EdgeTables:
         self._check(gamma)
-        turning = first_landing.turning_points(self.forcing)
-        up, down = np.zeros((2, turning.size + 2))
-        n_up, n_down = fill_rough_edges(self.forcing.tones, turning, gamma, self.rough, up, down)
-        return up, n_up, down, n_down
+        return edge_tables(self.forcing.tones, first_landing.turning_points(self.forcing), gamma, self.law)
 
-    def _fly(self, gamma: float, start: State, max_flights: int) -> _Flown:
-        up, n_up, down, n_down = self._tables(gamma)
-        tau, phase, speed = np.empty((3, max_flights))
-        index, threshold, mark = np.empty((3, max_flights), dtype=np.int64)
-        first, stop, periods, phi, v = kernel.fly_rough_until_closed(
-            self.forcing.tones,
-            gamma,
-            up,
-            n_up,
-            down,
-            n_down,
-            self.rough,
-            start.phase,
-            start.speed,
-            tau,
-            phase,
-            speed,
-            index,
-            threshold,
-            mark,
+    def _fly(self, gamma: float, start: State, max_flights: int) -> tuple[Flown, int, int, State]:
+        """The flights, the first of the cycle, its periods, and the state in which the ball was left."""
+        flown = room_for(max_flights)
+        first, stop, periods, phi, v = friction_cycles.fly_until_closed(
+            self.forcing.tones, gamma, self._tables(gamma), self.law, start.phase, start.speed, flown
         )
-        n = slice(0, stop)
-        return _Flown(tau[n], phase[n], speed[n], index[n], threshold[n], mark[n], first, periods, State(phi, v))
+        return flown.upto(stop), first, periods, State(phi, v)
 
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbits.attractor.Ball.fly`."""
-        if self._tables(gamma)[1] == 0:
+        if self._tables(gamma).n_up == 0:
             return resting(start)
-        flown = self._fly(gamma, start, max_flights)
+        flown, first, periods, last = self._fly(gamma, start, max_flights)
         if flown.tau.size == 0:
-            return resting(flown.last)
+            return resting(last)
         return Path(
             flown.tau,
             flown.phase,
             flown.speed,
             np.full(flown.tau.size, math.nan),
             flown.threshold >= 0,
-            (flown.mark & kernel.CHATTERS) > 0,
-            flown.first,
-            flown.periods,
-            flown.last,
+            (flown.mark & CHATTERS) > 0,
+            first,
+            periods,
+            last,
         )
 
-    def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
-        """Signatures (`model.orbits.ideal_cycles`) of the orbits from rest at each gamma, shape (m, SIGNATURE_SIZE)."""
+    def itinerary_codes(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+        """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
         self._check(gammas)
-        out = np.empty((len(gammas), SIGNATURE_SIZE), dtype=np.int64)
+        out = np.empty((len(gammas), CODE_SIZE), dtype=np.int64)
         turning = first_landing.turning_points(self.forcing)
-        kernel.rough_signatures(self.forcing.tones, turning, np.ascontiguousarray(gammas), self.rough, max_flights, out)
+        grid = np.ascontiguousarray(gammas)
+        friction_cycles.itinerary_codes(self.forcing.tones, turning, grid, self.law, room_for(max_flights), out)
         return out
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
         """Where the orbit from rest at ``gamma`` goes until it closes."""
-        flown = self._fly(gamma, State(), max_flights)
-        start = self._tables(gamma)[0][0]
+        flown, first, _, _ = self._fly(gamma, State(), max_flights)
+        start = self._tables(gamma).up[0]
         landing = np.mod(flown.phase + flown.tau - start, TWO_PI) + start
         kept: list[int] = []
         pending: list[int] = []
         rests: list[bool] = []
         entry = -1
         for k, bits in enumerate(flown.mark):
-            if k == flown.first:
+            if k == first:
                 entry = len(kept)
             pending.append(k)
-            if bits & kernel.CHATTERS:
+            if bits & CHATTERS:
                 pending = pending[:1]
-            if bits & kernel.CHATTERS or k + 1 == flown.tau.size or not flown.mark[k + 1] & kernel.SMALL:
+            if bits & CHATTERS or k + 1 == flown.tau.size or not flown.mark[k + 1] & SMALL:
                 kept += pending
-                rests += [False] * (len(pending) - 1) + [bool(bits & kernel.CHATTERS)]
+                rests += [False] * (len(pending) - 1) + [bool(bits & CHATTERS)]
                 pending = []
-        return Itinerary(landing[kept], flown.index[kept], np.array(rests, dtype=bool), entry)
+        return Itinerary(landing[kept], flown.symbol[kept], np.array(rests, dtype=bool), entry)
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
-        """See `model.orbits.ideal_cycles.locked_family`; for a ball that does not rebound."""
+        """See `model.orbits.cycles.locked_family_of`; for a ball that does not rebound."""
         turning = first_landing.turning_points(self.forcing)
-        return kernel.rough_locked_family(self.forcing.tones, turning, gamma, self.rough, window, after, n)
+        found: tuple[bool, float, float, float, int] = friction_cycles.locked_family(
+            self.forcing.tones, turning, gamma, self.law, window, after, n
+        )
+        return found
 
     @property
     def take_off_levels(self) -> tuple[Floats, Floats]:
@@ -169,14 +156,14 @@ class FrictionBall:
 
     def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
         """See `model.orbits.attractor.Ball.close`."""
-        if self._tables(gamma)[1] == 0:
+        if self._tables(gamma).n_up == 0:
             return None
         phases, taus, speeds, starts = np.empty((4, n))
-        ok, periods, trace, determinant = kernel.close_rough_cycle(
+        ok, periods, trace, determinant = friction_cycles.close_cycle(
             self.forcing.tones,
             first_landing.turning_points(self.forcing),
             gamma,
-            self.rough,
+            self.law,
             near.phase,
             near.speed,
             n,

@@ -1,6 +1,6 @@
-"""Balls on a plate as `model.orbits.attractor` wants them: the ideal one by the exact kernel.
+"""The ideal ball as a `model.orbits.attractor.Ball`, by the exact kernel.
 
-The rule kept here: a ball knows its plate's tones and its effects and nothing of gamma; the arithmetic is the kernels'.
+A ball knows its plate's tones and its effects and nothing of gamma.
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from model.flight import first_landing, ideal
 from model.flight.branches import TWO_PI, fold, q_and_slope
+from model.flight.precision import check_gamma
+from model.flight.records import FrictionRestitution
 from model.orbits import ideal_cycles
 from model.orbits.attractor import LockedCycle, Path, State
-from model.precision import check_gamma
+from model.orbits.cycles import CODE_SIZE, room_for
 from model.tones import Forcing
 
 Floats = NDArray[np.float64]
@@ -24,14 +26,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Itinerary:
-    """Where an orbit from rest went: landing phases (folded), landing indices, and the first flight of the cycle.
+    """Where an orbit from rest went: landing phases (folded), symbols, and the first flight of the cycle.
 
-    ``index`` counts branches (`model.orbits.ideal_cycles`); ``rests`` marks landings from which a completed chatter
+    ``symbol`` counts branches (`model.orbits.cycles`); ``rests`` marks landings from which a completed chatter
     leads to rest (its small bounces are left out); ``first = -1`` when the orbit did not close.
     """
 
     landing: Floats
-    index: NDArray[np.int64]
+    symbol: NDArray[np.int64]
     rests: NDArray[np.bool_]
     first: int
 
@@ -59,20 +61,17 @@ class IdealBall:
             lead_tau = [tau]
             if n_windows == 0:
                 return resting(State(rest_at % TWO_PI))
-        tau_, phase, speed = np.empty((3, max_flights))
-        index, threshold = np.empty((2, max_flights), dtype=np.int64)
-        first, stop, periods = ideal_cycles.fly_until_closed(
-            self.forcing.tones, gamma, edge, n_windows, rest_at, tau_, phase, speed, index, threshold
-        )
-        kept = slice(0, stop)
+        flown = room_for(max_flights)
+        first, stop, periods = ideal_cycles.fly_until_closed(self.forcing.tones, gamma, edge, n_windows, rest_at, flown)
+        tau_, phase, speed, _, threshold, _ = flown.upto(stop)
         lead = len(lead_tau)
-        slope = self._slopes(gamma, phase[kept], tau_[kept], speed[kept], threshold[kept])
+        slope = self._slopes(gamma, phase, tau_, speed, threshold)
         return Path(
-            np.concatenate([lead_tau, tau_[kept]]),
-            np.concatenate([[at] * lead, phase[kept]]),
-            np.concatenate([[lead_speed] * lead, speed[kept]]),
+            np.concatenate([lead_tau, tau_]),
+            np.concatenate([[at] * lead, phase]),
+            np.concatenate([[lead_speed] * lead, speed]),
             np.concatenate([[math.nan] * lead, slope]),
-            np.concatenate([np.zeros(lead, dtype=bool), threshold[kept] >= 0]),
+            np.concatenate([np.zeros(lead, dtype=bool), threshold >= 0]),
             np.zeros(stop + lead, dtype=bool),
             first + lead if first >= 0 else -1,
             periods,
@@ -92,9 +91,8 @@ class IdealBall:
         if n_windows == 0:
             return None
         phases, taus = np.empty((2, n))
-        index = np.empty(n, dtype=np.int64)
         ok, _, periods, multiplier = ideal_cycles.close_cycle(
-            self.forcing.tones, gamma, edge, n_windows, near.phase, n, phases, taus, index
+            self.forcing.tones, gamma, edge, n_windows, near.phase, phases, taus
         )
         if not ok or has_shorter(phases):
             return None
@@ -104,32 +102,32 @@ class IdealBall:
         speeds = np.array([first_landing.first_landing(forcing, gamma, p).impact_speed for p in phases])
         return LockedCycle(phases, np.zeros(n), taus, speeds, periods, multiplier)
 
-    def signatures(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
-        """Signatures (`model.orbits.ideal_cycles`) of the orbits from rest at each gamma, shape (m, SIGNATURE_SIZE)."""
+    def itinerary_codes(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+        """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
         check_gamma(self.forcing, gammas)
-        out = np.empty((len(gammas), ideal_cycles.SIGNATURE_SIZE), dtype=np.int64)
+        out = np.empty((len(gammas), CODE_SIZE), dtype=np.int64)
         turning = first_landing.turning_points(self.forcing)
-        ideal_cycles.signatures(self.forcing.tones, turning, np.ascontiguousarray(gammas), 0.0, max_flights, out)
+        grid = np.ascontiguousarray(gammas)
+        ideal_cycles.itinerary_codes(
+            self.forcing.tones, turning, grid, FrictionRestitution(), room_for(max_flights), out
+        )
         return out
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
         """Where the orbit from rest at ``gamma`` goes until it closes."""
         edge, n_windows = first_landing.edges(self.forcing, gamma)
-        tau, phase, speed = np.empty((3, max_flights))
-        index, threshold = np.empty((2, max_flights), dtype=np.int64)
-        first, stop, _ = ideal_cycles.fly_until_closed(
-            self.forcing.tones, gamma, edge, n_windows, 0.0, tau, phase, speed, index, threshold
-        )
-        landing = np.mod(phase[:stop] + tau[:stop] - edge[0], TWO_PI) + edge[0]
-        return Itinerary(landing, index[:stop], np.zeros(stop, dtype=bool), first)
+        flown = room_for(max_flights)
+        first, stop, _ = ideal_cycles.fly_until_closed(self.forcing.tones, gamma, edge, n_windows, 0.0, flown)
+        landing = np.mod(flown.phase[:stop] + flown.tau[:stop] - edge[0], TWO_PI) + edge[0]
+        return Itinerary(landing, flown.symbol[:stop], np.zeros(stop, dtype=bool), first)
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
-        """See `model.orbits.ideal_cycles.locked_family`."""
+        """See `model.orbits.cycles.locked_family_of`."""
         turning = first_landing.turning_points(self.forcing)
-        ok, miss, multiplier, half, code = ideal_cycles.locked_family(
-            self.forcing.tones, turning, gamma, window, after, n
+        found: tuple[bool, float, float, float, int] = ideal_cycles.locked_family(
+            self.forcing.tones, turning, gamma, FrictionRestitution(), window, after, n
         )
-        return ok, miss, multiplier, half, int(code)
+        return found
 
     @property
     def take_off_levels(self) -> tuple[Floats, Floats]:

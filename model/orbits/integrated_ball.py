@@ -1,6 +1,6 @@
 """The ball with any set of effects, flown by the integrator.
 
-The rule kept here: SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
+SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
 the take-off phase from rest repeats within `REPEATS`, not exactly.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from model.flight.branches import TWO_PI
 from model.integrator import one_step
-from model.integrator.kernel import LONGEST_PERIODS
+from model.integrator.flight import LONGEST_PERIODS
 from model.orbits.attractor import LockedCycle, Path, State
 from model.orbits.ideal_ball import resting
 from model.tones import Forcing, Plate
@@ -54,20 +54,18 @@ class IntegratedBall:
                 f"forcing, which is enough up to gamma = {most:.4g} on this plate"
             )
 
-    def _march(self, gamma: float, phase: float, launch: float, flights: int) -> one_step.Orbit:
+    def _simulate(self, gamma: float, phase: float, launch: float, flights: int) -> one_step.Orbit:
         n, b, p = self.forcing.tones.T
         self._check(gamma)
         w = self.omega_radps
         plate = Plate(n * w, 1j * gamma * self.g_mps2 * n**2 * b * np.exp(1j * p))
-        return one_step.march(
+        return one_step.simulate(
             self.effects,
+            plate,
             g_mps2=self.g_mps2,
             period_s=1.0 / self.frequency_hz,
-            omega_radps=plate.omega_radps,
-            acceleration_mps2=plate.acceleration,
             flights=flights,
-            start_s=phase / w,
-            impact_mps=self._impact_for(launch) * self.g_mps2 / w,
+            start=(phase / w, self._impact_for(launch) * self.g_mps2 / w),
         )
 
     def _impact_for(self, launch: float) -> float:
@@ -84,7 +82,7 @@ class IntegratedBall:
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbits.attractor.Ball.fly`."""
         w, speed_unit = self.omega_radps, self.g_mps2 / self.omega_radps
-        found = self._march(gamma, start.phase, start.speed, min(max_flights, MOST_FLIGHTS))
+        found = self._simulate(gamma, start.phase, start.speed, min(max_flights, MOST_FLIGHTS))
         count = found.takeoff_s.size
         if count == 0:
             return resting(start)
@@ -135,14 +133,14 @@ class IntegratedBall:
 
     def _after(self, gamma: float, state: np.ndarray, n: int) -> np.ndarray | None:
         """State after ``n`` flights that do not rest."""
-        found = self._march(gamma, float(state[0]), float(state[1]), n + 1)
+        found = self._simulate(gamma, float(state[0]), float(state[1]), n + 1)
         if found.takeoff_s.size < n + 1 or found.after_rest.any():
             return None
         w = self.omega_radps
         return np.array([found.takeoff_s[n] * w, found.launch_mps[n] * w / self.g_mps2])
 
     def _cycle(self, gamma: float, state: np.ndarray, n: int, jacobian: np.ndarray) -> LockedCycle | None:
-        found = self._march(gamma, float(state[0]), float(state[1]), n + 1)
+        found = self._simulate(gamma, float(state[0]), float(state[1]), n + 1)
         w = self.omega_radps
         values = np.linalg.eigvals(jacobian)
         largest = values[np.argmax(np.abs(values))]

@@ -1,7 +1,4 @@
-"""Which ball flies with a set of effects: the ideal kernel, the exact rough one, or the integrated one.
-
-The rule kept here: the fastest ball that knows every effect asked for.
-"""
+"""The fastest ball that knows every effect asked for: ideal, exact with friction and restitution, or integrated."""
 
 from __future__ import annotations
 
@@ -10,14 +7,17 @@ from collections.abc import Mapping
 
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, resolve
+from model.flight.records import FrictionRestitution
 from model.orbits.attractor import Ball
+from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
+from model.orbits.integrated_ball import IntegratedBall
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 EXACT = frozenset({"coulomb_friction", "restitution"})
 
 
-def ball_of(
+def make_ball(
     forcing: Forcing,
     effects: Mapping[str, Mapping[str, float]],
     *,
@@ -53,20 +53,16 @@ def ball_of(
     if scaled and frequency_hz is None:
         raise ValueError(f"{', '.join(scaled)} needs --frequency-hz, because it has a scale of its own")
     if active.keys() <= EXACT:
-        from model.orbits.friction_ball import FrictionBall
-
-        return FrictionBall(forcing, *rough_of(active, frequency_hz, g_mps2))
-    from model.orbits.integrated_ball import IntegratedBall
-
+        return FrictionBall(forcing, *law_of(active, frequency_hz, g_mps2))
     if frequency_hz is None:
         raise ValueError("effects in SI units need --frequency-hz")
     return IntegratedBall(forcing, active, frequency_hz, g_mps2)
 
 
-def rough_of(
+def law_of(
     effects: Mapping[str, Mapping[str, float]], frequency_hz: float | None, g_mps2: float
-) -> tuple[float, float, float, float]:
-    """``mu_up, mu_down, e0, e1`` of resolved effects, dimensionless (speeds in units of g/w).
+) -> FrictionRestitution:
+    """Friction and restitution of resolved effects, dimensionless (speeds in units of g/w).
 
     Raises
     ------
@@ -81,4 +77,6 @@ def rough_of(
     if not friction.get("mu_down", 0.0) < 1.0:
         raise ValueError("coulomb_friction.mu_down must be less than 1: else the ball stays on the rod for ever")
     speed_mps = g_mps2 / (2.0 * math.pi * frequency_hz) if frequency_hz is not None else 0.0
-    return friction.get("mu_up", 0.0), friction.get("mu_down", 0.0), bounce.get("e0", 0.0), e1_s_per_m * speed_mps
+    return FrictionRestitution(
+        friction.get("mu_up", 0.0), friction.get("mu_down", 0.0), bounce.get("e0", 0.0), e1_s_per_m * speed_mps
+    )

@@ -1,1 +1,4 @@
-"""TODO what surveys is for."""
+"""Many parameter points: diagrams and ensembles.
+
+Other rooms take `diagram`, `ensemble`.
+"""

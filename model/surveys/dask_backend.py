@@ -1,23 +1,20 @@
-"""Chunks of an ensemble on a Dask cluster.
-
-The rule kept here: Dask is imported nowhere else, and only when a cluster is asked for.
-"""
+"""Chunks of an ensemble on a Dask cluster; Dask is imported only when a cluster is asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from typing import Any, TypeVar
 
-from model.surveys.diagram import Rows
-from model.surveys.ensemble import Job, compute
+_Result = TypeVar("_Result")
 
 
 def on_cluster(
-    todo: list[tuple[int, int, tuple[Job, int, int]]], workers: int, address: str
-) -> Iterator[tuple[int, int, Rows]]:
+    compute: Callable[..., _Result], todo: list[tuple[int, int, tuple[Any, ...]]], workers: int, address: str
+) -> Iterator[tuple[int, int, _Result]]:
     """Chunks as they come in, from the scheduler at ``address`` or, where that is ``"local"``, one here.
 
-    ``todo`` holds each chunk's bounds, and the arguments of `compute`.
+    ``todo`` holds each chunk's bounds, and the arguments of ``compute``.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Bifurcation diagrams: the cycle at each of many gammas, on a grid or with more gammas where something happens.
 
-The rule kept here: a row says what its attractor is, not only where its points lie; flight times are those of one
+A row says what its attractor is, not only where its points lie; flight times are those of one
 cycle, so a diagram needs no transient thrown away and shows no point twice.
 """
 
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.flight import first_landing
+from model.flight.precision import check_gamma, lengthened
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
+from model.orbits.cycles import FLIGHTS, PERIOD, RESETS, room_for
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
-from model.orbits.ideal_cycles import FLIGHTS, PERIOD, RESETS
-from model.precision import check_gamma, lengthened
 from model.surveys import cycle_batch
 from model.tones import Forcing
 
@@ -84,34 +84,36 @@ def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
     if not np.all(np.isfinite(grid) & (grid >= 0.0)):
         raise ValueError("every gamma must be finite and not negative")
     if isinstance(ball, IdealBall):
-        rough = None
+        laws = None
     elif isinstance(ball, FrictionBall):
-        rough = np.tile(ball.rough, (grid.size, 1))
+        laws = np.tile(ball.law, (grid.size, 1))
     else:
         rows = empty_rows(grid, keep)
         for i, gamma in enumerate(grid):
             put(rows, i, attractor(ball, float(gamma)))
         return rows
-    return exact_rows(ball.forcing, grid, rough, lambda _: ball, keep)
+    return exact_rows(ball.forcing, grid, laws, lambda _: ball, keep)
 
 
 def exact_rows(
     forcing: Forcing,
     gammas: Floats,
-    rough: Floats | None,
+    laws: Floats | None,
     ball_at: Callable[[int], Ball],
     keep: int,
 ) -> Rows:
-    """Rows by the compiled kernels; those that do not close by the attractor of ``ball_at(row)``."""
-    lengthening = 1.0 if rough is None else lengthened(rough[:, 1], rough[:, 2])
+    """Rows by the compiled kernels, ``laws`` (m, 4); those that do not close by the attractor of ``ball_at(row)``."""
+    lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
-    if rough is None:
-        cycle_batch.ideal_batch(tones, turning, gammas, MOST_FLIGHTS, outcome, rows.tau)
+    flown = room_for(MOST_FLIGHTS)
+    if laws is None:
+        cycle_batch.ideal_batch(tones, turning, gammas, np.zeros((gammas.size, 4)), flown, outcome, rows.tau)
     else:
-        cycle_batch.rough_batch(tones, turning, gammas, np.ascontiguousarray(rough), MOST_FLIGHTS, outcome, rows.tau)
+        each = np.ascontiguousarray(laws)
+        cycle_batch.friction_batch(tones, turning, gammas, each, flown, outcome, rows.tau)
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]

@@ -1,6 +1,6 @@
 """Many parameter points on many cores: a job, cut into chunks, flown by a pool of processes or a cluster, kept in HDF5.
 
-The rule kept here: a chunk is computed from the job and its bounds alone, so it can run anywhere and in any order; the
+A chunk is computed from the job and its bounds alone, so it can run anywhere and in any order; the
 file is written by one process, and a file left unfinished is continued where it stopped.
 """
 
@@ -20,14 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.effects.registry import resolve
+from model.flight.precision import MOST_WINDOWS, largest_gamma
 from model.orbits.attractor import Ball, attractor
-from model.orbits.make_ball import EXACT, ball_of, rough_of
-from model.precision import MOST_WINDOWS, largest_gamma
+from model.orbits.make_ball import EXACT, law_of, make_ball
+from model.surveys.dask_backend import on_cluster
 from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 CHUNK = 4000  # points: a fraction of a second of an exact ball
-USUAL_WINDOWS = 1000  # of a flight, in parts of `model.precision.MOST_WINDOWS`: full chunks up to there
+USUAL_WINDOWS = 1000  # of a flight, in parts of `model.flight.precision.MOST_WINDOWS`: full chunks up to there
 MOST_POINTS = 100_000_000
 """Points of a job: half a kilobyte each."""
 Floats = NDArray[np.float64]
@@ -104,7 +105,7 @@ class Job:
 
     def ball(self, effects: Mapping[str, Mapping[str, float]]) -> Ball:
         """The ball with ``effects`` on this job's plate."""
-        return ball_of(self.forcing, effects, frequency_hz=self.frequency_hz, g_mps2=self.g_mps2)
+        return make_ball(self.forcing, effects, frequency_hz=self.frequency_hz, g_mps2=self.g_mps2)
 
 
 def check(job: Job) -> None:
@@ -132,16 +133,16 @@ def compute(job: Job, start: int, stop: int) -> Rows:
     if job.sweep:
         return swept(job.ball(job.effects_at(columns, 0)), gammas, keep=job.keep)
     if {a.name.partition(".")[0] for a in job.axes} | set(job.effects) <= EXACT:
-        rough = None
+        laws = None
         if job.axes or job.effects:
             first = np.flatnonzero(np.arange(start, stop) % len(job.gammas) == 0)  # where the axes' values change
             starts = np.unique([0, *first])
-            each = [rough_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
-            rough = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
+            each = [law_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
+            laws = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
         return exact_rows(
             job.forcing,
             gammas,
-            rough,
+            laws,
             lambda i: job.ball(job.effects_at(columns, i)),
             job.keep,
         )
@@ -182,7 +183,7 @@ def run(
         For a job that cannot be computed, or a file that belongs to another job.
     """
     check(job)
-    chunk = min(chunk, _lively(job))
+    chunk = min(chunk, _chunk_size(job))
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
         done: NDArray[np.bool_] = file["chunk_done"][:]
@@ -200,8 +201,8 @@ def run(
                 progress(finished, job.size)
 
 
-def _lively(job: Job) -> int:
-    """Points in a chunk, fewer where flights are long, so that progress is shown and a wish to stop is heeded."""
+def _chunk_size(job: Job) -> int:
+    """Points in a chunk, fewer where flights are long: between chunks progress is shown and a stop is possible."""
     forcing = job.forcing
     windows = max(job.gammas, default=0.0) / largest_gamma(forcing) * MOST_WINDOWS
     return max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS))))
@@ -212,9 +213,8 @@ def _computed(
 ) -> Iterator[tuple[int, int, Rows]]:
     """Chunks as they come in, in any order."""
     if cluster is not None:
-        from model.surveys.dask_backend import on_cluster
-
-        yield from on_cluster([(start, stop, _piece(job, start, stop)) for start, stop in todo], workers, cluster)
+        pieces = [(start, stop, _piece(job, start, stop)) for start, stop in todo]
+        yield from on_cluster(compute, pieces, workers, cluster)
     elif workers == 1:
         for start, stop in todo:
             yield start, stop, compute(job, start, stop)

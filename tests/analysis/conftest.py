@@ -200,7 +200,8 @@ def fly_ramp() -> RampFlyer:
         best = SimpleNamespace(fitted=SimpleNamespace(values=dict(truth)))
         exact = rehearse(Design("a ramp", 2, gammas), world, best)  # type: ignore[arg-type]
         run = exact.measured.step * 2.0 + exact.measured.landing_s
-        read = ForwardModel(exact, {}).per_step(truth, "reading", 1.0)[:, None] * exact.steps.plate.acceleration_mps2
+        factor = ForwardModel(exact, {}).per_step(truth, "accelerometer_factor", 1.0)
+        read = factor[:, None] * exact.steps.plate.acceleration_mps2
         steps = replace(exact.steps, plate=replace(exact.steps.plate, acceleration_mps2=read))
         shown = replace(exact, time_s=run, steps=steps)
         return ForwardModel(blurred(shown, np.random.default_rng(seed)), declared or {})

@@ -14,12 +14,13 @@ TRIAL = """
 import math
 import numpy as np
 from model.effects.registry import resolve
-from model.integrator.one_step import march
+from model.integrator.one_step import simulate
+from model.tones import Plate
 resolve({"updraught": {"push_mps2": 0.5}})
 w = 2 * math.pi * 25.0
 def lasts(effects):
-    orbit = march(effects, g_mps2=9.80665, period_s=0.04, omega_radps=np.array([w]),
-                  acceleration_mps2=np.array([2.4j * 9.80665]), flights=1)
+    plate = Plate(np.array([w]), np.array([2.4j * 9.80665]))
+    orbit = simulate(effects, plate, g_mps2=9.80665, period_s=0.04, flights=1)
     return float(orbit.landing_s[0] - orbit.takeoff_s[0])
 updraught = lasts({"updraught": {"push_mps2": 0.5, "edge_m": 0.0}})
 print(lasts({}), updraught, lasts({"local_gravity": {"excess_mps2": -0.5}}))

@@ -11,7 +11,7 @@ from analysis.flights.assemble import flights_of
 from analysis.flights.compare import compare
 from daq.recording import open_recording
 from daq.setup.errors import InputError
-from model.effects.routing import of_the_ball, plate_gain, reading, shapes_the_plate
+from model.effects.routing import accelerometer_factor, ball_effects, plate_gain, shapes_the_plate
 
 
 def test_each_effect_acts_in_one_place() -> None:
@@ -24,9 +24,9 @@ def test_each_effect_acts_in_one_place() -> None:
         "mains_hum": {"amplitude_mps2": 0.1},
         "contact_latency": {},
     }
-    assert list(of_the_ball(effects)) == ["coulomb_friction"]
+    assert list(ball_effects(effects)) == ["coulomb_friction"]
     assert plate_gain(effects, 2.0) == pytest.approx(1.1 / 1.2)
-    assert reading(effects) == pytest.approx(1.2)
+    assert accelerometer_factor(effects) == pytest.approx(1.2)
     assert shapes_the_plate(effects) == ["mains_hum"]
 
 

@@ -11,8 +11,9 @@ import pytest
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import fragile, held_out_errors, judged_rows, noise_floors_us
 from model.effects.registry import row
-from model.integrator.kernel import RESOLVED_S
-from model.integrator.one_step import Measured, PlateSteps, march, one_ahead
+from model.integrator.one_step import Detection, Measured, PlateSteps, one_ahead, simulate
+from model.integrator.takeoff import RESOLVED_S
+from model.tones import Plate
 
 G = 9.80665
 E0 = 0.4
@@ -26,6 +27,11 @@ def moving(gamma: float) -> PlateSteps:
     return PlateSteps(np.array([[OMEGA]]), np.array([[gamma * G + 0j]]), np.array([PERIOD_S]))
 
 
+def tones_of(plate: PlateSteps) -> Plate:
+    """The first step's tones."""
+    return Plate(plate.omega_radps[0], plate.acceleration_mps2[0])
+
+
 def table(landing_s: np.ndarray, opening_s: np.ndarray, at_once: np.ndarray, wanted: np.ndarray) -> Measured:
     """Flights of one step, each linked to the one before."""
     linked = np.arange(len(landing_s)) > 0
@@ -35,14 +41,13 @@ def table(landing_s: np.ndarray, opening_s: np.ndarray, at_once: np.ndarray, wan
 def test_the_first_prediction_of_a_step_knows_the_impact_before() -> None:
     """Wherever predictions begin to be wanted in an elastic orbit, the first ones hit as all the others do."""
     plate = moving(1.9)
-    orbit = march(
-        {"restitution": {"e0": E0}}, g_mps2=G, period_s=PERIOD_S, omega_radps=plate.omega_radps[0],
-        acceleration_mps2=plate.acceleration_mps2[0], flights=60, unseen_s=1e-4,
-    )  # fmt: skip
+    orbit = simulate(
+        {"restitution": {"e0": E0}}, tones_of(plate), g_mps2=G, period_s=PERIOD_S, flights=60, unseen_s=1e-4
+    )
     n, missed = len(orbit.landing_s), []
     for first in range(4, n - 2):
         flights = table(orbit.landing_s, orbit.takeoff_s, ~orbit.after_rest, np.arange(n) >= first)
-        p = one_ahead(flights, plate, row({"restitution": {"e0": E0}}, G), weak_mps=np.inf)
+        p = one_ahead(flights, plate, row({"restitution": {"e0": E0}}, G), Detection(weak_mps=np.inf))
         missed.append(np.abs(p.landing_s - orbit.landing_s)[first : first + 2])
     assert np.mean(np.array(missed) < 1e-6) > 0.95  # the others follow a chatter too small to be in the table
 
@@ -57,7 +62,7 @@ def test_a_chatter_is_met_at_the_bounce_that_was_seen(dated: int | str) -> None:
     flights = table(
         np.array([0.0, end + 3e-6]), np.array([-2.0 * speed / G, 0.0]), np.array([False, True]), np.array([False, True])
     )
-    p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": E0}}, G), weak_mps=np.inf)
+    p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": E0}}, G), Detection(weak_mps=np.inf))
     nearest = RESOLVED_S if dated == "end" else 1e-7  # impacts closer together than the circuit resolves are one
     assert p.landing_s[1] == pytest.approx(end, abs=nearest)
 
@@ -74,9 +79,11 @@ def test_bounces_too_close_to_be_told_apart_are_no_free_choice(closure_s: float)
         flights = table(
             np.array([0.0, seen]), np.array([-2.0 * speed / G, 0.0]), np.array([False, True]), np.array([False, True])
         )
-        p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": e}}, G), weak_mps=np.inf, closure_s=closure_s)
+        p = one_ahead(
+            flights, moving(0.0), row({"restitution": {"e0": e}}, G), Detection(weak_mps=np.inf, closure_s=closure_s)
+        )
         assert p.landing_s[1] == pytest.approx(wanted, abs=1e-6)
-        assert p.doubt_s[1] == pytest.approx(0.2 * (wanted - first), abs=1e-6)
+        assert p.ambiguity_s[1] == pytest.approx(0.2 * (wanted - first), abs=1e-6)
 
 
 def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
@@ -86,7 +93,7 @@ def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
     flights = table(
         np.array([0.0, bounces[1]]), np.array([-2.0 * speed / G, 0.0]), np.array([False, True]), np.array([False, True])
     )
-    p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": E0}}, G), weak_mps=0.03)
+    p = one_ahead(flights, moving(0.0), row({"restitution": {"e0": E0}}, G), Detection(weak_mps=0.03))
     assert p.landing_s[1] == pytest.approx(bounces[0], abs=1e-9)
 
 
@@ -122,12 +129,9 @@ def test_an_impact_passed_over_keeps_the_circuit_closed() -> None:
     """A bounce too small to be seen delays the opening of the flight after it by no more than the contact's closure."""
     plate, closure_s = moving(1.9), 2e-2
     effects = {"restitution": {"e0": 0.2}}
-    orbit = march(
-        effects, g_mps2=G, period_s=PERIOD_S, omega_radps=plate.omega_radps[0],
-        acceleration_mps2=plate.acceleration_mps2[0], flights=60, unseen_s=2e-3,
-    )  # fmt: skip
+    orbit = simulate(effects, tones_of(plate), g_mps2=G, period_s=PERIOD_S, flights=60, unseen_s=2e-3)
     flights = table(orbit.landing_s, orbit.takeoff_s, ~orbit.after_rest, np.arange(len(orbit.landing_s)) > 1)
-    sharp, late = (one_ahead(flights, plate, row(effects, G), closure_s=s) for s in (0.0, closure_s))
+    sharp, late = (one_ahead(flights, plate, row(effects, G), Detection(closure_s=s)) for s in (0.0, closure_s))
     delay = (late.opening_s - sharp.opening_s)[2:]
     passed = sharp.hidden[2:] > 0
     assert np.array_equal(late.landing_s, sharp.landing_s, equal_nan=True)

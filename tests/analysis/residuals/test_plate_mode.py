@@ -57,7 +57,7 @@ def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Array:
     data = PlateData(kinds, zero, one, one, omegas, one, np.full(n, 16.0), zero, zero, np.ones(n, dtype=np.complex128))
     plate = PlateSteps(omega[None, 1:2], seen[:, :1], np.array([1.0 / FORCING_HZ]))
     n0 = np.zeros(1)  # of the flights: nobody asks
-    predicted = Predicted(n0, n0, n0, n0, n0, n0, n0, n0, n0, n0, ear.of_tones(heard, heard_s), heard, heard_s)
+    predicted = Predicted(n0, n0, n0, n0, n0, n0, n0, n0, ear.of_tones(heard, heard_s), heard, heard_s)
     return ear.added(data, plate, predicted)[0]
 
 

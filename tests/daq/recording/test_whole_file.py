@@ -51,7 +51,12 @@ def test_a_new_file_has_the_usual_mode(tmp_path: Path) -> None:
 @posix
 def test_a_pipe_is_written_to_directly() -> None:
     """A device or a pipe is no file to replace."""
-    script = "from pathlib import Path; from daq.recording.whole_file import write_whole as w; w(Path('/dev/stdout'), 'hello')"
+    lines = (
+        "import pathlib",
+        "from daq.recording.whole_file import write_whole",
+        "write_whole(pathlib.Path('/dev/stdout'), 'hello')",
+    )
+    script = "; ".join(lines)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert done.stdout == "hello"
 

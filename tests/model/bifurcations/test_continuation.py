@@ -7,13 +7,22 @@ import math
 import numpy as np
 import pytest
 
-from model.bifurcations.continuation import doubling_curve, doubling_near, follow_both_ways
+from model.bifurcations.continuation import doubling_near, follow_both_ways
 from model.orbits.attractor import LockedCycle, State
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
 FORCING = Forcing.superposition(1)
+
+
+def doubling_curve(close_at, second, gamma, cycle):
+    """Gamma of a period doubling at each value of a second parameter, each found from the one before."""
+    curve = []
+    for value in second:
+        gamma, cycle = doubling_near(close_at(float(value)), gamma, cycle, 0.2)
+        curve.append(gamma)
+    return np.array(curve)
 
 
 def lock_and_doubling(e):

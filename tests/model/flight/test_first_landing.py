@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from model.flight.first_landing import FlightFlag, first_landing, run_orbit, take_off_phases
+from benchmarks.model.every_flight import every_flight
+from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
+from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
 ONE = Forcing.superposition(1)
@@ -22,13 +24,13 @@ ONE = Forcing.superposition(1)
 )
 def test_published_flight_times_of_one_sine(gamma_peak, taus):
     """The settled orbit at one sine repeats the published flight times, to every digit given."""
-    orbit = run_orbit(ONE, gamma_peak / 2, 100, 2 * len(taus))
+    orbit = every_flight(IdealBall(ONE), gamma_peak / 2, 100, 2 * len(taus))
     assert orbit.tau == pytest.approx(np.tile(taus, 2), abs=6e-7)
 
 
 def test_the_papers_figure_1():
     """c = 2 at gamma 1.28 is the paper's 3-cycle, with its three flight times."""
-    orbit = run_orbit(Forcing.superposition(2), 1.28, 100, 3)
+    orbit = every_flight(IdealBall(Forcing.superposition(2)), 1.28, 100, 3)
     assert orbit.tau == pytest.approx([2.506845, 2.758548, 7.053544], abs=1e-6)
     assert list(orbit.reset) == [False, False, True]
 
@@ -41,6 +43,12 @@ def test_windows_open_where_they_should(ratio, gamma, windows):
     before = take_off_phases(forcing, gamma - step).start.size
     assert take_off_phases(forcing, gamma + step).start.size == windows
     assert before < windows
+
+
+def test_tones_without_a_common_period_are_refused():
+    """A plate that never repeats has no table of windows: the harmonics are named."""
+    with pytest.raises(ValueError, match="not all integers"):
+        first_landing(Forcing((1.0, 2.5), (1.0, 0.2), (0.0, 0.0)), 0.9, 0.3)
 
 
 def test_resting_ball_stays():

@@ -1,6 +1,7 @@
 """No wrong landing: the ideal kernels against 60 digits and against a proof by interval bisection."""
 
 import itertools
+import math
 
 import mpmath as mp
 import numpy as np
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 
 from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flights_of
 from benchmarks.model.reference import Exact, lifted_until, stays_above
-from model.flight import ideal
-from model.flight.first_landing import FlightFlag, edges, first_landing, relative_height, run_diagram, take_off_phases
+from model.flight.first_landing import FlightFlag, first_landing, relative_height, take_off_phases
+from model.orbits.attractor import AT_REST
+from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
 
@@ -54,38 +56,33 @@ def test_nothing_touches_the_plate_before_the_landing(kind):
     assert undecided + too_near <= (8 if kind == "graze" else 0)
 
 
-def test_lockstep_lands_where_the_proven_kernel_lands():
-    """Every flight of whole diagrams, c = 1, 2, 3 and 7, re-flown alone from its take-off, lands at the same phase."""
+def test_orbits_are_made_of_first_landings():
+    """Every flight of whole orbits, c = 1, 2, 3 and 7, flown alone from its take-off, lands at the same phase."""
     for ratio, lowest in ((1, 0.51), (2, 0.22), (3, 0.11), (7, 0.0205)):
         forcing = Forcing.superposition(ratio)
-        gammas = lowest * np.geomspace(1, 100 if ratio == 7 else 20, 300)
-        orbit = run_diagram(forcing, gammas, 20, 40, every_flight=True)
-        for row, gamma in enumerate(gammas):
-            table, n = edges(forcing, gamma)
-            for tau, phi, flag in zip(orbit.tau[row], orbit.takeoff_phase[row], orbit.flag[row], strict=True):
-                at = phi if phi >= table[0] else phi + 2 * np.pi
-                reset = bool(flag & FlightFlag.RESET)
-                a0 = 0.0 if reset else gamma * _q(forcing, at) - 1
-                alone, _, speed, _ = ideal.land(forcing.tones, gamma, table, n, at, max(a0, 0.0), 0.0)
-                assert abs(alone - tau) <= allowed(gamma, forcing, tau, speed)
+        for gamma in lowest * np.geomspace(1, 100 if ratio == 7 else 20, 60):
+            path = IdealBall(forcing).fly(gamma, AT_REST, 60)
+            for tau, phi, speed in zip(path.tau, path.phase, path.speed, strict=True):
+                assert abs(first_landing(forcing, gamma, phi).tau - tau) <= allowed(gamma, forcing, tau, speed)
 
 
-def test_the_shortcut_is_exact():
-    """Copied flights are the flights flown: wherever rounding is not blown up, both ways give the same diagram."""
+def test_a_closed_orbit_goes_round():
+    """After the last flight of a cycle the ball rests until the very threshold from which the cycle began."""
+    closed = 0
     for ratio in (1, 2, 3):
-        forcing, gammas = Forcing.superposition(ratio), np.linspace(0.05, 6, 150)
-        short, every = run_diagram(forcing, gammas, 30, 60), run_diagram(forcing, gammas, 30, 60, every_flight=True)
-        same = np.abs(short.tau - every.tau).max(axis=1) < 1e-7
-        assert same.mean() > 0.9
-        settled = (short.flag & FlightFlag.RESET).any(axis=1)
-        assert same[settled].mean() > 0.95
-        assert np.array_equal(short.flag[same] & FlightFlag.RESET, every.flag[same] & FlightFlag.RESET)
-
-
-def _q(forcing, phi):
-    """``q``, the plate's acceleration over ``-gamma``."""
-    n, b, p = forcing.tones.T
-    return float(np.sum(b * n * n * np.sin(n * phi + p)))
+        forcing = Forcing.superposition(ratio)
+        for gamma in np.linspace(0.55, 6, 50):
+            path = IdealBall(forcing).fly(gamma, AT_REST, 300)
+            if path.first < 0:
+                continue
+            closed += 1
+            windows = take_off_phases(forcing, gamma)
+            landing = path.phase[-1] + path.tau[-1]
+            assert not np.any(np.mod(landing - windows.start, 2 * np.pi) < windows.stop - windows.start - 1e-9)
+            waits = np.mod(windows.start - landing, 2 * np.pi)
+            following = windows.start[np.argmin(waits)]
+            assert math.remainder(following - path.phase[path.first], 2 * np.pi) == pytest.approx(0.0, abs=1e-12)
+    assert closed > 100
 
 
 @pytest.mark.slow
@@ -128,11 +125,8 @@ def test_no_motion_is_no_flight(forcing):
     assert take_off_phases(forcing, 5.0).start.size == 0
     assert first_landing(forcing, 5.0, 1.0).flag is FlightFlag.RESTS
     assert first_landing(forcing, 5.0, 1.0, v0=0.5).tau == pytest.approx(1.0, abs=1e-15)
-    orbit = run_diagram(forcing, [0.0, 1.0, 50.0], 3, 4)
-    every = run_diagram(forcing, [0.0, 1.0, 50.0], 3, 4, every_flight=True)
-    assert np.array_equal(every.flag, orbit.flag)
-    assert np.all(orbit.flag == FlightFlag.RESTS)
-    assert np.all(orbit.tau == 0.0)
+    for gamma in (0.0, 1.0, 50.0):
+        assert IdealBall(forcing).fly(gamma, AT_REST, 4).tau.size == 0
 
 
 @pytest.mark.parametrize(
@@ -142,7 +136,6 @@ def test_no_motion_is_no_flight(forcing):
         (lambda f: first_landing(f, float("nan"), 0.0), "gamma"),
         (lambda f: first_landing(f, 1.0, 0.0, v0=-1.0), "v0"),
         (lambda f: first_landing(f, 1.0, float("inf")), "phi0"),
-        (lambda f: run_diagram(f, [1.0], -1, 3), "counts"),
         (lambda f: Forcing((0.0,), (1.0,), (0.0,)), "positive"),
         (lambda f: Forcing((1.0, 2.0), (1.0,), (0.0,)), "equal lengths"),
         (lambda f: Forcing((1.0,), (float("nan"),), (0.0,)), "finite"),

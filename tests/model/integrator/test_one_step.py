@@ -148,7 +148,7 @@ def test_a_plate_mode_rings_as_a_fine_march_says():
     steps = steps_of(complex(bare[0] + rung[0]))
     found = one_ahead(events(off, land), steps, mode)
     deaf = one_ahead(events(off, land), steps_of(complex(bare[0])), row({}, G_MPS2))
-    assert abs(found.rung[0, 0] - rung[0]) < 0.05 * abs(rung[0])
+    assert abs(found.mode_amplitudes[0, 0] - rung[0]) < 0.05 * abs(rung[0])
     with_mode, without = (np.sqrt(np.mean((p.landing_s - land)[4:] ** 2)) for p in (found, deaf))
     assert without > 5e-4  # what the mode does is no small thing here
     assert with_mode < 0.05 * without
@@ -163,7 +163,7 @@ def test_an_inelastic_ball_leaves_from_rest_whatever_the_contact_looked_like():
     brief = replace(seen, at_once=np.ones(len(off), dtype=bool))
     found, hasty = (one_ahead(m, steps_of(complex(bare[0])), mode) for m in (seen, brief))
     assert hasty.impact_mps[2:] == pytest.approx(found.impact_mps[2:], rel=1e-6)
-    assert hasty.rung[0, 0] == pytest.approx(found.rung[0, 0], rel=1e-6)
+    assert hasty.mode_amplitudes[0, 0] == pytest.approx(found.mode_amplitudes[0, 0], rel=1e-6)
 
 
 def test_stretches_of_time_add_up_to_the_whole():
@@ -181,17 +181,17 @@ def test_stretches_of_time_add_up_to_the_whole():
         def first(self):
             return np.array([0, len(self.span_s)])
 
-        def of_tones(self, heard, heard_s):
-            return np.atleast_2d(2.0 * heard.sum(axis=0) / heard_s.sum())
+        def of_tones(self, projection, observed_s):
+            return np.atleast_2d(2.0 * projection.sum(axis=0) / observed_s.sum())
 
     edges = np.linspace(-1.0, 2.0, 300)
     whole, parts = (
-        one_ahead(events(off, land), steps_of(complex(bare[0])), mode, ear=Parts(np.column_stack([at[:-1], at[1:]])))
+        one_ahead(events(off, land), steps_of(complex(bare[0])), mode, probe=Parts(np.column_stack([at[:-1], at[1:]])))
         for at in (edges[[0, -1]], edges)
     )
-    assert parts.heard_s.sum() == pytest.approx(whole.heard_s.sum(), rel=1e-9)
-    assert parts.heard.sum() == pytest.approx(whole.heard.sum(), rel=1e-9)
-    assert np.count_nonzero(parts.heard_s) > 20
+    assert parts.observed_s.sum() == pytest.approx(whole.observed_s.sum(), rel=1e-9)
+    assert parts.projection.sum() == pytest.approx(whole.projection.sum(), rel=1e-9)
+    assert np.count_nonzero(parts.observed_s) > 20
 
 
 def test_a_ball_that_never_leaves_moves_with_its_plate():
@@ -204,7 +204,7 @@ def test_a_ball_that_never_leaves_moves_with_its_plate():
     nowhere = Measured(one.opening_s, one.landing_s, one.at_once, one.linked, one.step + 1, one.wanted)
     two = PlateSteps(np.full((2, 1), OMEGA_RADPS), np.array([[loaded], [G_MPS2]]), np.full(2, PERIOD_S))
     mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
-    assert one_ahead(nowhere, two, mode).rung[0, 0] == pytest.approx(loaded - bare, rel=1e-9)
+    assert one_ahead(nowhere, two, mode).mode_amplitudes[0, 0] == pytest.approx(loaded - bare, rel=1e-9)
 
 
 def test_harmonics_of_a_bent_amplifier_are_those_of_trigonometry():

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from model.orbits.attractor import State, attractor, basins, same_attractor, sweep
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
-from model.orbits.make_ball import ball_of
+from model.orbits.make_ball import make_ball
 from model.tones import Forcing
 
 ONE_SINE = IdealBall(Forcing.superposition(1))
@@ -170,9 +170,9 @@ def test_basins_tell_coexisting_attractors_apart():
 def test_an_integrated_ball_agrees_with_the_exact_one():
     """The general ball with a vanishing extra effect flies the exact ball's cycle to the integration's tolerance."""
     forcing = Forcing.superposition(1)
-    exact = attractor(ball_of(forcing, {"coulomb_friction": {"mu": 0.3}}), 1.5)
+    exact = attractor(make_ball(forcing, {"coulomb_friction": {"mu": 0.3}}), 1.5)
     both = {"coulomb_friction": {"mu": 0.3}, "viscous_damping": {"rate_per_s": 1e-9}}
-    rolled = attractor(ball_of(forcing, both, frequency_hz=20.0), 1.5)
+    rolled = attractor(make_ball(forcing, both, frequency_hz=20.0), 1.5)
     assert (rolled.flights, rolled.resets, rolled.period) == (exact.flights, exact.resets, exact.period)
     np.testing.assert_allclose(rolled.tau, exact.tau, atol=1e-5)
 

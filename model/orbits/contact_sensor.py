@@ -1,7 +1,7 @@
 """What the instrument sees: exact take-offs and landings turned into what a sampled contact circuit shows of them.
 
 Of ideal flights on a ramp a quarter end in a contact shorter than one sample at 20 kHz, because the ball is launched
-again where it lands; model and measurement must be compared like with like. The rule kept here: a flight is never
+again where it lands; model and measurement must be compared like with like. A flight is never
 dropped silently. Every visible flight says which exact flights it holds, and every hidden one is listed.
 
 The circuit opens when the ball is `contact_gap` above the plate (so later than the take-off), closes at the landing,

@@ -8,10 +8,10 @@ import pytest
 
 from model.bifurcations.events import bifurcations
 from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
+from model.flight.precision import PROVEN_PHASE, largest_gamma
 from model.orbits.attractor import attractor
 from model.orbits.ideal_ball import IdealBall
-from model.orbits.make_ball import ball_of
-from model.precision import PROVEN_PHASE, largest_gamma
+from model.orbits.make_ball import make_ball
 from model.surveys.diagram import diagram
 from model.tones import Forcing
 
@@ -49,7 +49,7 @@ def test_landings_at_the_largest_gamma_are_within_the_promise(c: int) -> None:
 @pytest.mark.parametrize("effects", [{}, {"restitution": {"e0": 0.5}}, {"viscous_damping": {"rate_per_s": 0.1}}])
 def test_every_ball_refuses_a_gamma_beyond_the_proven(effects: dict[str, dict[str, float]]) -> None:
     """The ideal, the bouncing and the integrated ball name the largest gamma instead of answering with noise."""
-    ball = ball_of(Forcing.superposition(1), effects, frequency_hz=25.0)
+    ball = make_ball(Forcing.superposition(1), effects, frequency_hz=25.0)
     for ask in (lambda: attractor(ball, 1e300), lambda: diagram(ball, [0.9, 1e5])):
         with pytest.raises(ValueError, match=r"gamma = .* on this plate"):
             ask()

@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.contact_sensor import Instrument, observe, opening_delay
-from model.flight.first_landing import first_landing, relative_height, run_orbit
+from benchmarks.model.every_flight import every_flight
+from model.flight.first_landing import first_landing, relative_height
+from model.orbits.contact_sensor import Instrument, observe, opening_delay
+from model.orbits.ideal_ball import IdealBall
 from model.tones import Forcing
 
 EVENTS = st.lists(st.floats(1e-6, 5e-3), min_size=2, max_size=40).filter(lambda gaps: len(gaps) % 2 == 0)
@@ -50,7 +52,7 @@ def test_no_flight_is_dropped_silently(gaps, dead_time_s, bounce_s, seed):
 
 def test_relaunch_hides_the_contact():
     """At one sine where flights relaunch where they land, no contact is seen and all flights merge into one."""
-    orbit = run_orbit(Forcing.superposition(1), 1.75, 20, 50)
+    orbit = every_flight(IdealBall(Forcing.superposition(1)), 1.75, 20, 50)
     end = np.cumsum(orbit.tau) / (2 * np.pi * 25)
     seen = observe(np.concatenate([[0.0], end[:-1]]), end, Instrument())
     assert list(seen.first) == [0]
@@ -61,7 +63,7 @@ def test_relaunch_hides_the_contact():
 
 def test_a_closure_shows_the_relaunch():
     """The same flights are told apart when the impact closes the circuit for half a millisecond."""
-    orbit = run_orbit(Forcing.superposition(1), 1.75, 20, 50)
+    orbit = every_flight(IdealBall(Forcing.superposition(1)), 1.75, 20, 50)
     end = np.cumsum(orbit.tau) / (2 * np.pi * 25)
     seen = observe(np.concatenate([[0.0], end[:-1]]), end, Instrument(closure_s=5e-4))
     assert list(seen.first) == list(range(50))

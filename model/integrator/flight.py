@@ -1,0 +1,205 @@
+"""One flight with any effects: segments between standstills, each integrated to its end.
+
+Gravity and the plate's motion, known in closed form, are never integrated; Runge-Kutta carries only the deviation that
+forces and friction add. Impacts and standstills are found on Hermite polynomials of the whole motion.
+"""
+
+from __future__ import annotations
+
+from model.integrator.hermite import crossing, first_touch, hermite5, standstill
+from model.integrator.hooks import dry_friction, force, takeoff_threshold
+from model.integrator.plate import STEPS_PER_PERIOD, mode_at, tones_at
+from model.integrator.records import Floats, Law, Mode, Plate, Start, StepEnds, compiled, inlined
+
+FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
+WAIT_PARTS = 3  # parts of a step at which a ball at rest is looked at: thresholds are passed for short moments
+LONGEST_PERIODS = 60.0
+MOST_SECANTS = 40
+NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
+
+
+@compiled
+def pull(t: float, s: float, h: float, tones: Floats, mode: Mode, p: Floats) -> float:
+    """Relative acceleration of a ball that does not move along the rod, friction left out, m/s^2."""
+    _, v, a = tones_at(t, tones)
+    _, qv, qa = mode_at(s, mode)
+    return float(-p[-1] - a - qa + force(0.0, h, 0.0, v + qv, p))
+
+
+@compiled
+def between(lo: float, hi: float, below: float, above: float, k: int) -> float:
+    """Where to look next for the sign change between ``below`` < 0 at lo and ``above`` > 0 at hi, in round k."""
+    if k % 4 == 3 or above <= below:
+        return 0.5 * (lo + hi)
+    at = lo - below * (hi - lo) / (above - below)
+    return at if lo < at < hi else 0.5 * (lo + hi)
+
+
+@compiled
+def wait(t0: float, h: float, s0: float, dwell0: float, plate: Plate, law: Law) -> tuple[float, float]:
+    """How long a ball at standstill stays: on the plate (h = 0) until it is thrown, in mid-air until friction yields.
+
+    ``s0`` is the time since the state of the plate mode. Returns seconds and the direction in which it goes; direction
+    0 when it never does.
+    """
+    p, (tones, mode) = law.p, plate
+    up = dry_friction(h, 0.0, 1.0, p)
+    down = dry_friction(h, 0.0, -1.0, p)
+    last, over_before, f_before = 0.0, 0.0, 0.0
+    fine = law.step_s / WAIT_PARTS
+    n = int(LONGEST_PERIODS * STEPS_PER_PERIOD * WAIT_PARTS)
+    for i in range(n):
+        s = i * fine
+        f = pull(t0 + s, s0 + s, h, tones, mode, p)
+        over = f - up - (takeoff_threshold(dwell0 + s, p) if h == 0.0 else 0.0)
+        direction = 1.0 if over > 0.0 else (-1.0 if h > 0.0 and f < -down else 0.0)
+        if direction != 0.0:
+            if i == 0:
+                return 0.0, direction
+            lo, hi = last, s
+            below, above = (over_before, over) if direction > 0.0 else (-down - f_before, -down - f)
+            for k in range(MOST_SECANTS):
+                mid = between(lo, hi, below, above, k)
+                f = pull(t0 + mid, s0 + mid, h, tones, mode, p)
+                held = takeoff_threshold(dwell0 + mid, p) if h == 0.0 else 0.0
+                here = f - up - held if direction > 0.0 else -down - f
+                if here > 0.0:
+                    hi, above, below = mid, here, 0.5 * below
+                else:
+                    lo, below, above = mid, here, 0.5 * above
+                if abs(here) < NO_PULL_MPS2:
+                    return mid, direction
+            return hi, direction
+        last, over_before, f_before = s, over, f
+    return 0.0, 0.0
+
+
+@inlined
+def _effects(s: float, h: float, v: float, u: float, direction: float, p: Floats, acting: tuple[bool, bool]) -> float:
+    """Acceleration by forces, and by friction against the motion in ``direction``, where either is ``acting``."""
+    total = force(s, h, v, u, p) if acting[0] else 0.0
+    return total - (direction * dry_friction(h, abs(v), direction, p) if acting[1] else 0.0)
+
+
+@inlined
+def _coasting(s: float, start: Start, tones: Floats, mode: Mode, g: float) -> tuple[float, float, float, float]:
+    """Under gravity alone, s after ``start``: height, velocity, the plate's velocity, relative acceleration."""
+    x, xd, xdd = tones_at(start.t + s, tones)
+    q, qd, qdd = mode_at(start.s + s, mode)
+    h = start.h + start.v * s - 0.5 * g * s * s - (x - start.x - start.xd * s) - (q - start.q - start.qd * s)
+    return h, start.v - g * s - (xd - start.xd) - (qd - start.qd), xd + qd, -g - xdd - qdd
+
+
+@inlined
+def _runge_kutta(
+    s: float,
+    step: float,
+    deviation: tuple[float, float],
+    f0: float,
+    end: tuple[float, float, float],
+    start: Start,
+    direction: float,
+    tones: Floats,
+    mode: Mode,
+    p: Floats,
+    acting: tuple[bool, bool],
+) -> tuple[float, float]:
+    """The deviation from coasting and its rate after a step; ``end`` is `_coasting` there."""
+    dev, devd = deviation
+    hb1, vb1, ue = end
+    half = 0.5 * step
+    sm, se = start.s + (s + half), start.s + (s + step)
+    hbm, vbm, um, _ = _coasting(s + half, start, tones, mode, p[-1])
+    d1, e1 = devd, f0
+    vv = vbm + devd + half * e1
+    e2 = _effects(sm, hbm + dev + half * d1, vv, vv + um, direction, p, acting)
+    d2 = devd + half * e1
+    vv = vbm + devd + half * e2
+    e3 = _effects(sm, hbm + dev + half * d2, vv, vv + um, direction, p, acting)
+    d3 = devd + half * e2
+    vv = vb1 + devd + step * e3
+    e4 = _effects(se, hb1 + dev + step * d3, vv, vv + ue, direction, p, acting)
+    d4 = devd + step * e3
+    dev += step * (d1 + 2.0 * d2 + 2.0 * d3 + d4) / 6.0
+    devd += step * (e1 + 2.0 * e2 + 2.0 * e3 + e4) / 6.0
+    return dev, devd
+
+
+@compiled
+def segment(
+    t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
+) -> tuple[int, float, float, float, float]:
+    """Fly until impact or, with dry friction, standstill.
+
+    ``s0`` is the time since take-off (and since the mode's state). Returns (ended, s, h, v, opened):
+    ended 1 impact, 2 standstill, 0 never; ``opened`` the time since take-off at which the height passed ``gap``, or -1.
+    """
+    p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
+    g = p[-1]
+    x0, xd0, xdd0 = tones_at(t0, tones)
+    q0, qd0, qdd0 = mode_at(s0, mode)
+    start = Start(t0, s0, h0, v0, x0, xd0, q0, qd0)
+    dev, devd = 0.0, 0.0
+    h, v = h0, v0
+    fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
+    constant = (
+        law.rubbed
+        and not law.forced
+        and fr == -direction * dry_friction(1.0, 1.0, direction, p)
+        and fr == -direction * dry_friction(0.0, 0.1, direction, p)
+    )
+    f0 = _effects(s0, h, v, xd0 + qd0, direction, p, acting)
+    a = -g - xdd0 - qdd0 + f0
+    opened = -1.0
+    step = law.step_s * FIRST_STEP_PART
+    s = 0.0
+    limit = LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s
+    while s < limit:
+        se = s + step
+        hb1, vb1, ue, ab1 = _coasting(se, start, tones, mode, g)
+        f1 = 0.0
+        if constant:  # the deviation is known in closed form
+            dev, devd, f1 = 0.5 * fr * se * se, fr * se, fr
+        elif law.forced or law.rubbed:
+            end = hb1, vb1, ue
+            dev, devd = _runge_kutta(s, step, (dev, devd), f0, end, start, direction, tones, mode, p, acting)
+            f1 = _effects(s0 + se, hb1 + dev, vb1 + devd, vb1 + devd + ue, direction, p, acting)
+        h1, v1 = hb1 + dev, vb1 + devd
+        a1 = ab1 + f1
+        ends = StepEnds(step, h, v, a, h1, v1, a1)
+        if opened < 0.0 and h1 > gap >= h:
+            opened = s0 + s if gap == 0.0 else s0 + s + step * crossing(gap, 0.0, 1.0, ends)
+        touch = first_touch(ends)
+        if law.rubbed and v1 * direction < 0.0:
+            z = standstill(ends) if v * direction > 0.0 else 1.0
+            if touch < 0.0 or z < touch:
+                return 2, s0 + s + z * step, max(hermite5(z, ends)[0], 0.0), 0.0, opened
+        if touch >= 0.0:
+            return 1, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened
+        s, h, v, a, f0 = se, h1, v1, a1, f1
+        step = min(2.0 * step, law.step_s)
+    return 0, s0 + s, h, v, opened
+
+
+@compiled
+def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float) -> tuple[float, float, float]:
+    """From leaving the plate at t0 with relative velocity v0 to the impact.
+
+    Returns (duration, impact speed, time from take-off to opening); duration -1 when it does not land.
+    """
+    s, h, v, opened, direction = 0.0, 0.0, v0, -1.0, 1.0
+    for _ in range(200):
+        ended, s, h, v, o = segment(t0 + s, s, h, v, direction, plate, law, gap)
+        if opened < 0.0:
+            opened = o
+        if ended == 1:
+            return s, -v, opened
+        if ended == 0:
+            break
+        stay, direction = wait(t0 + s, max(h, 1e-12), s, 0.0, plate, law)
+        if direction == 0.0:
+            break
+        s += stay
+        if h <= 0.0 and direction < 0.0:
+            return s, 0.0, opened
+    return -1.0, 0.0, opened

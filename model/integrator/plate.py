@@ -1,0 +1,178 @@
+"""The plate in closed form: its tones, and a mode that is struck by impacts and loaded by a ball at rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from model.integrator.hooks import plate_mode, rebound
+from model.integrator.records import Floats, Mode, Plate, Probe, compiled
+
+STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
+MINOR = 1e-3  # part of the largest displacement below which a tone needs no finer steps
+
+
+@compiled
+def tones_at(t: float, tones: Floats) -> tuple[float, float, float]:
+    """Displacement, velocity and acceleration of the plate's tones at time t."""
+    x, v, a = 0.0, 0.0, 0.0
+    for k in range(tones.shape[0]):
+        if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:
+            continue
+        c, s = math.cos(tones[k, 0] * t), math.sin(tones[k, 0] * t)
+        acc = tones[k, 1] * c - tones[k, 2] * s
+        a += acc
+        v += (tones[k, 2] * c + tones[k, 1] * s) / tones[k, 0]
+        x -= acc / (tones[k, 0] * tones[k, 0])
+    return x, v, a
+
+
+@compiled
+def step_length(period: float, tones: Floats) -> float:
+    """Integration step: a fixed part of the period of the fastest tone that matters."""
+    largest = 0.0
+    for k in range(tones.shape[0]):
+        largest = max(largest, math.hypot(tones[k, 1], tones[k, 2]) / (tones[k, 0] * tones[k, 0]))
+    fastest = 2.0 * math.pi / period
+    for k in range(tones.shape[0]):
+        if math.hypot(tones[k, 1], tones[k, 2]) / (tones[k, 0] * tones[k, 0]) > MINOR * largest:
+            fastest = max(fastest, tones[k, 0])
+    return 2.0 * math.pi / (fastest * STEPS_PER_PERIOD)
+
+
+@compiled
+def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
+    """Displacement, velocity and acceleration of the plate mode, s after its state."""
+    q, qd, om, ze = mode
+    if q == 0.0 and qd == 0.0:
+        return 0.0, 0.0, 0.0
+    od = om * math.sqrt(1.0 - ze * ze)
+    decay = math.exp(-ze * om * s)
+    c, sn = math.cos(od * s), math.sin(od * s)
+    b = (qd + ze * om * q) / od
+    x = decay * (q * c + b * sn)
+    v = decay * (od * (b * c - q * sn)) - ze * om * x
+    return x, v, -2.0 * ze * om * v - om * om * x
+
+
+@compiled
+def with_state(plate: Plate, q: float, qd: float) -> Plate:
+    """The same plate, its mode in the state (q, qd)."""
+    return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping))
+
+
+@compiled
+def mode_at_rest(t: float, tones: Floats, p: Floats) -> tuple[float, float, float]:
+    """Plate mode under a ball that has long been resting on it: displacement, velocity and acceleration at time t.
+
+    The ball presses with ``ratio (g + a)`` per mass of the mode, ``a`` being the whole acceleration of the plate.
+    """
+    om, ze, ratio = plate_mode(p)
+    x, v, a = -ratio * p[-1] / (om * om), 0.0, 0.0
+    for k in range(tones.shape[0]):
+        if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:
+            continue
+        stiff, loss = om * om - (1.0 + ratio) * tones[k, 0] * tones[k, 0], 2.0 * ze * om * tones[k, 0]
+        size = -ratio / (stiff * stiff + loss * loss)
+        qr, qi = size * (tones[k, 1] * stiff + tones[k, 2] * loss), size * (tones[k, 2] * stiff - tones[k, 1] * loss)
+        c, s = math.cos(tones[k, 0] * t), math.sin(tones[k, 0] * t)
+        here = qr * c - qi * s
+        x += here
+        v -= tones[k, 0] * (qi * c + qr * s)
+        a -= tones[k, 0] * tones[k, 0] * here
+    return x, v, a
+
+
+@compiled
+def loaded(t: float, plate: Plate, p: Floats) -> Plate:
+    """The same plate with a ball resting on it from time t on.
+
+    What the ball presses out of the mode is part of the tones; the state is what rings beside.
+    """
+    ratio = plate_mode(p)[2]
+    if ratio == 0.0:
+        return plate
+    tones, (q, qd, om, ze) = plate
+    x, v, _ = mode_at_rest(t, tones, p)
+    under = tones.copy()
+    for k in range(tones.shape[0]):
+        if tones[k, 1] != 0.0 or tones[k, 2] != 0.0:
+            push = complex(om * om - (1.0 + ratio) * tones[k, 0] * tones[k, 0], 2.0 * ze * om * tones[k, 0])
+            z = complex(tones[k, 1], tones[k, 2]) * (1.0 + ratio * tones[k, 0] * tones[k, 0] / push)
+            under[k, 1], under[k, 2] = z.real, z.imag
+    root = math.sqrt(1.0 + ratio)
+    return Plate(under, Mode(q - x, qd - v, om / root, ze / root))
+
+
+@compiled
+def mode_under_ball(t: float, s: float, plate: Plate, p: Floats) -> tuple[float, float]:
+    """Displacement and velocity of the mode, s after its state at time t, the ball resting on it all the while."""
+    om, ze, ratio = plate_mode(p)
+    if ratio == 0.0:
+        return 0.0, 0.0
+    root = math.sqrt(1.0 + ratio)
+    tones, mode = plate
+    x0, v0, _ = mode_at_rest(t, tones, p)
+    x1, v1, _ = mode_at_rest(t + s, tones, p)
+    x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root))
+    return x + x1, v + v1
+
+
+@compiled
+def strike(mode: Mode, s: float, impact: float, p: Floats) -> tuple[float, float]:
+    """State of the plate mode just after an impact, s after its last state."""
+    ratio = plate_mode(p)[2]
+    if ratio == 0.0:
+        return 0.0, 0.0
+    x, v, _ = mode_at(s, mode)
+    return x, v - ratio / (1.0 + ratio) * (1.0 + rebound(impact, p)) * impact
+
+
+@compiled
+def _integral(rate: complex, before: complex, after: complex, length: float) -> complex:
+    """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
+    if abs(rate) * length < 1e-6:
+        return 0.5 * length * (before + after)
+    return (after - before) / rate
+
+
+@compiled
+def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, probe: Probe, m: int) -> None:
+    """Add to a probe's projections the plate mode from t0, its state there being that of ``plate``, to t1, in step m.
+
+    A projection is the integral of the mode's acceleration times ``exp(-i w t)``, in closed form.
+    """
+    ratio = plate_mode(p)[2]
+    tones, (q, qd, om, ze) = plate
+    x0, v0 = 0.0, 0.0
+    if resting:
+        root = math.sqrt(1.0 + ratio)
+        x0, v0, _ = mode_at_rest(t0, tones, p)
+        om, ze = om / root, ze / root
+    decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
+    size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
+    firsts, span_s, omega, projection, observed_s = probe
+    first, last = firsts[m], firsts[m + 1]
+    r = first + np.searchsorted(span_s[first:last, 1], t0)
+    while r < last and span_s[r, 0] < t1:
+        a, b = max(t0, span_s[r, 0]), min(t1, span_s[r, 1])
+        observed_s[r] += b - a
+        free_a, free_b = size * np.exp(decay * (a - t0)), size * np.exp(decay * (b - t0))
+        for k in range(omega.shape[1]):
+            back = complex(0.0, -omega[m, k])
+            at_a, at_b = np.exp(back * a), np.exp(back * b)
+            total = _integral(decay + back, free_a * at_a, free_b * at_b, b - a)
+            total += _integral(np.conj(decay) + back, np.conj(free_a) * at_a, np.conj(free_b) * at_b, b - a)
+            for j in range(tones.shape[0] if resting else 0):
+                if tones[j, 1] == 0.0 and tones[j, 2] == 0.0:
+                    continue
+                stiff = (1.0 + ratio) * (om * om - tones[j, 0] * tones[j, 0])
+                push = complex(stiff, 2.0 * ze * om * (1.0 + ratio) * tones[j, 0])
+                answer = ratio * tones[j, 0] * tones[j, 0] * complex(tones[j, 1], tones[j, 2]) / push
+                own = complex(0.0, tones[j, 0])
+                own_a, own_b = answer * np.exp(own * a), answer * np.exp(own * b)
+                total += _integral(own + back, own_a * at_a, own_b * at_b, b - a)
+                total += _integral(back - own, np.conj(own_a) * at_a, np.conj(own_b) * at_b, b - a)
+            projection[r, k] += 0.5 * total
+        r += 1

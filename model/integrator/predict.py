@@ -1,0 +1,156 @@
+"""Each measured flight predicted from the measured landing before it; flights one after another from a start."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.integrator.flight import LONGEST_PERIODS, flight
+from model.integrator.hooks import plate_mode
+from model.integrator.plate import mode_at_rest, mode_under_ball, project_mode, step_length, strike, with_state
+from model.integrator.records import (
+    Chain,
+    Events,
+    Floats,
+    Law,
+    Mode,
+    Plate,
+    Probe,
+    Steps,
+    Visibility,
+    compiled,
+)
+from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
+
+OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
+OUT_COLUMNS = 10
+"""Of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as
+predicted; launch velocity and impact speed of the measured flight; by how much later the landing may be seen."""
+
+
+@compiled
+def _begin_chain(i: int, events: Events, period: float, last: Chain, plate: Plate, p: Floats) -> Chain:
+    """A chain that begins at the opening of event i: the plate goes on ringing from step to step."""
+    opening = events.opening[i]
+    rested = opening - last.t
+    if 0.0 <= rested < LONGEST_PERIODS * period:
+        q, qd = mode_under_ball(last.t, rested, with_state(plate, last.q, last.qd), p)
+    else:
+        q, qd, _ = mode_at_rest(opening, plate.tones, p)
+    return Chain(opening, last.impact, q, qd, False, 0)
+
+
+@compiled
+def _predict(i: int, events: Events, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Floats) -> int:
+    """Write the prediction of event i from the landing before; return the weak impacts passed."""
+    shortest = min(seen.unseen_s, 0.5 * (events.landing[i] - events.opening[i]))
+    own = Visibility(events.gap_m[i], shortest, seen.passable_s, seen.closure_s)
+    plate = with_state(bare, last.q, last.qd)
+    found = next_flight(last.t, last.impact, plate, law, own, events.opening[i])
+    land, hit, passed = found.landing, found.impact, 0
+    if found.kind >= 0 and hit < events.weak_mps[i]:
+        q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
+        struck = with_state(bare, q, qd)
+        land, hit, passed, out[9] = weak_rebounds(
+            (land, hit), events.landing[i], events.weak_mps[i], seen.closure_s, struck, law
+        )
+    out[0], out[1], out[2], out[3] = found.takeoff, found.launch, land, hit
+    out[4], out[5], out[6] = found.opening, found.hidden, found.kind
+    return passed
+
+
+@compiled
+def _measured(
+    i: int, events: Events, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
+) -> tuple[float, float, float, float, float]:
+    """Start, launch velocity and impact speed of the measured flight i itself, and the mode's state at the start."""
+    opening, landing, bounces, p = events.opening[i], events.landing[i], events.bounces[i], law.p
+    resting = with_state(bare, last.q, last.qd)
+    direct, start, lasts, v0, hit = events.at_once[i] and events.linked[i], last.t, -1.0, 0.0, 0.0
+    if not (direct and bounces):  # without a bounce the ball leaves as if from rest, at once or soon after
+        q, qd = mode_under_ball(last.t, opening - last.t, resting, p)
+        start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
+    q, qd = mode_under_ball(last.t, start - last.t, resting, p)
+    if not (events.at_once[i] and bounces):
+        lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
+    if lasts < 0.0 or abs(start + lasts - landing) > OFF_PERIODS * period:
+        if direct:
+            start, q, qd = last.t, last.q, last.qd
+        near = out[1] if passed == 0 and out[6] == 1.0 and events.at_once[i] else -1.0
+        v0, hit = launch_of(start, landing, near, out[2], with_state(bare, q, qd), law)
+    return start, v0, hit, q, qd
+
+
+@compiled
+def one_ahead(
+    events: Events,
+    steps: Steps,
+    rows: Floats,
+    forced: bool,
+    rubbed: bool,
+    seen: Visibility,
+    kick: tuple[float, float],
+    probe: Probe,
+    out: Floats,
+) -> None:
+    """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
+
+    ``rows`` (n, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity wherever the
+    chain of flights begins anew. A measured flight's own launch and impact are found where an elastic impact or a plate
+    mode needs them.
+    """
+    last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
+    for i in range(events.landing.shape[0]):
+        m, p, landing, bounces = events.step[i], rows[i], events.landing[i], events.bounces[i]
+        om, ze, ratio = plate_mode(p)
+        bare = Plate(steps.tones[m], Mode(0.0, 0.0, om, ze))
+        law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed)
+        out[i, 6], out[i, 9] = -1.0, 0.0
+        passed, chained = 0, last.chained + 1
+        if not events.linked[i]:
+            chained = 0
+            last = _begin_chain(i, events, steps.period[m], last, bare, p)
+            last = Chain(last.t, last.impact, last.q + kick[0], last.qd + kick[1], False, 0)
+        elif (events.wanted[i] or bounces) and (last.known or not bounces):
+            passed = _predict(i, events, last, bare, law, seen, out[i])
+        # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
+        needed = ratio != 0.0 or (bounces and np.any(events.wanted[i + 1 : i + 3]))
+        if not (needed or (bounces and events.wanted[i])):
+            last = Chain(landing, last.impact, last.q, last.qd, True, 0)
+            continue
+        start, v0, hit, q, qd = _measured(i, events, steps.period[m], last, bare, law, passed, out[i])
+        if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
+            hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact
+        hit = max(hit, 0.0)
+        out[i, 7], out[i, 8] = v0, hit
+        flying = with_state(bare, q, qd)
+        if ratio != 0.0 and events.linked[i]:
+            project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
+            project_mode(start, landing, False, flying, p, probe, m)
+        q, qd = strike(flying.mode, landing - start, hit, p)
+        last = Chain(landing, hit, q, qd, True, chained)
+
+
+@compiled
+def simulate(
+    start_s: float, impact: float, period: float, tones: Floats, bare: Law, unseen_s: float, out: Floats
+) -> int:
+    """Flights one after another from an impact: fills ``out`` (n, 6) and returns how many.
+
+    Columns: take-off, launch velocity, landing, impact speed, kind, flights passed over.
+    """
+    p = bare.p
+    om, ze, _ = plate_mode(p)
+    plate = Plate(tones, Mode(0.0, 0.0, om, ze))
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed)
+    seen = Visibility(0.0, unseen_s, 0.0, 0.0)
+    t = start_s
+    for i in range(out.shape[0]):
+        found = next_flight(t, impact, plate, law, seen, -1e300)
+        if found.kind < 0:
+            return i
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = found.takeoff, found.launch, found.landing, found.impact
+        out[i, 4], out[i, 5] = found.kind, found.hidden
+        q, qd = strike(with_state(plate, found.q, found.qd).mode, found.landing - found.takeoff, found.impact, p)
+        plate = with_state(plate, q, qd)
+        t, impact = found.landing, found.impact
+    return len(out)

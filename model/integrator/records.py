@@ -1,0 +1,166 @@
+"""Records that the integrator's kernels take; named tuples, which numba passes as it passes their fields.
+
+Reading an array out of a record counts a reference: what runs at every step takes the arrays themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernels import njit
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+_F = TypeVar("_F", bound=Callable[..., object])
+
+
+def compiled(function: _F) -> _F:
+    """Compile ``function`` at its first call, without fused operations; threads may run it at once."""
+    return cast(_F, njit(error_model="numpy", nogil=True)(function))
+
+
+def inlined(function: _F) -> _F:
+    """Compile ``function`` into every kernel that calls it."""
+    return cast(_F, njit(error_model="numpy", forceinline=True)(function))
+
+
+class Mode(NamedTuple):
+    """A free damped oscillator: displacement, velocity, angular frequency, damping ratio."""
+
+    q: float
+    qd: float
+    omega: float
+    damping: float
+
+
+class Plate(NamedTuple):
+    """The plate as it moves under a flight: its tones, and a mode that rings from a given moment on.
+
+    ``tones`` (k, 3) holds their angular frequencies and the real and imaginary parts of their accelerations in m/s^2.
+    """
+
+    tones: Floats
+    mode: Mode
+
+
+class Law(NamedTuple):
+    """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction."""
+
+    p: Floats
+    step_s: float
+    forced: bool
+    rubbed: bool
+
+
+class Visibility(NamedTuple):
+    """What the contact circuit shows of a flight.
+
+    The height at which it opens; flights no instrument has seen; flights that may have escaped it; how long an impact
+    keeps it closed.
+    """
+
+    gap_m: float
+    unseen_s: float
+    passable_s: float
+    closure_s: float
+
+
+class StepEnds(NamedTuple):
+    """Length of a step of the integration, and height, velocity and acceleration at both its ends."""
+
+    d: float
+    h0: float
+    v0: float
+    a0: float
+    h1: float
+    v1: float
+    a1: float
+
+
+class Start(NamedTuple):
+    """The start of a segment: time, time since take-off, height and velocity, and the plate's tones and mode there."""
+
+    t: float
+    s: float
+    h: float
+    v: float
+    x: float
+    xd: float
+    q: float
+    qd: float
+
+
+class Flight(NamedTuple):
+    """One flight that the instrument sees; ``kind`` 1 thrown or bounced at once, 0 after rest, -1 none.
+
+    ``hidden`` counts the flights passed over before it; ``(q, qd)`` is the mode's state at take-off.
+    """
+
+    takeoff: float
+    launch: float
+    landing: float
+    impact: float
+    opening: float
+    hidden: int
+    kind: int
+    q: float
+    qd: float
+
+
+class Events(NamedTuple):
+    """Measured flights in order, (n,) each; see `model.integrator.one_step.Measured`.
+
+    ``bounces`` marks those whose impact the ball may rebound from; ``gap_m`` and ``weak_mps`` are those of
+    `model.integrator.one_step.Detection`.
+    """
+
+    opening: Floats
+    landing: Floats
+    at_once: Bools
+    linked: Bools
+    wanted: Bools
+    step: Integers
+    bounces: Bools
+    gap_m: Floats
+    weak_mps: Floats
+
+
+class Steps(NamedTuple):
+    """The plate in each step: period of the forcing (m,), and its tones (m, k, 3) as in `Plate`."""
+
+    period: Floats
+    tones: Floats
+
+
+class Probe(NamedTuple):
+    """Intervals of time in which the mode's motion is projected on tones, and the projections so far.
+
+    Where each step's intervals begin (m + 1,); the intervals (r, 2); angular frequencies (m, l); projections (r, l) and
+    the time for which the mode was known (r,).
+    """
+
+    first: Integers
+    span_s: Floats
+    omega: Floats
+    projection: NDArray[np.complex128]
+    observed_s: Floats
+
+
+class Chain(NamedTuple):
+    """The last landing in a chain of flights: time, impact speed, the mode's state just after it.
+
+    ``known`` tells whether it belongs to the chain, ``chained`` how many impact speeds in a row were asked for: the
+    first one's own prediction leans on nothing.
+    """
+
+    t: float
+    impact: float
+    q: float
+    qd: float
+    known: bool
+    chained: int

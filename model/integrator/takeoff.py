@@ -1,0 +1,198 @@
+"""From an impact to the next flight that an instrument sees, and from a measured flight back to its take-off."""
+
+from __future__ import annotations
+
+import math
+
+from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, pull, wait
+from model.integrator.hooks import dry_friction, rebound, takeoff_threshold
+from model.integrator.plate import STEPS_PER_PERIOD, loaded, mode_at, mode_under_ball, strike, tones_at, with_state
+from model.integrator.records import Flight, Law, Plate, Visibility, compiled
+
+TAIL_PART = 2e-4  # part of a period: a shorter bounce begins the tail of a chatter, summed in closed form
+MOST_BOUNCES = 400
+UNRESOLVED_PART = 0.2  # of the time between impacts that are one: how well it is known which one counts
+RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
+MOST_RESTITUTION = 0.999
+
+
+@compiled
+def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tuple[float, float, int, float]:
+    """After an impact at time t: when, how fast and how the ball leaves the plate.
+
+    Returns (time, launch velocity, kind, end of rebounds): kind 1 thrown or bounced at once, 0 after rest, -1 never.
+    The tail of a chatter is summed as a geometric series under the net acceleration at its start.
+    """
+    p = law.p
+    e = min(max(rebound(impact, p), 0.0), MOST_RESTITUTION)
+    v0 = e * impact
+    plate = loaded(t, bare, p)
+    net = pull(t, 0.0, 0.0, plate.tones, plate.mode, p)
+    up = net - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell0, p)
+    shortest = TAIL_PART * (law.step_s * STEPS_PER_PERIOD)
+    if v0 > 0.0:
+        rise = net - dry_friction(0.0, v0, 1.0, p)
+        if rise >= 0.0:
+            return t, v0, 1, t
+        fall = net + dry_friction(0.0, v0, -1.0, p)
+        if fall < 0.0:
+            lasts = v0 * (1.0 / -rise + 1.0 / math.sqrt(rise * fall))
+            back = math.sqrt(fall / rise)
+            if lasts > shortest:
+                return t, v0, 1, t
+            tail = lasts / (1.0 - e * back) if e * back < 1.0 else lasts
+        elif v0 / -rise > shortest:
+            return t, v0, 1, t
+        else:
+            tail = v0 / -rise
+        stay, direction = wait(t + tail, 0.0, tail, dwell0, plate, law)
+        if direction == 0.0:
+            return t, 0.0, -1, t + tail
+        return t + tail + stay, 0.0, 0, t + tail
+    if up > 0.0:
+        return t, 0.0, 1, t
+    stay, direction = wait(t, 0.0, 0.0, dwell0, plate, law)
+    if direction == 0.0:
+        return t, 0.0, -1, t
+    return t + stay, 0.0, 0, t
+
+
+@compiled
+def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibility, after: float) -> Flight:
+    """From an impact at time t to the next flight that an instrument sees.
+
+    Flights shorter than ``unseen_s`` are passed over, and those shorter than ``passable_s`` that end before ``after``;
+    the impact that ends one keeps the circuit closed for ``closure_s``, wherever the ball is. The mode's state in
+    ``plate`` is that just after the impact.
+    """
+    dwell = 0.0
+    for hidden in range(MOST_BOUNCES):
+        off, v0, kind, _ = leave(t, impact, dwell, plate, law)
+        if kind < 0:
+            break
+        qt, qdt = mode_under_ball(t, off - t, plate, law.p)
+        flying = with_state(plate, qt, qdt)
+        lasts, v_hit, opened = flight(off, v0, flying, law, seen.gap_m)
+        if lasts < 0.0:
+            break
+        if lasts > seen.unseen_s and not (lasts < seen.passable_s and off + lasts < after):
+            opens = off + max(opened, 0.0)
+            if hidden > 0:
+                opens = max(opens, t + seen.closure_s)
+            return Flight(off, v0, off + lasts, v_hit, opens, hidden, kind, qt, qdt)
+        dwell = 0.0 if kind == 1 else off - t + dwell
+        t = off + lasts
+        q, qd = strike(flying.mode, lasts, v_hit, law.p)
+        plate = with_state(plate, q, qd)
+        impact = v_hit
+    return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.mode.q, plate.mode.qd)
+
+
+@compiled
+def weak_rebounds(
+    landing: tuple[float, float], target: float, weak_mps: float, closure_s: float, plate: Plate, law: Law
+) -> tuple[float, float, int, float]:
+    """Which landing ends a flight as the instrument shows it, given a first landing and its impact speed.
+
+    An impact slower than ``weak_mps`` from which the ball leaves at once may have left no mark: the flight seems to go
+    on through it, and ends at the impact nearest to ``target``, or at the end of the chatter where that is nearer.
+    Impacts closer together than `RESOLVED_S` are one, and which of them is no free choice: the first where each keeps
+    the circuit closed for a while (``closure_s``), else the last, less a part of what lies between, which is uncertain.
+    The mode's state is that just after the landing. Returns (landing, impact speed, impacts passed, ambiguity in s).
+    """
+    land, hit = landing
+    near, near_hit, near_passed, ambiguity = land, hit, 0, 0.0
+    passed = 0
+    while hit < weak_mps and passed < MOST_BOUNCES:
+        off, v0, kind, end = leave(land, hit, 0.0, plate, law)
+        passed += 1
+        lasts, v_next = end - off, 0.0
+        if kind == 1:
+            lasts, v_next, _ = flight(off, v0, plate, law, 0.0)
+            if lasts < 0.0:
+                break
+            q, qd = strike(plate.mode, lasts, v_next, law.p)
+            plate = with_state(plate, q, qd)
+        land, hit = off + lasts, v_next
+        if land - near <= RESOLVED_S:
+            if closure_s == 0.0:
+                ambiguity += UNRESOLVED_PART * (land - near)
+                near, near_hit, near_passed = land, hit, passed
+        elif abs(land - target) < abs(near - target):
+            near, near_hit, near_passed, ambiguity = land, hit, passed, 0.0
+        if kind != 1 or land - RESOLVED_S > max(target, near):
+            break
+    return near, near_hit, near_passed, ambiguity
+
+
+@compiled
+def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, law: Law) -> tuple[float, float]:
+    """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
+
+    Secant on the landing time from the drag-free answer, or from a launch velocity ``v_near`` known to land at
+    ``t_near`` (-1: none); the drag-free answer itself where no flight lands at t1.
+    """
+    g, (tones, mode) = law.p[-1], plate
+    x0, vp0, _ = tones_at(t0, tones)
+    x1, vp1, _ = tones_at(t1, tones)
+    rx0, rv0 = mode.q, mode.qd
+    rx1, rv1, _ = mode_at(t1 - t0, mode)
+    lasts = t1 - t0
+    v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
+    hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
+    if not (law.forced or law.rubbed):
+        return v0, hit
+    va, fa, va_hit = v_near, t_near - t1, hit
+    first = 0 if v_near < 0.0 else 1
+    vb = max(v0, 0.0) if first == 0 else max(v_near - 0.5 * g * fa, 0.0)
+    for i in range(first, 7):
+        s, v_hit, _ = flight(t0, vb, plate, law, 0.0)
+        if s < 0.0:
+            return max(v0, 0.0), max(hit, 0.0)
+        fb = s - lasts
+        va_hit = v_hit
+        if abs(fb) < 1e-9:
+            break
+        if i == 0 or vb == va:
+            va, fa = vb, fb
+            vb = max(vb - 0.5 * g * fb, 0.0)
+            if vb == va:
+                break
+        else:
+            slope = (fb - fa) / (vb - va) if vb != va else 0.0
+            if slope <= 0.0:
+                break
+            va, fa, vb = vb, fb, max(vb - fb / slope, 0.0)
+            if vb == va:
+                break
+    return vb, va_hit
+
+
+@compiled
+def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
+    """The last moment before an opening at which the plate throws a ball at rest; the opening where there is none."""
+    p = law.p
+    level = dry_friction(0.0, 0.0, 1.0, p) + takeoff_threshold(1e9, p)
+    tones, mode = loaded(t_open, bare, p)
+    back = 0.5 * period
+    n = int(back / law.step_s) * 4
+    d = back / n
+    later = t_open + 4.0 * d
+    above = pull(later, later - t_open, 0.0, tones, mode, p) - level
+    for _ in range(n + 4):
+        t = later - d
+        over = pull(t, t - t_open, 0.0, tones, mode, p) - level
+        if above > 0.0 >= over:
+            lo, hi, below = t, later, over
+            for k in range(MOST_SECANTS):
+                mid = between(lo, hi, below, above, k)
+                here = pull(mid, mid - t_open, 0.0, tones, mode, p) - level
+                if here > 0.0:
+                    hi, above, below = mid, here, 0.5 * below
+                else:
+                    lo, below, above = mid, here, 0.5 * above
+                if abs(here) < NO_PULL_MPS2:
+                    return mid
+            return hi
+        later, above = t, over
+    return t_open

@@ -1,1 +1,0 @@
-"""TODO what series is for."""
