@@ -18,7 +18,7 @@ from daq.setup.setup import Setup
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.bifurcations.sweep import observed
 from model.contact_sensor import Instrument, observe
-from model.effects.registry import resolve
+from model.effects.registry import effect, resolve
 from model.effects.routing import Effects, of_the_ball, reading
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
 from model.orbits.make_ball import ball_of
@@ -131,7 +131,7 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
     Where the plate is declared to move at harmonics, those that were measured belong to its motion.
     """
     multiples = list(plate.forcing_multiples)
-    if "harmonic_distortion" in effects:
+    if any("harmonics" in effect(name).hooks for name in effects):
         sigma = plate.acceleration.amplitude_sigma()
         size = np.abs(plate.acceleration.amplitudes)
         multiples += [m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > SEEN * sigma[i]]

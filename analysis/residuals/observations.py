@@ -30,11 +30,11 @@ from model.tones import STANDARD_GRAVITY_MPS2
 Array = NDArray[np.float64]
 
 NOT_EVENTS = FlightFlag.FALSE
-NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
+NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
 MAX_TONES = 8
-TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
+TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not scored
 WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
@@ -90,7 +90,7 @@ class Observations:
         The flights (n,), in order.
     opening_sigma_s, landing_sigma_s : arrays, shape (n,)
         Uncertainty of the edges alone.
-    judged : bool array, shape (n,)
+    scored : bool array, shape (n,)
         Flights that a prediction may be held against.
     time_s : array, shape (n,)
         Landing since the start of its recording.
@@ -107,14 +107,14 @@ class Observations:
         How long an impact keeps the circuit closed: what contacts last from which the ball leaves at once.
     hints_hz : tuple of float
         Lines that stand out below the forcing in several steps: where a table resonance may be.
-    swells : Swells or None
+    modulation : Swells or None
         How the forcing's amplitude changes within steps and from step to step.
     """
 
     measured: Measured
     opening_sigma_s: Array
     landing_sigma_s: Array
-    judged: NDArray[np.bool_]
+    scored: NDArray[np.bool_]
     time_s: Array
     weak_mps: Array
     steps: Steps
@@ -124,11 +124,11 @@ class Observations:
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     hints_hz: tuple[float, ...] = ()
-    swells: AmplitudeModulation | None = None
+    modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
 
     def __len__(self) -> int:
-        return len(self.judged)
+        return len(self.scored)
 
 
 def observations_from(
@@ -163,7 +163,7 @@ def observations_from(
 
 
 def _check_alike(paths: Sequence[Path]) -> None:
-    """Refuse recordings of unlike c before any is read: their steps cannot be judged together."""
+    """Refuse recordings of unlike c before any is read: their steps cannot be fitted together."""
     ratios = {}
     for path in paths:
         with open_recording(path) as recording:
@@ -206,14 +206,14 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
         spread,
         forcing,
     )
-    measured, judged, keep = _events(flights, rows, _half_faded_s(recording))
+    measured, scored, keep = _events(flights, rows, _half_faded_s(recording))
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
-    sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
-    weak = np.full(len(judged), np.inf)
+    sigmas_open = with_jitter(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines)
+    sigmas_land = with_jitter(measured.landing_s, bare[1], step, scored, period_s, lines)
+    weak = np.full(len(scored), np.inf)
     if flights.edges.witness is not None:
         weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
@@ -222,7 +222,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
         measured,
         sigmas_open,
         sigmas_land,
-        judged,
+        scored,
         measured.landing_s.copy(),
         weak,
         steps,
@@ -233,7 +233,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
         notes=notes,
         hints_hz=hints,
         closure_s=_closure_s(measured),
-        swells=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+        modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
 
@@ -259,7 +259,7 @@ def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[
     How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
     While an impact rings, only a part of its own size is heard.
     """
-    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
+    rest, turns = ~measured.relaunched, 1j * steps.plate.omega_radps[measured.step]
     velocity = steps.plate.acceleration_mps2[measured.step] / turns
     at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
     strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
@@ -269,14 +269,14 @@ def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[
         return np.full(len(rest), WEAK_MPS)
     speed = float(np.median(impact[heard] / strength[heard]))
     before = np.concatenate([[0.0], strength[:-1]])
-    rings = measured.at_once & (duration_s < RINGING_S)
+    rings = measured.relaunched & (duration_s < RINGING_S)
     usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
     return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
 
 
 def _closure_s(measured: Measured) -> float:
     """Middle of the contacts from which the ball left at once; 0 where there are few."""
-    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.at_once[1:] & measured.linked[1:]]
+    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.relaunched[1:] & measured.linked[1:]]
     return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
 
 
@@ -308,7 +308,7 @@ def _half_faded_s(recording: Recording) -> Array:
 def _events(
     flights: Flights, rows: NDArray[np.int64], half_faded_s: Array
 ) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
-    """True flights of steps whose plate is known, with their links; which may be judged; which rows were kept."""
+    """True flights of steps whose plate is known, with their links; which are scored; which rows were kept."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
     step = np.clip(flights.step, 0, len(rows) - 1)
@@ -323,10 +323,10 @@ def _events(
     before = np.maximum(np.arange(n) - 1, 0)
     linked = (np.arange(n) > 0) & (step == step[before]) & ((flags[before] & MISLEADING) == 0)
     rest = opening - landing[before]
-    at_once = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
-    tiny = at_once & (landing - opening < TINY_S)
-    judged = linked & ~tiny & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
-    return Measured(opening, landing, at_once, linked, step.astype(np.int64), judged), judged, keep
+    relaunched = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
+    tiny = relaunched & (landing - opening < TINY_S)
+    scored = linked & ~tiny & ((flags & NOT_SCORED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
+    return Measured(opening, landing, relaunched, linked, step.astype(np.int64), scored), scored, keep
 
 
 def join(parts: Sequence[Observations]) -> Observations:
@@ -339,7 +339,7 @@ def join(parts: Sequence[Observations]) -> Observations:
     measured = Measured(
         opening_s=column(lambda p: p.measured.opening_s),
         landing_s=column(lambda p: p.measured.landing_s),
-        at_once=column(lambda p: p.measured.at_once),
+        relaunched=column(lambda p: p.measured.relaunched),
         linked=column(lambda p: p.measured.linked),
         step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
         wanted=column(lambda p: p.measured.wanted),
@@ -362,7 +362,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         measured=measured,
         opening_sigma_s=column(lambda p: p.opening_sigma_s),
         landing_sigma_s=column(lambda p: p.landing_sigma_s),
-        judged=column(lambda p: p.judged),
+        scored=column(lambda p: p.scored),
         time_s=column(lambda p: p.time_s),
         weak_mps=column(lambda p: p.weak_mps),
         steps=table,
@@ -373,7 +373,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
-        swells=AmplitudeModulation.join(swells)
-        if (swells := [p.swells for p in parts if p.swells is not None])
+        modulation=AmplitudeModulation.join(modulation)
+        if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
     )

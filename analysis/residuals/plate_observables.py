@@ -261,7 +261,7 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
         points = np.array(list(table.values()))
         for point in np.unique(points, axis=1).T:
             p = dict(zip(table, map(float, point), strict=True))
-            if p != entry.effect.absent:
+            if p != entry.effect.null_values:
                 rows = np.all(points == point[:, None], axis=0)[data.step]
                 _add(out, data, rows, entry.hooks, p)
     return out

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from analysis.drop.declare import Measured, declare
 from analysis.loop.close_loop import ClosedLoop
-from analysis.residuals.forward_model import DRIFT
+from analysis.residuals.forward_model import TREND
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 
@@ -52,7 +52,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
             name, q, float(fitted.values[name, q]), float(fitted.sigma((name, q))), f"closed loop on {recording.name}"
         )
         for name, q in loop.best.free
-        if not q.endswith(DRIFT)
+        if not q.endswith(TREND)
     ]
     believed = loop.verdict != "unexplained"
     edited = declare(text, found if believed else [], on, str(path))
@@ -78,8 +78,8 @@ def not_declared(loop: ClosedLoop) -> list[str]:
     """What was found and no profile can hold: a trend during the run, and a term without a name."""
     left = []
     for name, q in loop.best.free:
-        if q.endswith(DRIFT):
-            bare, change = q.removesuffix(DRIFT), loop.best.fitted.values[name, q]
+        if q.endswith(TREND):
+            bare, change = q.removesuffix(TREND), loop.best.fitted.values[name, q]
             middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
             left.append(f"{name}.{bare} changed by {change:.3g} from start to end of this run{middle}")
     if loop.discovered is not None:

@@ -14,7 +14,6 @@ EFFECT = Effect(
     parameters=(
         Parameter("relative", "1", -0.05, 0.05, 1e-4, calibration=3e-5, meaning="recorded over true time, minus 1"),
     ),
-    seen_in=("plate",),
     confused_with={"local_gravity": "the drive's frequency"},
     reference="quartz: 50 ppm; a wrong rate in a file: anything",
 )

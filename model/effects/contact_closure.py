@@ -12,7 +12,6 @@ EFFECT = Effect(
     name="contact_closure",
     summary="an impact closes the circuit for a moment even when the ball leaves at once",
     parameters=(Parameter("closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, meaning="shortest closed time"),),
-    seen_in=("takeoff",),
     confused_with={"contact_latency": "landing times"},
     nuisance=True,
     reference="elastic contact, deformation of the wire",

@@ -14,7 +14,6 @@ EFFECT = Effect(
     parameters=(
         Parameter("amplitude_mps2", "m/s^2", 0.0, 50.0, 0.05, calibration=0.002, power=0.5, meaning="at 50 or 60 Hz"),
     ),
-    seen_in=("plate",),
     confused_with={"harmonic_distortion": "a forcing that does not divide the mains frequency"},
     reference="ground loops in the amplifier",
 )

@@ -45,4 +45,4 @@ def shapes_the_plate(effects: Effects) -> list[str]:
 
 def _with(effects: Effects, hook: str) -> list[tuple[Registered, Mapping[str, float]]]:
     found = ((effect(n), t) for n, t in effects.items())
-    return [(e, {**e.effect.absent, **t}) for e, t in found if hook in e.hooks]
+    return [(e, {**e.effect.null_values, **t}) for e, t in found if hook in e.hooks]

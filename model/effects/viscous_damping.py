@@ -10,8 +10,7 @@ from model.effects.base import Effect, Parameter, Row
 EFFECT = Effect(
     name="viscous_damping",
     summary="a drag proportional to the speed along the rod",
-    parameters=(Parameter("rate_per_s", "1/s", 0.0, 200.0, 0.5, scan=(3.0,), meaning="deceleration over speed"),),
-    seen_in=("landing", "bounce"),
+    parameters=(Parameter("rate_per_s", "1/s", 0.0, 200.0, 0.5, start_grid=(3.0,), meaning="deceleration over speed"),),
     confused_with={"coulomb_friction": "take-off times", "position_force": "irregular flights at high gamma"},
     reference="linear (lubricated) friction",
 )

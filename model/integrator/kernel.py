@@ -621,7 +621,7 @@ def hear(t0, t1, resting, q, qd, om, ze, w, ar, ai, p, first, last, span_s, list
 def one_ahead(
     opening,
     landing,
-    at_once,
+    relaunched,
     linked,
     wanted,
     step,
@@ -648,7 +648,7 @@ def one_ahead(
 ):
     """Predict each event from the measured one before it.
 
-    ``opening, landing, at_once, linked, step`` (n,) describe the measured flights in order: seen to open, seen to land,
+    ``opening, landing, relaunched, linked, step`` (n,) describe the measured flights in order: seen to open, seen to land,
     whether it left at its predecessor's landing, whether its predecessor is the flight before it without a gap, and the
     row of ``period`` (m,), ``w, ar, ai`` (m, k) with the plate's motion; only those ``wanted`` are predicted;
     ``p`` (n, P + 1). Fills ``out`` (n, 10):
@@ -736,18 +736,18 @@ def one_ahead(
         if not (needed or (bounce[i] and wanted[i])):
             chained = 0
             continue
-        direct, start, lasts, v0, hit = at_once[i] and linked[i], t_landed, -1.0, 0.0, 0.0
+        direct, start, lasts, v0, hit = relaunched[i] and linked[i], t_landed, -1.0, 0.0, 0.0
         if not (direct and bounce[i]):  # without a bounce the ball leaves as if from rest, at once or soon after
             qo, qdo, _ = pressed(t_landed, opening[i] - t_landed, q, qd, wi, ri, ii, pi)
             start = thrown_before(opening[i], period[m], qo, qdo, 0.0, om, ze, wi, ri, ii, dt, pi)
             start = max(start, t_landed)
         qs, qds, _ = pressed(t_landed, start - t_landed, q, qd, wi, ri, ii, pi)
-        if not (at_once[i] and bounce[i]):
+        if not (relaunched[i] and bounce[i]):
             lasts, hit, _ = flight(start, 0.0, qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough, 0.0)
         if lasts < 0.0 or abs(start + lasts - landing[i]) > 0.1 * period[m]:
             if direct:
                 start, qs, qds = t_landed, q, qd
-            near = out[i, 1] if passed == 0 and out[i, 6] == 1.0 and at_once[i] else -1.0
+            near = out[i, 1] if passed == 0 and out[i, 6] == 1.0 and relaunched[i] else -1.0
             v0, hit = launch_of(start, landing[i], near, out[i, 2], qs, qds, om, ze, wi, ri, ii, dt, pi, forced, rough)
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing[i]) < passable_s:
             hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact

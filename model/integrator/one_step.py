@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.effects.base import COMPILED_HOOKS
-from model.effects.registry import absent_row, registry, row
+from model.effects.registry import null_row, registry, row
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
@@ -79,7 +79,7 @@ def _columns(hook: str) -> NDArray[np.intp]:
             for e in registry()
             if hook in e.hooks
             for i, q in enumerate(e.effect.parameters)
-            if not q.shape or q.name == "of"
+            if not q.is_shape or q.name == "of"
         ],
         dtype=np.intp,
     )
@@ -87,7 +87,7 @@ def _columns(hook: str) -> NDArray[np.intp]:
 
 def _active(rows: Array, hook: str) -> bool:
     columns = _columns(hook)
-    return bool(np.any(rows[..., columns] != absent_row(0.0)[columns]))
+    return bool(np.any(rows[..., columns] != null_row(0.0)[columns]))
 
 
 def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
@@ -131,7 +131,7 @@ class Measured:
     ----------
     opening_s, landing_s
         When the circuit opened and closed.
-    at_once
+    relaunched
         The ball left at the landing before, not after a rest.
     linked
         The flight before in the table is the flight before in reality.
@@ -143,7 +143,7 @@ class Measured:
 
     opening_s: Array
     landing_s: Array
-    at_once: NDArray[np.bool_]
+    relaunched: NDArray[np.bool_]
     linked: NDArray[np.bool_]
     step: NDArray[np.int64]
     wanted: NDArray[np.bool_]
@@ -272,7 +272,7 @@ def one_ahead(
         kernel().one_ahead(
             _for_kernel(measured.opening_s),
             _for_kernel(measured.landing_s),
-            _for_kernel(measured.at_once),
+            _for_kernel(measured.relaunched),
             _for_kernel(measured.linked),
             _for_kernel(wanted),
             _for_kernel(measured.step),

@@ -70,7 +70,7 @@ def test_found_landings_may_cost_the_plate_a_trifle(
     judge: Judge, monkeypatch: pytest.MonkeyPatch, ratio: float, accepted: bool
 ) -> None:
     """Events gain 1600 nats, plate data lose 12 and are still noise: calibrations had followed that noise before."""
-    monkeypatch.setattr(choice, "plate_ratio_of", lambda world, values: ratio)
+    monkeypatch.setattr(choice, "plate_rms_standardised", lambda world, values: ratio)
     best = explanation("nothing", np.full(STEPS, 100.0))
     x = explanation("restitution", np.zeros(STEPS), np.full(STEPS, 0.75))
     assert (judge.choose(best, [x], 0) is x) is accepted

@@ -140,8 +140,8 @@ def test_a_few_steps_that_gain_much_do_not_hide_the_many_that_gain_little() -> N
     gain = LogScoreDifference.of(worse, better, train)
     assert gain.gain == pytest.approx(975.0)
     assert gain.gain < 2.0 * gain.error
-    assert gain.even == pytest.approx(75.0 + MOST_OF_A_STEP)
-    assert gain.beyond(12.0, 2.0)
+    assert gain.clipped == pytest.approx(75.0 + MOST_OF_A_STEP)
+    assert gain.exceeds(12.0, 2.0)
 
 
 def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
@@ -149,7 +149,7 @@ def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
     rng = np.random.default_rng(0)
     d = 10.0 * rng.standard_normal(16)
     d += (15.0 - d.sum()) / 16
-    assert not LogScoreDifference.of(d, np.zeros(16), np.ones(16, dtype=bool)).beyond(12.0, 2.0)
+    assert not LogScoreDifference.of(d, np.zeros(16), np.ones(16, dtype=bool)).exceeds(12.0, 2.0)
 
 
 def test_a_lead_in_some_steps_outweighs_a_parameter() -> None:

@@ -77,10 +77,10 @@ def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Two landings of hundreds that are milliseconds off raise no alarm by themselves."""
     world = fly_ramp(MU, 5)
     ev = world.evidence
-    rows = np.flatnonzero(ev.judged)[[50, 200]]
+    rows = np.flatnonzero(ev.scored)[[50, 200]]
     landing = np.array(ev.measured.landing_s)
     landing[rows] += 3e-3
     # the flights that start from them are not judged: their start is wrong, not their law
-    judged = ev.judged & ~np.isin(np.arange(len(ev)), np.concatenate([rows + 1, rows + 2]))
-    hit = ForwardModel(replace(ev, judged=judged, measured=replace(ev.measured, landing_s=landing, wanted=judged)), {})
+    judged = ev.scored & ~np.isin(np.arange(len(ev)), np.concatenate([rows + 1, rows + 2]))
+    hit = ForwardModel(replace(ev, scored=judged, measured=replace(ev.measured, landing_s=landing, wanted=judged)), {})
     assert remainder(hit, left_by(hit, MU)).p_lack_of_fit > 1e-4

@@ -182,7 +182,7 @@ def recorded(make, effects: dict[str, dict[str, float]]) -> Observations:  # typ
 def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> None:  # type: ignore[no-untyped-def]
     """Slower and faster than a step: what the plate shows of it brings plate data and landings to their noise."""
     evidence = recorded(make, {"amplitude_modulation": {"depth": 0.03, "frequency_hz": hz}})
-    hints = evidence.swells.hints() if evidence.swells is not None else ()
+    hints = evidence.modulation.hints() if evidence.modulation is not None else ()
     world, rows = ForwardModel(evidence, {}), evidence.plate.kind == MODULATION
     found = min(hints, key=lambda hint: abs(hint[0] - hz))
     assert found[0] == pytest.approx(hz, abs=0.02)
@@ -190,7 +190,7 @@ def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> Non
     values = dict(zip(DEEP, (found[1], hz), strict=True))
     before, after, sigma = world.residuals({}), world.residuals(values), world.uncertainty(values).landing_total_s
     assert np.sqrt(np.mean((after.plate[rows] / evidence.plate.sigma[rows]) ** 2)) < 1.25
-    judged = evidence.judged & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
+    judged = evidence.scored & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
     miss = [np.median(np.abs(r.landing_s[judged] / sigma[judged])) for r in (before, after)]
     assert miss[0] > 3.0 * miss[1]
     assert miss[1] < 1.2
@@ -203,9 +203,9 @@ def test_a_steady_plate_swells_by_no_more_than_its_noise(make) -> None:  # type:
     z = evidence.plate.value[rows] / evidence.plate.sigma[rows]
     assert rows.sum() > 60
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
-    assert evidence.swells is not None
+    assert evidence.modulation is not None
     world = ForwardModel(evidence, {})
-    for hz, depth in evidence.swells.hints():
+    for hz, depth in evidence.modulation.hints():
         squares = [
             np.sum((world.residuals(values).plate / evidence.plate.sigma) ** 2)
             for values in ({}, dict(zip(DEEP, (depth, hz), strict=True)))

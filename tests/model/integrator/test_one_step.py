@@ -159,7 +159,7 @@ def test_an_inelastic_ball_leaves_from_rest_whatever_the_contact_looked_like():
     off, land, _ = marched(bare, ratio, om, ze, 1.2, 2e-6, OMEGA_RADPS * np.array([1.0]))
     mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
     seen = events(off, land)
-    brief = replace(seen, at_once=np.ones(len(off), dtype=bool))
+    brief = replace(seen, relaunched=np.ones(len(off), dtype=bool))
     found, hasty = (one_ahead(m, steps_of(complex(bare[0])), mode) for m in (seen, brief))
     assert hasty.impact_mps[2:] == pytest.approx(found.impact_mps[2:], rel=1e-6)
     assert hasty.rung[0, 0] == pytest.approx(found.rung[0, 0], rel=1e-6)
@@ -200,7 +200,7 @@ def test_a_ball_that_never_leaves_moves_with_its_plate():
     stiff = om * om - (1.0 + ratio) * OMEGA_RADPS**2 + 2j * ze * om * OMEGA_RADPS
     loaded = bare * (1.0 + ratio * OMEGA_RADPS**2 / stiff)  # y'' of (1 + r) y'' + 2 z om y' + om^2 y = -r a
     one = events(np.array([0.1]), np.array([0.2]))
-    nowhere = Measured(one.opening_s, one.landing_s, one.at_once, one.linked, one.step + 1, one.wanted)
+    nowhere = Measured(one.opening_s, one.landing_s, one.relaunched, one.linked, one.step + 1, one.wanted)
     two = PlateSteps(np.full((2, 1), OMEGA_RADPS), np.array([[loaded], [G_MPS2]]), np.full(2, PERIOD_S))
     mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
     assert one_ahead(nowhere, two, mode).rung[0, 0] == pytest.approx(loaded - bare, rel=1e-9)
