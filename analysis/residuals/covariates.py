@@ -1,8 +1,8 @@
-"""The table of events: everything about a flight that a missing cause might depend on.
+"""Covariates of every flight: quantities on which a missing cause may depend.
 
-The rule kept here: a covariate is known before the flight it is held against ends. It comes from the measured events
-and the plate's tones alone, so that no residual can explain itself; the few that describe the flight's own end are
-marked and serve pictures and tests of the remainder only.
+A covariate is known before its flight ends. It is computed from the measured events and the plate's tones alone, so that
+no residual can explain itself. The few that describe the flight's own end are marked and serve figures and goodness-of-
+fit tests only.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from model.integrator.one_step import PlateSteps
 
 Array = NDArray[np.float64]
 
-HEIGHT_POINTS = 33  # of each flight, to find its highest point
+HEIGHT_POINTS = 33  # points of a flight in the search of its highest one
 
 
 @dataclass(frozen=True)
 class Covariate:
-    """How a covariate is spoken of.
+    """Name and unit of a covariate.
 
     Attributes
     ----------
     words
-        Its name for a person.
+        Its name in prose.
     unit, scale
-        Unit in which a person reads it, and the factor to it from SI.
+        Unit as printed, and the factor to it from SI.
     ahead
-        True where it is known when the ball leaves: only these may carry a term of the model.
+        True where it is known at take-off: only these may carry a term of the model.
     """
 
     words: str
@@ -68,14 +68,14 @@ COVARIATES: Mapping[str, Covariate] = {
 
 
 def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
-    """Covariates of every flight of the evidence.
+    """Covariates of every flight of the observations.
 
     Parameters
     ----------
     world
-        The evidence.
+        The observations.
     values
-        Fitted values: they correct the contact circuit's delay and the accelerometer's scale, nothing else.
+        Fitted values, of which only the contact circuit's delay and the accelerometer's scale are used.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def _height(g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, 
 
 
 def _since_rest(relaunched: NDArray[np.bool_]) -> Array:
-    """How many flights have gone by without a rest, (n,)."""
+    """Number of flights since the last rest, (n,)."""
     index = np.arange(len(relaunched))
     return np.asarray(index - np.maximum.accumulate(np.where(relaunched, 0, index)), dtype=np.float64)
 

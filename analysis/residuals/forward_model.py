@@ -247,17 +247,17 @@ class ForwardModel:
             p = self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
-        said, vague = expected(ev.plate, self.by_step(values)), np.zeros(len(ev.plate))
+        predicted, inexact = expected(ev.plate, self.by_step(values)), np.zeros(len(ev.plate))
         if self.ringing is not None:
-            rung, vague = self.ringing.added(ev.plate, ev.steps.plate, p)
-            said = said + rung
+            mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
+            predicted = predicted + mode
         if self.loading is not None:
-            said = said + self.loading.added(self.per_step(values, "gate", 0.0)[ev.plate.step])
+            predicted = predicted + self.loading.added(self.per_step(values, "gate", 0.0)[ev.plate.step])
         if (swings := self._modulation_at(values)) is not None:
-            swelling, leaking = swings[0].expected(ev.plate, ev.steps.plate, *swings[1:])
-            said, vague = said + swelling, np.hypot(vague, leaking)
-        vague = np.hypot(vague, power_uncertainty(ev.plate, said))
-        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, vague) * (ev.plate.value - said)
+            swings_data, leaking = swings[0].expected(ev.plate, ev.steps.plate, *swings[1:])
+            predicted, inexact = predicted + swings_data, np.hypot(inexact, leaking)
+        inexact = np.hypot(inexact, power_uncertainty(ev.plate, predicted))
+        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact) * (ev.plate.value - predicted)
         return Residuals(opening, landing, plate, p)
 
     def uncertainty(self, values: Values) -> Uncertainty:
@@ -274,10 +274,10 @@ class ForwardModel:
         columns_open, columns_land = [], []
         steps = ev.steps
         sigma = steps.sigma_mps2
-        told = INEXACT * np.abs(base.rung[:, : sigma.shape[1]])
+        inexact = INEXACT * np.abs(base.rung[:, : sigma.shape[1]])
         if (swings := self._modulation_at(values)) is not None:
-            told = np.hypot(told, swings[0].leaking(steps.plate, *swings[1:]))
-        wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)
+            inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
+        wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)
         moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
         for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
             by = wider[:, j // 2, None] * steps.spread_mps2[:, j]

@@ -1,7 +1,6 @@
-"""What a set of recordings says, reduced to what a prediction can be held against: events, steps, plate data.
+"""Observations of one or several recordings: events, steps and plate data with their uncertainties.
 
-The rule kept here: measured numbers with their own uncertainties and nothing else; no model has touched them. Several
-recordings stand in one table, one after the other, and the step is the replicate.
+These are measured numbers; no model enters. Several recordings stand in one table, one after the other.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ Array = NDArray[np.float64]
 NOT_EVENTS = FlightFlag.FALSE
 NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
-SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
+SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball leaves at once
 MAX_TONES = 8
-TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not scored
-WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
+TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
+WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
-WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer, or slower than is often heard
-HEARD = 1.5  # times the scan's threshold, above which an impact is heard whatever the noise
-RINGING_S = 2.5e-3  # after an impact, in which a weak one may drown
+WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
+DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
+RINGING_S = 2.5e-3  # time after an impact in which a weak one may be masked
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,8 @@ class Steps:
     run_part
         Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
     spread_mps2
-        What one standard deviation each way changes in all tones together, shape (m, 2 k, k): the sum of the rows'
-        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i.
+        Factor of the covariance of all tones, shape (m, 2 k, k): the sum of the rows' squares is the covariance. Rows
+        2 i and 2 i + 1 belong to the quadratures of tone i.
     forcing
         True for the forcing's own tones, shape (m, k).
     """
@@ -91,7 +90,7 @@ class Observations:
     opening_sigma_s, landing_sigma_s : arrays, shape (n,)
         Uncertainty of the edges alone.
     scored : bool array, shape (n,)
-        Flights that a prediction may be held against.
+        Flights that are compared with predictions.
     time_s : array, shape (n,)
         Landing since the start of its recording.
     steps : Steps
@@ -99,16 +98,16 @@ class Observations:
     setup : Setup
         Of the first recording; the others must agree in what scales a measurement.
     weak_mps : array, shape (n,)
-        Impacts slower than this may have gone unnoticed when the ball left at once; infinite without a second witness.
+        Speed below which an impact may have gone undetected; infinite without an accelerometer that shows impacts.
     unseen_s : float
-        Flights shorter than this cannot have been seen.
+        Shortest flight that the contact circuit shows.
     sources : tuple of str
     closure_s : float
-        How long an impact keeps the circuit closed: what contacts last from which the ball leaves at once.
+        Time for which an impact keeps the circuit closed.
     hints_hz : tuple of float
         Lines that stand out below the forcing in several steps: where a table resonance may be.
-    modulation : Swells or None
-        How the forcing's amplitude changes within steps and from step to step.
+    modulation : AmplitudeModulation or None
+        Change of the forcing's amplitude within steps and from step to step.
     """
 
     measured: Measured
@@ -134,7 +133,7 @@ class Observations:
 def observations_from(
     paths: Sequence[Path], *, setup: Setup | None = None, progress: Callable[[str, float], None] | None = None
 ) -> Observations:
-    """Reduce recordings to evidence.
+    """Reduce recordings to observations.
 
     Parameters
     ----------
@@ -178,7 +177,7 @@ def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float
 
 
 def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
-    """Evidence of a single recording."""
+    """Observations of a single recording."""
     fitted = [s for s in flights.plate.steps if s is not None]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     for i, s in enumerate(fitted):
@@ -256,22 +255,22 @@ def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
 def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
     """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
 
-    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
-    While an impact rings, only a part of its own size is heard.
+    The strength at a speed is calibrated by free flights from rest; friction makes it too low by its own size at most.
+    While an impact rings, impacts of less than a part of its size are masked.
     """
     rest, turns = ~measured.relaunched, 1j * steps.plate.omega_radps[measured.step]
     velocity = steps.plate.acceleration_mps2[measured.step] / turns
     at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
     strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
     impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
-    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
-    if heard.sum() < FEW_CONTACTS:
+    shown = rest & (impact > WEAK_MPS) & (strength > 0.0)
+    if shown.sum() < FEW_CONTACTS:
         return np.full(len(rest), WEAK_MPS)
-    speed = float(np.median(impact[heard] / strength[heard]))
+    speed = float(np.median(impact[shown] / strength[shown]))
     before = np.concatenate([[0.0], strength[:-1]])
     rings = measured.relaunched & (duration_s < RINGING_S)
-    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
-    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
+    usual = max(WEAK_MPS, DETECTED * THRESHOLD * speed)
+    return np.where(rings, np.maximum(usual, DETECTED * ECHO_MARGIN * speed * before), usual)
 
 
 def _closure_s(measured: Measured) -> float:
@@ -330,7 +329,7 @@ def _events(
 
 
 def join(parts: Sequence[Observations]) -> Observations:
-    """One table of several recordings' evidence."""
+    """One table of the observations of several recordings."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
 
     def column(of: Callable[[Observations], NDArray[Any]]) -> NDArray[Any]:

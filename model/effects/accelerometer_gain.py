@@ -1,5 +1,6 @@
 """The accelerometer reads too much (or too little).
-The rule kept here: the plate moves less than it seems, and flights know the truth.
+
+The plate moves less than it seems, and flights know the truth.
 """
 
 from __future__ import annotations

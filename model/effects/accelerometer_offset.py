@@ -1,5 +1,6 @@
 """The accelerometer reads something else at rest than declared.
-The rule kept here: it can be seen only where the channel is DC coupled and its zero is declared.
+
+It can be seen only where the channel is DC coupled and its zero is declared.
 """
 
 from __future__ import annotations

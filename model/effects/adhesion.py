@@ -1,5 +1,6 @@
 """Adhesion to the plate: a pull that must be overcome at take-off, growing with the time spent in contact.
-The rule kept here: it ends the moment the ball has left.
+
+It ends the moment the ball has left.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The plate's amplitude swells and sinks slowly, by a sine in time that multiplies all that the drive asks for.
 
-The rule kept here: depth and frequency belong to the rig; the phase is another one in each recording, where the plate
+Depth and frequency belong to the rig; the phase is another one in each recording, where the plate
 itself shows it.
 """
 

@@ -1,6 +1,6 @@
 """What an effect is: a named cause with parameters, bounds and hooks into the ball's equation.
 
-The rule kept here: an effect is one file. Its module holds ``EFFECT`` and any of these hooks, compiled with numba,
+An effect is one file. Its module holds ``EFFECT`` and any of these hooks, compiled with numba,
 where ``p`` is the row of all parameters, the local g last, and ``k`` the place of the effect's first one:
 
 ====================================== =========================================================================

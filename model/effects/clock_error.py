@@ -1,5 +1,6 @@
 """The recorder's clock runs fast or slow against the commanded frequency.
-The rule kept here: with one clock for drive and recorder it cannot be seen.
+
+With one clock for drive and recorder it cannot be seen.
 """
 
 from __future__ import annotations

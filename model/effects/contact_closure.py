@@ -1,5 +1,6 @@
 """An impact closes the circuit for a moment even when the ball leaves at once.
-The rule kept here: a nuisance of the instrument, not of the motion.
+
+A nuisance of the instrument, not of the motion.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The circuit opens only when the ball has risen by a gap: take-offs are seen late, landings are not.
-The rule kept here: a nuisance, always fitted; an alarm when it leaves its prior.
+
+A nuisance, always fitted; an alarm when it leaves its prior.
 """
 
 from __future__ import annotations

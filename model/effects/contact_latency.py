@@ -1,5 +1,6 @@
 """The continuity channel lags the others, both edges alike.
-The rule kept here: the events happened earlier than they were seen.
+
+The events happened earlier than they were seen.
 """
 
 from __future__ import annotations

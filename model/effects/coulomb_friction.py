@@ -1,5 +1,6 @@
 """Coulomb friction of the rod, ``-mu g sign(v)`` against the motion relative to the plate, held in mid-air when it can.
-The rule kept here: static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
+
+Static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """Drive volts give more plate motion than declared.
-The rule kept here: the accelerometer reads the true motion, so flights do not notice.
+
+The accelerometer reads the true motion, so flights do not notice.
 """
 
 from __future__ import annotations

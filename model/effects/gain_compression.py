@@ -1,5 +1,6 @@
 """The plate's motion falls behind the drive as the amplitude grows.
-The rule kept here: to lowest order the loss goes with the square of the amplitude.
+
+To lowest order the loss goes with the square of the amplitude.
 """
 
 from __future__ import annotations

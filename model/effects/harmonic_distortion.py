@@ -1,5 +1,6 @@
 """The plate moves at multiples of the forcing that nobody asked for.
-The rule kept here: either each harmonic keeps its part of the first tone, or drive and plate are bent by a polynomial.
+
+Either each harmonic keeps its part of the first tone, or drive and plate are bent by a polynomial.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The place's gravity differs from the declared one.
-The rule kept here: the place's g is known to 1e-4 unless the profile says otherwise.
+
+The place's g is known to 1e-4 unless the profile says otherwise.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The plate moves at the mains frequency.
-The rule kept here: it is a motion of the plate; pick-up in a sensor is a fault of that channel.
+
+It is a motion of the plate; pick-up in a sensor is a fault of that channel.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The plate is driven by a force, and the ball's mass rides along while it is in contact.
-The rule kept here: in flight the plate accelerates by ``relative (a_p + g)`` more than the ``a_p`` of contact.
+
+In flight the plate accelerates by ``relative (a_p + g)`` more than the ``a_p`` of contact.
 """
 
 from __future__ import annotations

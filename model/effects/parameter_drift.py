@@ -1,6 +1,6 @@
 """A linear trend of a parameter with the time in the run, named beside that parameter's effect.
 
-The rule kept here: the drift is relative to the parameter's value in the middle of the run, and the whole run long.
+The drift is relative to the parameter's value in the middle of the run, and the whole run long.
 """
 
 from __future__ import annotations

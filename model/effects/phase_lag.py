@@ -1,5 +1,6 @@
 """The plate follows the drive otherwise than declared: later, or through a filter.
-The rule kept here: what passes changes gain and phase together, as a causal filter does; a bare gain is `drive_gain`.
+
+What passes changes gain and phase together, as a causal filter does; a bare gain is `drive_gain`.
 """
 
 from __future__ import annotations

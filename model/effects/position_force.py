@@ -1,5 +1,6 @@
 """A force that depends on the height above the plate: a spring, or a magnet near the plate.
-The rule kept here: positive numbers pull the ball towards the plate.
+
+Positive numbers pull the ball towards the plate.
 """
 
 from __future__ import annotations

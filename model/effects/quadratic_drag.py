@@ -1,5 +1,6 @@
 """Air drag, ``-k |u| u`` with the absolute velocity ``u``: the air does not move with the plate.
-The rule kept here: the air is at rest in the laboratory.
+
+The air is at rest in the laboratory.
 """
 
 from __future__ import annotations

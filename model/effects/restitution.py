@@ -1,5 +1,6 @@
 """Restitution relative to the plate, ``e = e0 - e1 v`` with ``v`` the impact speed.
-The rule kept here: e is never below 0.
+
+E is never below 0.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Declared effects by where they act: on the ball, between drive and plate, or in what the instruments show.
 
-The rule kept here: each acts once. Who flies over a plate that was measured leaves the drive's effects out, because
+Each acts once. Who flies over a plate that was measured leaves the drive's effects out, because
 they are in the measurement; who starts from what was asked of the drive applies them first.
 """
 

@@ -1,5 +1,6 @@
 """A force that is a smooth function of one quantity of the flight: the missing term itself, where no cause is named.
-The rule kept here: piecewise linear between knots, constant beyond them; never part of the named library.
+
+Piecewise linear between knots, constant beyond them; never part of the named library.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """Dry friction that is a smooth function of height or of speed: the missing term itself, where no cause is named.
-The rule kept here: piecewise linear between knots, constant beyond them, never negative; not part of the named library.
+
+Piecewise linear between knots, constant beyond them, never negative; not part of the named library.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """Dry friction that weakens with speed: ``mu_kinetic + mu_extra exp(-(v / v_s)^2)``.
-The rule kept here: at rest the whole of it must be overcome.
+
+At rest the whole of it must be overcome.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The table rings after each impact: a damped mode struck by the ball, on which the ball then rides and flies.
-The rule kept here: the impulse is ``mass_ratio (1 + e) v`` on the mode's velocity, downwards; a ball at rest also
+
+The impulse is ``mass_ratio (1 + e) v`` on the mode's velocity, downwards; a ball at rest also
 presses it down by its weight, until it leaves.
 """
 

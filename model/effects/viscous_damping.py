@@ -1,5 +1,6 @@
 """Viscous damping relative to the plate, ``-rate v``.
-The rule kept here: it acts on the velocity relative to the plate, since the rod moves with it.
+
+It acts on the velocity relative to the plate, since the rod moves with it.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def test_the_modulated_tones_are_the_plate_that_swells() -> None:
 def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
     """The deviation said of each window is the one fitted there, the line beside the second tone and masks included."""
     swells, plate = swells_of((PHASE,), masked=masked)
-    pitch = swells._pitch(HZ)
+    pitch = swells._fit_at(HZ)
     phase, depth = np.full(6, PHASE), np.full(6, DEPTH)
     true = swells._true(swells._seen(plate), pitch, depth, phase)
     assert np.max(np.abs(swells.value)) > 0.8 * DEPTH
