@@ -1,7 +1,7 @@
 """Robust, bounded fit of a set of effects to the observations, with priors, scored on held-out steps.
 
-Calibrations and nuisances are always free within their priors, so that an effect must explain what they cannot. A fit is
-scored only on steps that it did not see.
+Calibrations and nuisances are always free within their priors, so that an effect must explain what they cannot. A fit
+is scored only on steps that it did not see.
 
 References
 ----------
@@ -300,7 +300,7 @@ class Fitted:
         return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
 
     def differs(self, keys: Sequence[ParameterId]) -> bool:
-        """Whether sizes among ``keys`` together differ from their null values by 95 % (Wald's test); shapes have none."""
+        """Whether sizes among ``keys`` together differ from their null values by 95 % (Wald's test)."""
         sizes = [k for k in keys if not parameter_of(k).is_shape]
         rows = [self.keys.index(k) for k in sizes]
         away = self.x[rows] - np.array([self.fitter.to_x(k, null_value_of(k)) for k in sizes])

@@ -121,8 +121,8 @@ def _within_flight() -> Iterator[Term]:
     for e in (r.effect for r in registry()):
         for curve in e.curves:
             words, low, high = FLIGHT_VALUES[curve.term]
-            unit = e.parameter(FIRST_VALUE).unit
-            yield Term(curve.term, curve.of, unit, words, low, high, NUDGES[unit], (), e.name, tuple(curve.fixed.items()))
+            unit, fixed = e.parameter(FIRST_VALUE).unit, tuple(curve.fixed.items())
+            yield Term(curve.term, curve.of, unit, words, low, high, NUDGES[unit], (), e.name, fixed)
 
 
 IN_FLIGHT: tuple[Term, ...] = tuple(_within_flight())

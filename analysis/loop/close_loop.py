@@ -147,8 +147,8 @@ def close_loop(
     )
     if len(evidence.steps) < 2 * limits.reserve_every or not len(evidence.plate):
         raise InputError(
-            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve_every} steps whose plate motion "
-            f"can be measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
+            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve_every} steps whose plate "
+            f"motion can be measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
         )
     world = ForwardModel(evidence, resolve(evidence.setup.declared_values()))
     train = np.arange(len(evidence.steps)) % limits.reserve_every != limits.reserve_every // 2

@@ -274,7 +274,8 @@ def _errors_table(loop: ClosedLoop) -> str:
     body = "".join(f"<tr><td>{n}</td><td>{x}</td><td>{y}</td><td>{z}</td></tr>" for n, x, y, z in rows)
     return (
         f"<table><tr><th>{a.flights} flights of {len(loop.held_out)} held-out steps</th><th>before</th><th>after</th>"
-        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; {100 * a.excluded_fraction:.1f} % of "
+        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; "
+        f"{100 * a.excluded_fraction:.1f} % of "
         "the flights were left out because their landing (grazing) could not be predicted from what was measured.</p>"
     )
 

@@ -1,8 +1,8 @@
 """Covariates of every flight: quantities on which a missing cause may depend.
 
-A covariate is known before its flight ends. It is computed from the measured events and the plate's tones alone, so that
-no residual can explain itself. The few that describe the flight's own end are marked and serve figures and goodness-of-
-fit tests only.
+A covariate is known before its flight ends. It is computed from the measured events and the plate's tones alone, so
+that no residual can explain itself. The few that describe the flight's own end are marked and serve figures and tests
+of fit only.
 """
 
 from __future__ import annotations

@@ -202,7 +202,7 @@ class ForwardModel:
         return None
 
     def _kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
-        """One sigma of the state of a plate mode at the start of a step: half a typical impact, (displacement, speed)."""
+        """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
         point = self.start(values)
         here = self._nothing.copy()
         for key, value in point.items():

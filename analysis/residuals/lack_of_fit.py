@@ -114,7 +114,7 @@ def goodness_of_fit(world: ForwardModel, values: Values, limits: Thresholds = FR
 
 
 def rms_standardised(world: ForwardModel, values: Values, u: Uncertainty) -> float:
-    """Root mean square of residuals over uncertainty, clipped at `FARTHEST_SIGMAS`; of openings or landings, the greater."""
+    """Rms of residuals over uncertainty, clipped at `FARTHEST_SIGMAS`; the larger of openings and landings."""
     r = world.residuals(values)
     out, firm = [0.0], ~near_grazing(world, values)  # the others may or may not happen
     for residual, sigma, rows in (
@@ -145,7 +145,7 @@ def _unit(residual: Array, sigma: Array) -> Array:
 
 
 def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovations:
-    """Standardised innovations of each step: residuals made independent by the Cholesky factor of their covariance."""
+    """Standardised innovations of each step: residuals over the Cholesky factor of their covariance."""
     ev = world.evidence
     r = world.residuals(values)
     carried = _carried(world, values)

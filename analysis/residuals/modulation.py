@@ -1,4 +1,4 @@
-"""Slow modulation of the plate's amplitude: its frequency and phase, and its contribution to steps, windows and flights.
+"""Slow modulation of the plate's amplitude: its frequency and phase, and its contribution to the data.
 
 Depth and frequency are those of the rig; each recording has a phase of its own, found from its windows. A tone measured
 in a step contains the modulation's mean and leakage from other tones; least squares over the step's span, in closed
@@ -119,7 +119,7 @@ class AmplitudeModulation:
         omega = np.concatenate([self.omega_radps, free], axis=1)
         return replace(self, omega_radps=omega, seen_mps2=np.pad(self.seen_mps2, ((0, 0), (0, more))))
 
-    # -- frequency and phase --------------------------------------------------------------------------------------------
+    # -- frequency and phase -------------------------------------------------------------------------------------------
     def phases(self, hz: float) -> Array:
         """Phase of the modulation ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
         return np.asarray(np.angle(self._fit_at(hz).phasor)[self.recording])
@@ -254,7 +254,7 @@ class AmplitudeModulation:
             normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
         return normal, side
 
-    # -- its contribution -----------------------------------------------------------------------------------------------
+    # -- its contribution ----------------------------------------------------------------------------------------------
     def modulated(self, plate: PlateSteps, depth: Array, hz: float) -> PlateSteps:
         """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
         fit, w = self._fit_at(hz), 2.0 * np.pi * hz
@@ -263,9 +263,7 @@ class AmplitudeModulation:
         true = self._true(seen, fit, depth, phase)
         z = np.where(forced, true[:, :2], 0.0)
         apart = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
-        false = np.take_along_axis(
-            seen - true, np.argmin(apart, axis=2), axis=1
-        )  # lines that the modulation mimics, too
+        false = np.take_along_axis(seen - true, np.argmin(apart, axis=2), axis=1)  # lines that it mimics, too
         steady = np.where(plate.acceleration_mps2 == 0.0, 0.0, plate.acceleration_mps2 - false)
         turn = (depth * np.exp(1j * phase) / 2j)[:, None]
         tones = np.concatenate([steady, z * turn, z * np.conj(turn)], axis=1)
@@ -295,7 +293,7 @@ class AmplitudeModulation:
         return out, sigma
 
     def leaking(self, plate: PlateSteps, depth: Array, hz: float) -> Array:
-        """Standard deviation of the forcing's tones from the leakage between them, m/s^2, in the places of ``plate``."""
+        """Standard deviation of the forcing's tones from the leakage between them, m/s^2."""
         out = np.zeros(plate.acceleration_mps2.shape)
         seen = self._seen(plate)
         true = self._true(seen, self._fit_at(hz), depth, self.phases(hz))

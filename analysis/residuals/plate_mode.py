@@ -243,7 +243,7 @@ class Ringing:
     # -- windows ----------------------------------------------------------------------------------------------------
     @cached_property
     def _windows(self) -> tuple[Ints, Ints, Ints, Complex, Complex]:
-        """Intervals, their windows, the windows' steps; the windows' inverse normal matrix, alone and times the Gram matrix."""
+        """Intervals, their windows, the windows' steps; inverse normal matrices, alone and times the Gram matrix."""
         rows = np.flatnonzero(self.kept.window >= 0)
         of = self.kept.window[rows]
         step = self.kept.step[rows[np.searchsorted(of, np.arange(int(of.max(initial=-1)) + 1))]]

@@ -245,7 +245,7 @@ def _lowest(loss: Callable[[float], float], guess: float) -> float:
 
 
 def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Orthonormal directions of the common errors of each block, their shrinkage, and their share of each log sigma."""
+    """Orthonormal directions of each block's common errors, their shrinkage, and their share of each log sigma."""
     shared = np.zeros_like(tones)
     logs, shrink = np.zeros(len(tones)), np.zeros((len(bounds) - 1, tones.shape[1]))
     for i in range(len(bounds) - 1):
@@ -259,7 +259,7 @@ def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Arra
 
 @njit()
 def _unshare(y: Array, limited: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
-    """Take the common mode out of the residuals of each block: ``y += U shrink U^T limited``, in place, (n, columns)."""
+    """Subtract the common mode of each block: ``y += U shrink U^T limited``, in place, (n, columns)."""
     for i in range(len(bounds) - 1):
         for q in range(shared.shape[1]):
             if shrink[i, q] == 0.0:

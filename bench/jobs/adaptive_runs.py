@@ -16,7 +16,13 @@ MOST_RUNS = 4
 
 
 def until_clear(
-    recordings: list[Path], scenario: Path | None, seed: int, *, say: Callable[[str], None], quiet: bool, limits: Thresholds = FROZEN
+    recordings: list[Path],
+    scenario: Path | None,
+    seed: int,
+    *,
+    say: Callable[[str], None],
+    quiet: bool,
+    limits: Thresholds = FROZEN,
 ) -> tuple[ClosedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would tell them apart.
 

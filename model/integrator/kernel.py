@@ -648,7 +648,7 @@ def one_ahead(
 ):
     """Predict each event from the measured one before it.
 
-    ``opening, landing, relaunched, linked, step`` (n,) describe the measured flights in order: seen to open, seen to land,
+    ``opening, landing, relaunched, linked, step`` (n,) describe the measured flights in order: edges,
     whether it left at its predecessor's landing, whether its predecessor is the flight before it without a gap, and the
     row of ``period`` (m,), ``w, ar, ai`` (m, k) with the plate's motion; only those ``wanted`` are predicted;
     ``p`` (n, P + 1). Fills ``out`` (n, 10):

@@ -91,7 +91,7 @@ def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
 
 
 def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Elastic runs of nothing but noise: what is missed by far was near_grazing, the rest is missed as the floor says."""
+    """Elastic runs of nothing but noise: what is missed by far was near grazing, the rest by the floor."""
     ratios, far, left = [], 0, []
     for seed in range(3):
         world = fly_ramp(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
