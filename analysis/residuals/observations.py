@@ -281,10 +281,10 @@ def _closure_s(measured: Measured) -> float:
 
 def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
     """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
-    return _clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
+    return clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
 
 
-def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
+def clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
     """Middles of clusters of at least ``least`` lines."""
     found = np.sort(lines_hz)
     clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
@@ -370,7 +370,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         unseen_s=max(p.unseen_s for p in parts),
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
-        hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
+        hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
         modulation=AmplitudeModulation.join(modulation)
         if (modulation := [p.modulation for p in parts if p.modulation is not None])

@@ -29,7 +29,7 @@ SMALL = 1e-3  # relative change for which a load's contribution is taken as line
 INEXACT = 0.03  # relative uncertainty of the contribution: blocks are means, and the impact template absorbs a part
 
 
-def _driven(z: Complex, mode_amplitudes: Complex) -> Complex:
+def driven(z: Complex, mode_amplitudes: Complex) -> Complex:
     """Driven part of the tones (measured minus mode); floored at 1e-6 of the tone so that log ratios stay finite."""
     left = z - mode_amplitudes
     return np.where(np.abs(left) > LEAST * np.abs(z), left, LEAST * z)
@@ -127,12 +127,12 @@ class Ringing:
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
-        ratio = z / _driven(z, mode_amplitudes[step[rows], j])
+        ratio = z / driven(z, mode_amplitudes[step[rows], j])
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
         sigma[rows] = INEXACT * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
         contact, flight = self._apart(projection, observed_s)
-        z = _driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
+        z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
         sigma[rows] = INEXACT * np.abs((flight - contact)[step[rows]] / z)

@@ -89,7 +89,7 @@ class Whitener:
         tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
-        blocks = _Blocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
+        blocks = StepBlocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
         lost = excess[1] > LOST_RATIO * float(np.median(total))
         if not lean:
             excess = blocks.likeliest(excess, tuple(x > UNSHARED_RATIO * float(np.median(total)) for x in excess))
@@ -173,7 +173,7 @@ class Whitener:
 
 
 @dataclass(frozen=True)
-class _Blocks:
+class StepBlocks:
     """Events in the order of their steps: bare residuals, each one's own error, and errors common to its step."""
 
     bare: Array

@@ -13,7 +13,7 @@ from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations, observations_from
-from analysis.residuals.plate_observables import MODULATION
+from analysis.residuals.plate_observables import HUM, MODULATION, PlateData
 from analysis.thresholds import FROZEN
 from model.effects.registry import row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead
@@ -112,13 +112,24 @@ def test_the_modulated_tones_are_the_plate_that_swells() -> None:
 def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
     """The deviation said of each window is the one fitted there, the line beside the second tone and masks included."""
     swells, plate = swells_of((PHASE,), masked=masked)
-    pitch = swells._fit_at(HZ)
-    phase, depth = np.full(6, PHASE), np.full(6, DEPTH)
-    true = swells._true(swells._seen(plate), pitch, depth, phase)
+    n, step = len(swells.value), swells.window_step
+    kind, none = np.full(n, MODULATION), np.zeros(n)
+    data = PlateData(kind, step, none, none, none, none, none, step, step, none.astype(np.complex128))
     assert np.max(np.abs(swells.value)) > 0.8 * DEPTH
-    assert swells._in_windows(swells.seen_mps2, true, pitch, depth, phase) == pytest.approx(swells.value, abs=3e-4)
-    assert np.abs(true[:, -1]) == pytest.approx(np.zeros(6), abs=5e-3)  # the line is the swell's
-    assert np.max(np.abs(swells.seen_mps2[:, -1])) > 0.1
+    assert swells.expected(data, plate, np.full(6, DEPTH), HZ)[0] == pytest.approx(swells.value, abs=3e-4)
+
+
+def test_a_line_that_a_modulation_mimics_is_its_own() -> None:
+    """A fitted line beside the second tone that only holds leakage: its expected square is the one found."""
+    swells, plate = swells_of((PHASE,))
+    m, none = len(swells.tones), np.zeros(len(swells.tones))
+    omega = np.full(m, 2.0 * np.pi * LINE_HZ)
+    rows = np.arange(m)
+    data = PlateData(np.full(m, HUM), rows, none, none, omega, none, none, rows, rows, none.astype(np.complex128))
+    found = np.abs(swells.seen_mps2[:, -1])
+    assert np.max(found) > 0.1
+    expected = swells.expected(data, plate, np.full(6, DEPTH), HZ)[0]
+    assert np.sqrt(expected) == pytest.approx(found, abs=5e-3)
 
 
 def test_each_recording_has_its_own_phase() -> None:
