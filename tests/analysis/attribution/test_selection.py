@@ -14,6 +14,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, SelectionResult
 from analysis.attribution.selection import StepwiseSelection, remaining_candidates
 from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.whitening import Whitener
 from analysis.thresholds import MOST_OF_A_STEP_NATS
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
@@ -76,8 +77,8 @@ def test_an_idle_companion_is_left_out_again(selection_of: Callable[..., Stepwis
     selection = selection_of({UP: 0.05, DOWN: 0.05}, 4)
     drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),), ({("quadratic_drag", "k_per_m"): 0.5},))
     friction = Candidate(("coulomb_friction",), (UP, DOWN), ({UP: 0.05, DOWN: 0.05},))
-    both = added(selection, drag, friction)
-    assert both.names == ("quadratic_drag", "coulomb_friction")
+    free, start = (*drag.free, *friction.free), {**drag.starts[0], **friction.starts[0]}
+    both = selection.refits.converged((drag, friction), Whitener.of(selection.world, start), free, start)
     rounds: list[str] = []
     assert selection.pruning.without_idle(both, rounds).names == ("coulomb_friction",)
     assert rounds == ["step back: quadratic_drag is no longer needed"]

@@ -112,24 +112,16 @@ def test_the_modulated_tones_are_the_plate_that_swells() -> None:
 def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
     """The deviation said of each window is the one fitted there, the line beside the second tone and masks included."""
     swells, plate = swells_of((PHASE,), masked=masked)
-    n, step = len(swells.value), swells.window_step
-    kind, none = np.full(n, MODULATION), np.zeros(n)
-    data = PlateData(kind, step, none, none, none, none, none, step, step, none.astype(np.complex128))
+    m, n = len(swells.tones), len(swells.value)
+    kind, step = np.repeat([MODULATION, HUM], [n, m]), np.concatenate([swells.window_step, np.arange(m)])
+    none, omega = np.zeros(n + m), np.repeat([0.0, 2.0 * np.pi * LINE_HZ], [n, m])
+    data = PlateData(kind, step, none, none, omega, none, none, step, step, none.astype(np.complex128))
+    expected, _ = swells.expected(data, plate, np.full(m, DEPTH), HZ)
     assert np.max(np.abs(swells.value)) > 0.8 * DEPTH
-    assert swells.expected(data, plate, np.full(6, DEPTH), HZ)[0] == pytest.approx(swells.value, abs=3e-4)
-
-
-def test_a_line_that_a_modulation_mimics_is_its_own() -> None:
-    """A fitted line beside the second tone that only holds leakage: its expected square is the one found."""
-    swells, plate = swells_of((PHASE,))
-    m, none = len(swells.tones), np.zeros(len(swells.tones))
-    omega = np.full(m, 2.0 * np.pi * LINE_HZ)
-    rows = np.arange(m)
-    data = PlateData(np.full(m, HUM), rows, none, none, omega, none, none, rows, rows, none.astype(np.complex128))
+    assert expected[:n] == pytest.approx(swells.value, abs=3e-4)
     found = np.abs(swells.seen_mps2[:, -1])
     assert np.max(found) > 0.1
-    expected = swells.expected(data, plate, np.full(6, DEPTH), HZ)[0]
-    assert np.sqrt(expected) == pytest.approx(found, abs=5e-3)
+    assert np.sqrt(expected[n:]) == pytest.approx(found, abs=5e-3)  # the line is the modulation's
 
 
 def test_each_recording_has_its_own_phase() -> None:
