@@ -1,6 +1,6 @@
-"""Every threshold of the verdict, in one place, frozen before any scoring.
+"""Thresholds of the verdict, in one place, frozen before any scoring.
 
-The rule kept here: changing a number here is a decision to be recorded, with the whole confusion matrix made anew.
+A change of a number here is a decision to be recorded, with the whole confusion matrix made anew.
 """
 
 from __future__ import annotations
@@ -10,52 +10,105 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What a verdict needs.
+    """Thresholds that decide what is named and what is called explained.
 
     Attributes
     ----------
     gain_nats, gain_sigmas
-        Held-out gain for an effect: at least so many nats, and so many standard errors of the per-step differences.
-    again_nats, again_sigmas
+        Least held-out gain of an effect, in nats and in standard errors of the per-step differences.
+    next_effect_nats, next_effect_sigmas
         The same for every further effect: one cause must nearly fail before two are named.
     worse_nats, worse_sigmas
-        A channel whose held-out loss rises by more than both is worse, and the effect is refused.
+        Rise of a channel's held-out loss beyond which an effect is refused; both must be exceeded.
+    tolerated_plate_loss
+        Part of a gain that plate data may lose while they remain noise.
     tie_nats, tie_sigmas
-        Sets within this of the best cannot be told apart from it.
-    idle
+        Lead below which two sets of effects are not distinguished.
+    found_excess, found_nats
+        Part of the excess noise left, and gain, at which lost landings count as found again.
+    reported_nats
+        Least gain of a refused candidate that is reported with its reason.
+    negligible_nats
+        Gain on the training steps below which a candidate is not followed.
+    idle_rms
         Largest root mean square change of whitened residuals between a set and a simpler one to call them the same.
-    reserve
-        Every so-many-th step is seen by no fit and no selection.
+    reserve_every
+        Every so-many-th step is held out from all fits and all selection.
+    reserve_factor
+        Times `next_effect_nats` below which a further effect must also gain on the reserved steps.
     lack_p
         Probability under which the remainder is more than noise.
     lack_ratio
-        And at least so many times the noise floor, so that a trifle in a long run is not a discovery.
+        Least rms of standardised residuals for a lack of fit to count; a trifle in a long run is no discovery.
     plate_rms_z
-        The same for plate data (root mean square of normalised residuals).
-    quiet_ratio
-        Ratio, of flights and of plate data, below which no second cause is looked for.
-    clean_bill
-        Times the noise floor: where held-out events are missed by more, nothing is called explained.
+        Largest rms of standardised plate data.
+    noise_like_ratio
+        Ratio, of flights and of plate data, below which no second cause is sought.
+    max_rms_over_floor
+        Largest held-out error over the noise floor of an explained recording.
+    chance_p
+        Probability of a held-out error that noise alone may still have made.
     most_effects
-        Effects named at most.
+        Largest number of named effects.
+    knots_rms, base_rms
+        Rms of standardised landings below which no finer knots, and no second set of named effects, are tried.
+    similar_correlation
+        Correlation of its mark on the flights above which a named effect is reported as similar to a smooth term.
     """
 
     gain_nats: float = 12.0
     gain_sigmas: float = 2.0
     next_effect_nats: float = 15.0
-    again_sigmas: float = 2.5
+    next_effect_sigmas: float = 2.5
     worse_nats: float = 6.0
     worse_sigmas: float = 2.0
+    tolerated_plate_loss: float = 0.05
     tie_nats: float = 4.0
     tie_sigmas: float = 2.0
-    idle: float = 0.15
-    reserve: int = 4
+    found_excess: float = 0.1
+    found_nats: float = 100.0
+    reported_nats: float = 1.0
+    negligible_nats: float = 4.0
+    idle_rms: float = 0.15
+    reserve_every: int = 4
+    reserve_factor: float = 2.0
     lack_p: float = 1e-4
     lack_ratio: float = 1.25
     plate_rms_z: float = 1.6
     noise_like_ratio: float = 1.25
     max_rms_over_floor: float = 1.5
+    chance_p: float = 1e-3
     most_effects: int = 3
+    knots_rms: float = 1.05
+    base_rms: float = 1.15
+    similar_correlation: float = 0.8
 
 
 FROZEN = Thresholds()
+
+# ---- constants of the noise model and of the measures above: the same for every caller ----
+
+# likelihood of an event
+OUTLIER_FRACTION = 0.03  # share of events that may be other ones than predicted, anywhere within a period
+LEAST_EXCESS_S = 3e-7  # error of the integration and of the edge's own physics
+SHARED_S = 1e-6  # common error of all edges of one kind in a step: the contact circuit's own physics
+FARTHEST_PERIODS = 0.5  # cap of a residual, in periods: beyond, another event was met
+COMMON_MODE_SIGMAS = 6.0  # residuals beyond (tone covariance included) are excluded from the step's common mode
+LOST_RATIO = 20.0  # excess over uncertainty beyond which landings count as lost
+UNSHARED_RATIO = 2.0  # excess over uncertainty that no error shared by a step explains
+
+# calibrations and single parameters
+CALIBRATION_SIGMAS = 2.5  # largest error of a calibration, in its own sigmas; a larger one is an effect
+NULL_P = 0.05  # probability of Wald's test under which parameters differ from their null values
+
+# gain by step
+MOST_OF_A_STEP_NATS = 12.0  # clip of one step's contribution to a gain
+
+# goodness of fit
+GRAZING_RATIO = 6.0  # uncertainty of a landing, over the median one, at which it is near-grazing
+GRAZING_SIGMAS = 3.0  # shift of a measured number in the test for near-grazing
+FARTHEST_SIGMAS = 6.0  # clip of a standardised residual
+INNOVATION_SIGMAS = 4.0  # clip of an independent residual: a rare graze is no law
+SCALE_KNOWN = 0.12  # relative uncertainty of the noise scale, found from some dozens of edges
+LEAST_IN_BIN = 6  # innovations in a bin or group that is tested
+LEAST_OF_KIND = 6  # plate data of a kind that is tested

@@ -1,6 +1,6 @@
-"""What may be added to the declared model: every effect of the library in its variants, and trends in time.
+"""Candidates for what is added to the declared model: effects of the library in their variants, and linear trends.
 
-The rule kept here: a candidate is a value: names, freed parameters, places to start from; nothing is judged here.
+A candidate is a value: names, freed parameters, places to start from.
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from analysis.attribution.fit import parameter_of
-from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
-from model.effects.registry import registry
+from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.residuals.observations import Observations
+from model.effects.registry import Effect, effect, registry, trend_name
 
-UNLIKE = 0.3  # relative: a shape farther off begins a fit of its own
+DISTINCT = 0.3  # relative difference of a shape parameter beyond which a start begins a fit of its own
+
+Point = dict[ParameterId, float]
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class Candidate:
     starts: tuple[Mapping[ParameterId, float], ...] = ()
 
 
-def candidates_of(world: ForwardModel, hints_hz: Sequence[float] = ()) -> list[Candidate]:
+def candidates_of(world: ForwardModel) -> list[Candidate]:
     """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations."""
     out = []
     declared = {name for name, _ in world.base}
@@ -35,60 +38,58 @@ def candidates_of(world: ForwardModel, hints_hz: Sequence[float] = ()) -> list[C
             continue
         for variant in e.variants or (tuple(q.name for q in e.parameters),):
             keys = tuple((e.name, q) for q in variant)
-            grids = [e.parameter(q).scan or (e.parameter(q).absent,) for q in variant]
-            if e.name == "table_resonance" and hints_hz:
-                grids[1] = (*grids[1], *hints_hz)
-            if "modulation" in entry.hooks:
-                out.append(Candidate((e.name,), keys, _swelling(world, keys)))
-                continue
-            if e.name in ("coulomb_friction",):  # both directions together to begin with
-                starts = [dict.fromkeys(keys, v) for v in (0.0, *grids[0])]
-            else:
-                starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
-                if all(not e.parameter(q).shape for q in variant):
-                    starts.insert(0, {k: parameter_of(k).absent for k in keys})
-            out.append(Candidate((e.name,), keys, tuple(starts)))
-    for name, q in (("drive_gain", "relative"), ("accelerometer_gain", "relative")):
-        out.append(Candidate((name, "parameter_drift"), ((name, q), (name, q + DRIFT)), ({},)))
-    for name, q in world.base:
-        out.append(Candidate(("parameter_drift",), ((name, q + DRIFT),), ({},)))
+            out.append(Candidate((e.name,), keys, tuple(_starts(world.evidence, e, variant))))
+    drifting = [(r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.drifts]
+    out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
+    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in world.base]
     return out
 
 
-def _swelling(world: ForwardModel, keys: Sequence[ParameterId]) -> tuple[Mapping[ParameterId, float], ...]:
-    """Where windows within the steps say that the plate's amplitude swells: its depth and frequency."""
-    swells = world.evidence.swells
-    hints = () if swells is None else swells.hints()
-    return tuple({keys[0]: depth, keys[1]: hz} for hz, depth in hints)
+def _starts(seen: Observations, e: Effect, variant: Sequence[str]) -> list[Point]:
+    """Places to start from: those that the data suggest, or a grid, and the null values where they have a slope."""
+    parameters, keys = [e.parameter(q) for q in variant], [(e.name, q) for q in variant]
+    if any(q.hint == "modulation_hz" for q in parameters):
+        hints = () if seen.modulation is None else seen.modulation.hints()
+        suggested = [{"modulation_hz": hz, "modulation_depth": depth} for hz, depth in hints]
+        return [{k: x[q.hint] for k, q in zip(keys, parameters, strict=True)} for x in suggested]
+    grids = [q.start_grid or (q.null_value,) for q in parameters]
+    if set(variant) in map(set, e.tied.values()):
+        return [dict.fromkeys(keys, v) for v in (parameters[0].null_value, *grids[0])]
+    grids = [(*g, *seen.hints_hz) if q.hint == "slow_line_hz" else g for g, q in zip(grids, parameters, strict=True)]
+    starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
+    if not any(q.is_shape for q in parameters):
+        starts.insert(0, {k: q.null_value for k, q in zip(keys, parameters, strict=True)})
+    return starts
 
 
 def trends_of(free: Sequence[ParameterId]) -> list[Candidate]:
-    """Trends of what has been accepted."""
+    """Trends of what has been accepted, one by one and of tied parameters together."""
     out = []
     for name, q in free:
-        if not q.endswith(DRIFT) and not parameter_of((name, q)).shape and (name, q + DRIFT) not in free:
-            out.append(Candidate((name, "parameter_drift"), ((name, q + DRIFT),), ({},)))
-    both = [k for k in free if k in (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))]
-    if len(both) == 2:
-        out.append(Candidate(("coulomb_friction", "parameter_drift"), tuple((n, q + DRIFT) for n, q in both), ({},)))
+        if not q.endswith(TREND) and not parameter_of((name, q)).is_shape and (name, q + TREND) not in free:
+            out.append(Candidate((name, trend_name()), ((name, q + TREND),), ({},)))
+    for name in dict.fromkeys(n for n, _ in free):
+        for group in effect(name).effect.tied.values():
+            if all((name, q) in free for q in group):
+                out.append(Candidate((name, trend_name()), tuple((name, q + TREND) for q in group), ({},)))
     return out
 
 
-def unlike(
-    starts: Sequence[tuple[float, dict[ParameterId, float]]], free: Sequence[ParameterId], *, absent: bool = False
-) -> list[tuple[float, dict[ParameterId, float]]]:
-    """The best start, and the best of those that what shapes the effect puts elsewhere: another pitch, another trap.
+def distinct_starts(
+    starts: Sequence[tuple[float, Point]], free: Sequence[ParameterId], *, with_size: bool = False
+) -> list[tuple[float, Point]]:
+    """The best start, and the best start whose shape parameters differ from it by more than 30 %.
 
-    With ``absent``, also the best one with the effect present: where data are squares, there is no slope without it.
+    With ``with_size``, also the best one away from the null values: where data are squares, they have no slope there.
     """
-    shapes = [k for k in free if parameter_of(k).shape]
-    sizes = [k for k in free if not parameter_of(k).shape]
+    shapes = [k for k in free if parameter_of(k).is_shape]
+    sizes = [k for k in free if not parameter_of(k).is_shape]
     first = starts[0][1]
 
-    def nothing(point: Mapping[ParameterId, float]) -> bool:
-        return all(point.get(k, 0.0) == parameter_of(k).absent for k in sizes)
+    def null(point: Mapping[ParameterId, float]) -> bool:
+        return all(point.get(k, 0.0) == null_value_of(k) for k in sizes)
 
-    others = [s for s in starts if any(abs(s[1][k] - first[k]) > UNLIKE * abs(first[k]) for k in shapes)]
-    if absent and nothing(first):
-        others += [s for s in starts if not nothing(s[1])]
+    others = [s for s in starts if any(abs(s[1][k] - first[k]) > DISTINCT * abs(first[k]) for k in shapes)]
+    if with_size and null(first):
+        others += [s for s in starts if not null(s[1])]
     return [starts[0], *others[:1]]

@@ -1,8 +1,4 @@
-"""Which candidate stands: what passes, what is refused and why, and what cannot be told apart.
-
-The rule kept here: an effect is added only when steps it was not fitted on gain beyond doubt and no channel gets
-worse; nothing is refused without a reason.
-"""
+"""Choice among candidates by held-out steps: acceptance, refusal with its reason, and ties."""
 
 from __future__ import annotations
 
@@ -13,21 +9,17 @@ from numpy.typing import NDArray
 
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.hypothesis import Hypothesis, Rejected
-from analysis.residuals.lack_of_fit import plate_ratio_of
-from analysis.thresholds import FROZEN, Thresholds
-
-TRIFLE = 0.05  # of a gain, that plate data may lose as long as they remain noise
-LEAST_NATS = 1.0  # a refusal of less needs no reason
-FOUND, PLENTY_NATS = 0.1, 100.0  # excess left, and gain, where they are found again
+from analysis.residuals.lack_of_fit import plate_rms_standardised
+from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS, Thresholds
 
 
 class Judge:
-    """Comparison of explanations by steps that their fits did not see.
+    """Comparison of hypotheses by steps that their fits did not see.
 
     Parameters
     ----------
     train
-        Steps that selection may see, shape (m,).
+        Steps that selection may use, shape (m,).
     limits
         Thresholds of the verdict.
     """
@@ -36,55 +28,55 @@ class Judge:
         self.train, self.limits = train, limits
 
     def gain(self, worse: Hypothesis, better: Hypothesis) -> LogScoreDifference:
-        """Gain of one explanation over another."""
+        """Held-out gain of one hypothesis over another."""
         return LogScoreDifference.of(worse.per_step, better.per_step, self.train)
 
     def finds(self, best: Hypothesis, x: Hypothesis) -> bool:
-        """Whether landings that were lost are found: then the few steps that hold many flights speak for all."""
-        found = x.whitener.excess_s[1] < FOUND * best.whitener.excess_s[1]
-        return best.whitener.lost and found and self.gain(best, x).gain > PLENTY_NATS
+        """Whether landings that were lost are found: then the few steps that hold many flights decide."""
+        found = x.whitener.excess_s[1] < self.limits.found_excess * best.whitener.excess_s[1]
+        return best.whitener.lost and found and self.gain(best, x).gain > self.limits.found_nats
 
     def tied(self, best: Hypothesis, x: Hypothesis) -> bool:
-        """Whether the data cannot tell ``x`` from ``best``."""
+        """Whether the data do not distinguish ``x`` from ``best``."""
         lead = self.gain(x, best)
-        return not self.finds(x, best) and not lead.beyond(self.limits.tie_nats, self.limits.tie_sigmas)
+        return not self.finds(x, best) and not lead.exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
 
     def refusal(self, best: Hypothesis, x: Hypothesis, depth: int) -> str | None:
-        """What forbids ``x`` in place of ``best``, in words; None where nothing does."""
+        """Reason in words that forbids ``x`` in place of ``best``; None where nothing does."""
         limits = self.limits
-        nats, sigmas = (
-            (limits.gain_nats, limits.gain_sigmas) if depth == 0 else (limits.next_effect_nats, limits.again_sigmas)
-        )
+        nats, sigmas = limits.gain_nats, limits.gain_sigmas
+        if depth:
+            nats, sigmas = limits.next_effect_nats, limits.next_effect_sigmas
         gain = self.gain(best, x)
         if not gain.gain > nats:
             return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
-        if not gain.beyond(nats, 1.0 if self.finds(best, x) else sigmas):
+        if not gain.exceeds(nats, 1.0 if self.finds(best, x) else sigmas):
             return (
-                f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and {gain.even:.0f} +- "
-                f"{gain.even_error:.0f} with no step counted for more than 12; wanted {nats:g} and {sigmas:g} "
-                "standard errors"
+                f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and "
+                f"{gain.clipped:.0f} +- {gain.clipped_error:.0f} with no step counted for more than "
+                f"{MOST_OF_A_STEP_NATS:g}; wanted {nats:g} and {sigmas:g} standard errors"
             )
         for channel in x.losses:
             change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)
-            if change.beyond(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
+            if change.exceeds(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
         if x.candidates[-1].free and not x.fitted.differs(x.candidates[-1].free):
             return "the 95 % intervals of its parameters hold the values at which it does nothing"
         return None
 
     def _trifling(self, x: Hypothesis, channel: str, loss: LogScoreDifference, gain: LogScoreDifference) -> bool:
-        """Whether plate data that lose a trifle of what the events gain are still noise.
+        """Whether plate data lose a small part of what the events gain and are still noise.
 
         While events were lost, calibrations could follow the plate's noise; found events hold them.
         """
-        if channel != "plate" or loss.gain > TRIFLE * gain.gain:
+        if channel != "plate" or loss.gain > self.limits.tolerated_plate_loss * gain.gain:
             return False
-        return plate_ratio_of(x.fitted.fitter.world, x.fitted.values) < self.limits.noise_like_ratio
+        return plate_rms_standardised(x.fitted.fitter.world, x.fitted.values) < self.limits.noise_like_ratio
 
     def choose(self, best: Hypothesis, found: Sequence[Hypothesis], depth: int) -> Hypothesis | None:
-        """The candidate of lowest held-out loss that passes; of those that tie with it, the most for the least.
+        """The candidate of lowest held-out loss that passes; of those that tie with it, that of lowest penalised loss.
 
-        Every parameter has a price, and calibrations that have to be bent for it count against an explanation.
+        The penalty counts its parameters and the prior of the calibrations that it moves.
         """
         passing = [x for x in found if self.refusal(best, x, depth) is None]
         if not passing:
@@ -102,18 +94,18 @@ class Judge:
         Parameters
         ----------
         best
-            What the candidates were added to.
+            The hypothesis that candidates were added to.
         found
             The candidates of one round.
         depth
-            How many effects had been named before.
+            Number of effects named before.
         chosen
-            What was accepted in that round, if anything.
+            The accepted candidate of that round, if any.
         """
         least = 0.0 if chosen is None else self.gain(best, chosen).gain
         for x in sorted(found, key=lambda x: float(x.per_step[self.train].sum())):
             gain = self.gain(best, x)
-            if not gain.gain > max(least, LEAST_NATS):
+            if not gain.gain > max(least, self.limits.reported_nats):
                 break
             reason = self.refusal(best, x, depth)
             if reason is not None:

@@ -1,6 +1,6 @@
-"""What one explanation gains over another on held-out steps, and how sure that is.
+"""Paired differences of held-out log scores.
 
-The rule kept here: the step is the replicate, and no few of them decide.
+Steps are the independent replicates. Each step's contribution is also counted clipped, so that no few of them decide.
 """
 
 from __future__ import annotations
@@ -11,60 +11,59 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from analysis.thresholds import MOST_OF_A_STEP_NATS
 
-MOST_OF_A_STEP = 12.0  # nats
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LogScoreDifference:
-    """One explanation against another by the held-out steps.
+    """Gain of one hypothesis over another on held-out steps.
 
     Attributes
     ----------
     gain, error
         In nats, with the standard error.
-    even, even_error
-        The same with no step counting for more than `MOST_OF_A_STEP` either way: a few steps that gain hundreds of nats
-        spread the sum without making it doubtful.
+    clipped, clipped_error
+        The same with each step's contribution clipped at `MOST_OF_A_STEP_NATS` either way: a few steps that gain
+        hundreds of nats spread the sum without making it doubtful.
     """
 
     gain: float
     error: float
-    even: float
-    even_error: float
+    clipped: float
+    clipped_error: float
 
     @classmethod
     def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> LogScoreDifference:
         """Gain of ``better`` over ``worse``, both losses by step."""
         d = (worse - better)[train]
-        return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP, MOST_OF_A_STEP)))
+        return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP_NATS, MOST_OF_A_STEP_NATS)))
 
-    def beyond(self, nats: float, sigmas: float) -> bool:
-        """Whether it is at least so many nats and standard errors, as it is or with each step limited.
+    def exceeds(self, nats: float, sigmas: float) -> bool:
+        """Whether it is at least so many nats and standard errors, unclipped or clipped.
 
-        A sum that is small against its own error is doubtful however its steps are limited.
+        A sum below half its own standard error never is.
         """
         return self.gain > max(nats, 0.5 * self.error) and (
-            self.gain > sigmas * self.error or self.even > max(nats, sigmas * self.even_error)
+            self.gain > sigmas * self.error or self.clipped > max(nats, sigmas * self.clipped_error)
         )
 
 
 def penalised_best(top: Array, losses: Sequence[Array], costs: Sequence[float], train: NDArray[np.bool_]) -> int:
-    """Which of several explanations that tie does the most for the least.
+    """Index of the hypothesis of lowest penalised loss, among several that tie.
 
     Parameters
     ----------
     top
         Losses by step of the one of lowest sum.
     losses, costs
-        Of each explanation: losses by step, and what else counts against it, nats. No step counts for more than
-        `MOST_OF_A_STEP`.
+        Losses by step and penalty of each hypothesis, nats; each step is clipped at `MOST_OF_A_STEP_NATS`.
     train
         Steps that count.
     """
     return int(
-        np.argmin([LogScoreDifference.of(x, top, train).even + cost for x, cost in zip(losses, costs, strict=True)])
+        np.argmin([LogScoreDifference.of(x, top, train).clipped + cost for x, cost in zip(losses, costs, strict=True)])
     )
 
 

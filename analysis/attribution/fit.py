@@ -1,7 +1,12 @@
-"""Fit of a set of effects to the evidence: robust, bounded, with priors on what is known, judged on held-out steps.
+"""Robust, bounded fit of a set of effects to the observations, with priors, scored on held-out steps.
 
-The rule kept here: calibrations and nuisances are always free within what is known of them, so an effect must explain
-what they cannot; a fit is judged only on steps it did not see.
+Calibrations and nuisances are always free within their priors, so that an effect must explain what they cannot. A fit
+is scored only on steps that it did not see.
+
+References
+----------
+K. Levenberg, Q. Appl. Math. 2, 164 (1944); D. Marquardt, J. SIAM 11, 431 (1963): damped least squares.
+P. J. Green, J. R. Stat. Soc. B 46, 149 (1984): iteratively reweighted least squares for robust likelihoods.
 """
 
 from __future__ import annotations
@@ -14,70 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
+from analysis.attribution.priors import Prior, null_value_of, parameter_of
+from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.whitening import Whitener, step_losses
-from daq.setup.setup import Setup
-from model.effects.registry import Parameter, effect, registry
+from analysis.thresholds import CALIBRATION_SIGMAS, NULL_P
+from model.effects.registry import effect
 
 Array = NDArray[np.float64]
 
-RELATIVE_STEP = 0.004  # of a parameter's typical size, for finite differences
+RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
 MOST_ITERATIONS = 12
-LEAP_S = 1e-3  # a prediction that moves by more within such a difference has met another event
-ENOUGH = 0.1  # nats: a step that gains less ends the fit
-FOLDS = 3
-FARTHEST_SIGMAS = 2.5  # by which a calibration may be off without being an effect
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known of a parameter before the run: in the parameter's own unit."""
-
-    mean: float
-    sigma: float
-
-
-def priors_of(setup: Setup) -> dict[ParameterId, Prior]:
-    """Priors of calibrations, nuisances and declared effects, from the profile and from the effects' own files."""
-    out = {
-        (r.effect.name, q.name): Prior(q.absent, q.calibration)
-        for r in registry()
-        for q in r.effect.parameters
-        if q.calibration > 0.0 and r.effect.library
-    }
-    drive, accelerometer = setup.drive, setup.channels.accelerometer
-    if drive.g_per_volt is None:
-        out["drive_gain", "relative"] = Prior(0.0, 10.0)
-        out["phase_lag", "delay_s"] = Prior(0.0, 1.0)
-    else:
-        if drive.g_per_volt.uncertainty > 0:
-            out["drive_gain", "relative"] = Prior(0.0, drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value))
-        if drive.phase_deg.uncertainty > 0:
-            seconds = math.radians(drive.phase_deg.uncertainty) / (2 * math.pi * setup.forcing.frequency_hz)
-            out["phase_lag", "delay_s"] = Prior(0.0, seconds)
-    if accelerometer.sensitivity.uncertainty > 0:
-        relative = accelerometer.sensitivity.uncertainty / abs(accelerometer.sensitivity.value)
-        out["accelerometer_gain", "relative"] = Prior(0.0, relative)
-    if setup.g_mps2.uncertainty > 0:
-        out["local_gravity", "excess_mps2"] = Prior(0.0, setup.g_mps2.uncertainty)
-    for name, table in setup.declared.items():
-        for key, quantity in table.items():
-            if quantity.uncertainty > 0:
-                out[name, key] = Prior(quantity.value, quantity.uncertainty)
-            else:
-                out.pop((name, key), None)
-    return out
-
-
-def parameter_of(key: ParameterId) -> Parameter:
-    """The parameter behind a key; a trend has the size of its parameter and no bound but that."""
-    name, q = key
-    parameter = effect(name).effect.parameter(q.removesuffix(DRIFT))
-    if not q.endswith(DRIFT):
-        return parameter
-    span = parameter.high - parameter.low
-    return Parameter(q, parameter.unit, -span, span, parameter.typical, meaning="change over the run")
+LEAP_S = 1e-3  # a larger change means the prediction jumped to a different event; its derivative is set to zero
+ENOUGH_NATS = 0.1  # gain of a step below which the fit ends
+FOLDS = 3  # of the cross-validation
 
 
 class Fitter:
@@ -97,10 +52,11 @@ class Fitter:
         spread = np.flatnonzero(train)
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
 
-    # -- coordinates: one typical size is one unit -------------------------------------------------------------
-    def _scale(self, key: ParameterId) -> float:
+    # -- coordinates: the scale of a parameter is one unit -------------------------------------------------------------
+    def scale(self, key: ParameterId) -> float:
+        """Size of a parameter that is one unit of its coordinate."""
         q = parameter_of(key)
-        return float(q.typical ** (1.0 / q.power))
+        return float(q.scale ** (1.0 / q.power))
 
     def bounds(self, key: ParameterId, *, released: bool) -> tuple[float, float]:
         """Bounds of a coordinate: what is physically possible, and for a calibration what its uncertainty allows.
@@ -110,16 +66,17 @@ class Fitter:
         q, prior = parameter_of(key), self.priors.get(key)
         low, high = q.low, q.high
         if prior is not None and not released and not effect(key[0]).effect.nuisance:
-            reach = FARTHEST_SIGMAS * prior.sigma
+            reach = CALIBRATION_SIGMAS * prior.sigma
             low, high = max(low, prior.mean - reach), min(high, prior.mean + reach)
-        return self._to_x(key, low), self._to_x(key, high)
+        return self.to_x(key, low), self.to_x(key, high)
 
-    def _to_x(self, key: ParameterId, value: float) -> float:
+    def to_x(self, key: ParameterId, value: float) -> float:
+        """Coordinate of a value."""
         power = parameter_of(key).power
-        return float(np.sign(value) * abs(value) ** (1.0 / power)) / self._scale(key)
+        return float(np.sign(value) * abs(value) ** (1.0 / power)) / self.scale(key)
 
     def _to_value(self, key: ParameterId, x: float) -> float:
-        q, y = parameter_of(key), x * self._scale(key)
+        q, y = parameter_of(key), x * self.scale(key)
         return float(min(max(np.sign(y) * abs(y) ** q.power, q.low), q.high))
 
     def values(self, keys: Sequence[ParameterId], x: Array) -> dict[ParameterId, float]:
@@ -132,8 +89,8 @@ class Fitter:
         for i, key in enumerate(keys):
             prior = self.priors.get(key)
             if prior is not None and key not in released:
-                mean[i] = self._to_x(key, prior.mean)
-                inverse[i] = self._scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)
+                mean[i] = self.to_x(key, prior.mean)
+                inverse[i] = self.scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)
         return mean, inverse
 
     # -- the fit ----------------------------------------------------------------------------------------------
@@ -153,7 +110,7 @@ class Fitter:
         free
             Parameters without prior; those of ``self.priors`` are always free within theirs.
         start
-            Where to begin; missing ones begin at their prior's mean or absent value.
+            Where to begin; missing ones begin at their prior's mean or null value.
         slopes
             Known derivatives of the bare residuals, for parameters that are not free: they save predictions where the
             point has not moved far.
@@ -161,10 +118,7 @@ class Fitter:
         always = [k for k in self.priors if k not in free]
         keys = [*free, *always]
         x = np.array(
-            [
-                self._to_x(k, start.get(k, self.priors[k].mean if k in self.priors else parameter_of(k).absent))
-                for k in keys
-            ]
+            [self.to_x(k, start.get(k, self.priors[k].mean if k in self.priors else null_value_of(k))) for k in keys]
         )
         state = _State(self, whitener, keys, *self._prior_rows(keys, frozenset(free)))
         raw = state.raw(x)
@@ -191,23 +145,23 @@ class Fitter:
                     x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
-            if gained < ENOUGH:
+            if gained < ENOUGH_NATS:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
     def linear_step(
         self, best: Fitted, free: Sequence[ParameterId], shapes: Mapping[ParameterId, float] | None = None
     ) -> tuple[float, dict[ParameterId, float]]:
-        """Where freeing ``free`` would lead, and the loss that it would save, if residuals were linear: nats, values.
+        """Gain in nats of freeing ``free`` if residuals were linear, and the values there.
 
-        What only shapes an effect stays where ``shapes`` puts it.
+        Shape parameters stay where ``shapes`` puts them.
         """
         keys = [*free, *(k for k in best.keys if k not in free)]
         at = {**best.values, **(shapes or {})}
-        x = np.array([self._to_x(k, at.get(k, parameter_of(k).absent)) for k in keys])
+        x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
-        state.fill(bare, x, best.raw, [j for j, k in enumerate(free) if not parameter_of(k).shape])
+        state.fill(bare, x, best.raw, [j for j, k in enumerate(free) if not parameter_of(k).is_shape])
         normal, gradient = state.normal(bare, best.raw, x, state.mask)
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
         return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
@@ -215,13 +169,13 @@ class Fitter:
     def detectable(self, best: Fitted, key: ParameterId, nats: float) -> float:
         """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.
 
-        The derivative is taken a typical size away from where the effect is absent; what is known of the parameter
-        beforehand is left out, everything else stays free.
+        The derivative is taken one scale away from the null value. The parameter's own prior is left out; all others
+        stay free.
         """
         keys = [key, *(k for k in best.keys if k != key)]
         q = parameter_of(key)
-        at = {**best.values, key: min(max(best.values.get(key, q.absent) + q.typical, q.low), q.high)}
-        x = np.array([self._to_x(k, at.get(k, parameter_of(k).absent)) for k in keys])
+        at = {**best.values, key: min(max(best.values.get(key, q.null_value) + q.scale, q.low), q.high)}
+        x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
         state.fill(bare, x, state.raw(x), (0,))
@@ -230,7 +184,7 @@ class Fitter:
         information = float(normal[0, 0] - normal[0, 1:] @ np.linalg.lstsq(others, normal[1:, 0], rcond=None)[0])
         if information <= 1e-9:
             return math.inf
-        return float((math.sqrt(2.0 * nats / information) * self._scale(key)) ** q.power)
+        return float((math.sqrt(2.0 * nats / information) * self.scale(key)) ** q.power)
 
 
 class _State:
@@ -259,7 +213,7 @@ class _State:
         return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.prior_penalty(x)
 
     def prior_penalty(self, x: Array) -> float:
-        """What the priors say against ``x``, nats."""
+        """Negative log prior at ``x``, nats."""
         return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
     def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
@@ -270,7 +224,7 @@ class _State:
             moved[j] += h
             change = self.raw(moved) - raw
             n = len(self.whitener.step)
-            change[:n][np.abs(change[:n]) > LEAP_S] = 0.0  # another event was met: no slope
+            change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
             bare[:, j] = change / h
 
     def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -301,7 +255,7 @@ def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit with all that held-out judgement and intervals need."""
+    """A fit, with what held-out losses and intervals are computed from."""
 
     fitter: Fitter
     state: _State
@@ -327,7 +281,7 @@ class Fitted:
 
     @property
     def prior_penalty(self) -> float:
-        """How far calibrations and nuisances had to be bent from what was known of them, nats."""
+        """Negative log prior of calibrations and nuisances, nats."""
         return self.state.prior_penalty(self.x)
 
     def covariance(self) -> Array:
@@ -338,7 +292,7 @@ class Fitted:
     def sigma(self, key: ParameterId) -> float:
         """Standard deviation of a fitted value, in its own unit."""
         j = self.keys.index(key)
-        q, scale = parameter_of(key), self.fitter._scale(key)
+        q, scale = parameter_of(key), self.fitter.scale(key)
         spread = math.sqrt(max(self.covariance()[j, j], 0.0)) * scale
         if q.power == 1.0:
             return spread
@@ -346,16 +300,13 @@ class Fitted:
         return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
 
     def differs(self, keys: Sequence[ParameterId]) -> bool:
-        """Whether sizes among ``keys`` together differ from those at which nothing happens, by 95 % (Wald's test).
-
-        What only shapes an effect has no such value.
-        """
-        sizes = [k for k in keys if not parameter_of(k).shape]
+        """Whether sizes among ``keys`` together differ from their null values by 95 % (Wald's test)."""
+        sizes = [k for k in keys if not parameter_of(k).is_shape]
         rows = [self.keys.index(k) for k in sizes]
-        away = self.x[rows] - np.array([self.fitter._to_x(k, parameter_of(k).absent) for k in sizes])
+        away = self.x[rows] - np.array([self.fitter.to_x(k, null_value_of(k)) for k in sizes])
         covariance = self.covariance()[np.ix_(rows, rows)]
         distance = float(away @ np.linalg.pinv(covariance, rcond=1e-14, hermitian=True) @ away)
-        return distance > float(chi2.isf(0.05, len(sizes)))
+        return distance > float(chi2.isf(NULL_P, len(sizes)))
 
     def held_out(self, whitener: Whitener) -> dict[str, Array]:
         """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.

@@ -1,11 +1,8 @@
-"""What a search for causes comes to: explanations, and which of them stand.
-
-The rule kept here: nothing is decided; these are values.
-"""
+"""Fitted hypotheses, how they are fitted alike, and the result of a selection among them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,16 +10,18 @@ from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.attribution.fit import Fitted
+from analysis.attribution.fit import Fitted, Fitter
 from analysis.residuals.forward_model import ParameterId
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]
 
+MOST_REWEIGHTINGS = 4  # fits with new weights
+
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of candidates, fitted and judged.
+    """A set of candidates, fitted and scored.
 
     Attributes
     ----------
@@ -48,13 +47,61 @@ class Hypothesis:
 
     @property
     def free(self) -> tuple[ParameterId, ...]:
-        """Everything the candidates free."""
+        """All parameters that the candidates free."""
         return tuple(k for c in self.candidates for k in c.free)
 
     @property
     def per_step(self) -> Array:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))
+
+
+class Refits:
+    """Fits of hypotheses, all with weights iterated in the same way.
+
+    Parameters
+    ----------
+    fitter
+        Of the world, its priors and its training steps.
+    """
+
+    def __init__(self, fitter: Fitter) -> None:
+        self.fitter, self.world, self.train = fitter, fitter.world, fitter.train
+
+    def profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
+        """Loss at ``values`` on the training steps, each channel's excess noise at its best."""
+        return whitener.profile_loss(self.world.residuals(values), self.world.evidence.plate, self.train)
+
+    def scored(self, candidates: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
+        """The hypothesis with its held-out loss, at the weights of its own fit."""
+        whitener = Whitener.of(self.world, fitted.values)
+        return Hypothesis(candidates, fitted, whitener, fitted.held_out(whitener))
+
+    def reweighted(self, fitted: Fitted) -> Fitted:
+        """The fit repeated with the weights of the point found, until they converge."""
+        for _ in range(MOST_REWEIGHTINGS):
+            before, after = fitted.state.whitener, Whitener.of(self.world, fitted.values)
+            if after.near(before):
+                break
+            fitted = self.fitter.fit(after, fitted.free, fitted.values)
+        return fitted
+
+    def converged(
+        self,
+        candidates: tuple[Candidate, ...],
+        whitener: Whitener,
+        free: Sequence[ParameterId],
+        start: Mapping[ParameterId, float],
+    ) -> Hypothesis:
+        """The hypothesis fitted from ``start``, first with the weights given, until they converge."""
+        return self.scored(candidates, self.reweighted(self.fitter.fit(whitener, free, start)))
+
+    def again(self, x: Hypothesis) -> Hypothesis:
+        """The hypothesis fitted once more from where it stands: derivatives of calibrations are those of the start.
+
+        Where a calibration and an effect are correlated, a fit from afar stops short with too small an error.
+        """
+        return self.converged(x.candidates, x.whitener, x.free, x.fitted.values)
 
 
 @dataclass(frozen=True)
@@ -79,22 +126,22 @@ class Rejected:
 
 @dataclass(frozen=True)
 class SelectionResult:
-    """The outcome.
+    """Result of a stepwise selection.
 
     Attributes
     ----------
     before, best
-        The declared model alone, and the best explanation found (the same object where nothing is missing).
+        The declared model alone, and the best hypothesis found (the same object where nothing is missing).
     ties
-        Explanations that the data cannot tell from the best one, the best first.
+        Hypotheses that the data do not distinguish from the best one, the best first.
     tried
-        Every candidate of the first round with its gain: the chain of reasoning.
+        Every candidate of the first round with its gain.
     rounds
-        What each round found: names, gain, standard error, accepted or why not.
+        Outcome of each round: names, gain, standard error, accepted or why not.
     rejected
         Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
     earlier
-        What stood before the last cause was added, from the declared model on.
+        Hypotheses before the last effect was added, from the declared model on.
     """
 
     before: Hypothesis

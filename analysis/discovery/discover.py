@@ -17,13 +17,13 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.selection import THREADS
 from analysis.discovery.describe import in_words
 from analysis.discovery.search import RefinedTerm, TermSearch, known_loss
 from analysis.discovery.terms import AugmentedModel, spoken
+from analysis.parallel import THREADS
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel, plate_effects
-from analysis.thresholds import FROZEN
+from analysis.thresholds import FROZEN, Thresholds
 from model.effects.registry import registry
 from model.integrator.one_step import Predicted
 
@@ -37,10 +37,7 @@ REACHES = {  # what says how far flights go in a quantity that varies within the
     "since_impact_s": "flight_s",
 }
 AGAIN = 2  # of the finalists that may be tried with finer knots
-CLOSE = 1.05  # held-out scatter over uncertainty below which no finer knots are tried
-ALIKE = 0.8  # correlation beyond which a named effect is said to resemble the term
 FARTHEST_S = 2e-3  # a change beyond is another event, not a mark
-GOOD = 1.15  # held-out scatter over uncertainty below which no second base is tried
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ class Discovery:
 
 
 def discover(
-    world: ForwardModel, fitter: Fitter, explanation: Hypothesis, train: NDArray[np.bool_]
+    world: ForwardModel, fitter: Fitter, explanation: Hypothesis, limits: Thresholds = FROZEN
 ) -> Discovery | None:
     """Look for a smooth term that explains what the named effects do not.
 
@@ -118,49 +115,49 @@ def discover(
         The evidence and its fits.
     explanation
         The best of the named effects.
-    train
-        Steps that may be seen, shape (m,).
+    limits
+        Thresholds of the verdict.
 
     Returns
     -------
     Discovery or None
         None where no term gains on held-out steps over the named effects and its constant; of equals the straightest.
     """
-    tables = covariates(world, explanation.fitted.values)
+    tables, train = covariates(world, explanation.fitted.values), fitter.train
     found: list[RefinedTerm] = []
     for kept in _bases(explanation):
-        found += _finalists(TermSearch(world, fitter, explanation, kept, train, tables))
-        best = _straightest(found, train)
-        if _scatter(best, train) < GOOD:
+        found += _finalists(TermSearch(world, fitter, explanation, kept, train, tables), limits)
+        best = _straightest(found, limits)
+        if _scatter(best) < limits.base_rms:
             break
     gain = LogScoreDifference.of(known_loss(world, explanation, train), best.per_step, train)
-    if gain.gain < FROZEN.gain_nats:  # the named effects have been refused already, by what they leave
+    if gain.gain < limits.gain_nats:  # the named effects have been refused already, by what they leave
         return None
     kept = best.explanation.candidates
     flat = TermSearch(world, fitter, explanation, kept, train, tables).polished(best.curve.flat(len(world.evidence)))
     constant = LogScoreDifference.of(flat.per_step, best.per_step, train)
-    if not constant.beyond(FROZEN.gain_nats, FROZEN.gain_sigmas):
+    if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
         return None
-    rivals = [p for p in found if p is not best and _tied(p, best, train)]
-    return _told(world, best, gain, constant, rivals, tables)
+    rivals = [p for p in found if p is not best and _tied(p, best, limits)]
+    return _told(world, best, (gain, constant), rivals, tables, limits)
 
 
-def _straightest(found: Sequence[RefinedTerm], train: NDArray[np.bool_]) -> RefinedTerm:
+def _straightest(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
     """Of what is best on held-out steps, within what could be luck, the straightest term; of it, what fits closest."""
-    least = min(p.held_out for p in found) + FROZEN.gain_nats
+    least = min(p.held_out for p in found) + limits.gain_nats
     term = min((p for p in found if p.held_out < least), key=lambda p: p.curve.bend).curve.term
     same = [p for p in found if p.curve.term == term and p.held_out < least]
-    return min(same, key=lambda p: _scatter(p, train))  # how stiff, the held-out steps tell only roughly
+    return min(same, key=_scatter)  # how stiff, the held-out steps tell only roughly
 
 
-def _finalists(search: TermSearch) -> list[RefinedTerm]:
+def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
     """The best first looks in joint fits; the first of them with finer knots, too, if within the flight it falls short.
 
     A term that bends sharply may lose to one that bends less, so that the second best is given the same chance.
     """
     with ThreadPoolExecutor(THREADS) as pool:
         found = sorted(pool.map(lambda t: search.polished(t.curve), search.first_looks()), key=lambda p: p.held_out)
-        falls_short = not found[0].curve.term.columns and _scatter(found[0], search.train) >= CLOSE
+        falls_short = not found[0].curve.term.columns and _scatter(found[0]) >= limits.knots_rms
         again = [p.curve.finer() for p in found[:AGAIN] if falls_short and not p.curve.term.columns]
         return found + list(pool.map(search.polished, again))
 
@@ -171,29 +168,29 @@ def _bases(explanation: Hypothesis) -> list[tuple[Candidate, ...]]:
     return [still] if len(still) == len(explanation.candidates) else [still, explanation.candidates]
 
 
-def _scatter(p: RefinedTerm, train: NDArray[np.bool_]) -> float:
-    """Root mean square of held-out landings over their uncertainty, robust against grazes."""
+def _scatter(p: RefinedTerm) -> float:
+    """Root mean square of all scored landings over their uncertainty, clipped against grazes."""
     r, u = p.world.residuals(p.explanation.fitted.values), p.world.uncertainty(p.explanation.fitted.values)
-    z = (r.landing_s / np.hypot(u.landing_total_s, 1e-6))[p.world.evidence.judged]
+    z = (r.landing_s / np.hypot(u.landing_total_s, 1e-6))[p.world.evidence.scored]
     return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=6.0), -6.0, 6.0) ** 2)))
 
 
-def _tied(p: RefinedTerm, best: RefinedTerm, train: NDArray[np.bool_]) -> bool:
-    lead = LogScoreDifference.of(p.per_step, best.per_step, train)
-    return not lead.beyond(FROZEN.tie_nats, FROZEN.tie_sigmas)
+def _tied(p: RefinedTerm, best: RefinedTerm, limits: Thresholds) -> bool:
+    lead = LogScoreDifference.of(p.per_step, best.per_step, best.explanation.fitted.fitter.train)
+    return not lead.exceeds(limits.tie_nats, limits.tie_sigmas)
 
 
 def _told(
     world: ForwardModel,
     best: RefinedTerm,
-    gain: LogScoreDifference,
-    constant: LogScoreDifference,
+    gains: tuple[LogScoreDifference, LogScoreDifference],
     rivals: Sequence[RefinedTerm],
     tables: Mapping[str, Array],
+    limits: Thresholds,
 ) -> Discovery:
     curve = best.curve
     words, unit, scale = spoken(curve.term)
-    judged = world.evidence.judged
+    judged = world.evidence.scored
     seen = tables[curve.term.of if curve.term.columns else REACHES.get(curve.term.of, curve.term.of)][judged]
     told, half = curve.at(curve.points), best.band
     low, high = np.clip(told - half, curve.term.low, None), np.clip(told + half, None, curve.term.high)
@@ -213,23 +210,22 @@ def _told(
         high,
         curve.term.unit,
         seen[np.isfinite(seen)],
-        gain,
-        constant,
-        _resembling(best),
+        *gains,
+        _resembling(best, limits.similar_correlation),
         tuple(names),
         best.world,
         best.explanation,
     )
 
 
-def _resembling(best: RefinedTerm) -> tuple[tuple[str, float], ...]:
+def _resembling(best: RefinedTerm, least: float) -> tuple[tuple[str, float], ...]:
     """Named effects whose mark on landings and openings is like the term's, most alike first."""
     values, plain = best.explanation.fitted.values, best.world.without
     base = plain.predict(values)
 
     def mark(p: Predicted) -> Array:
         both = np.concatenate(
-            [(p.landing_s - base.landing_s)[plain.evidence.judged], (p.opening_s - base.opening_s)[plain.opens]]
+            [(p.landing_s - base.landing_s)[plain.evidence.scored], (p.opening_s - base.opening_s)[plain.from_rest]]
         )
         return np.asarray(np.where(np.abs(both) < FARTHEST_S, np.nan_to_num(both), 0.0))
 
@@ -238,9 +234,9 @@ def _resembling(best: RefinedTerm) -> tuple[tuple[str, float], ...]:
         e = entry.effect
         if not e.library or e.nuisance or e.name in plate_effects() or e.name in best.explanation.names:
             continue
-        for q in (q for q in e.parameters if not q.shape):
-            theirs = mark(plain.predict({**values, (e.name, q.name): q.absent + 2.0 * q.typical}))
+        for q in (q for q in e.parameters if not q.is_shape):
+            theirs = mark(plain.predict({**values, (e.name, q.name): q.null_value + 2.0 * q.scale}))
             size = float(np.linalg.norm(ours) * np.linalg.norm(theirs))
             alike = abs(float(ours @ theirs)) / size if size > 0.0 else 0.0
             out[e.name] = max(out.get(e.name, 0.0), alike)
-    return tuple(sorted(((k, v) for k, v in out.items() if v > ALIKE), key=lambda pair: -pair[1]))
+    return tuple(sorted(((k, v) for k, v in out.items() if v > least), key=lambda pair: -pair[1]))

@@ -15,8 +15,9 @@ from scipy.special import ndtri
 
 from analysis.discovery.spline_basis import basis_of, hats_of
 from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
-from analysis.residuals.forward_model import FARTHEST_PERIODS, ForwardModel, Values
-from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_noise, log_odds, robust_loss, robust_weight
+from analysis.residuals.forward_model import ForwardModel, Values
+from analysis.residuals.noise_model import excess_noise, log_odds, robust_loss, robust_weight
+from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
 
 Array = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ class StackedResiduals:
     def of(cls, world: ForwardModel, values: Values, train: NDArray[np.bool_]) -> StackedResiduals:
         """Of a world; ``train`` by step."""
         ev, u = world.evidence, world.uncertainty(values)
-        opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
+        opening, landing = np.flatnonzero(world.from_rest), np.flatnonzero(ev.scored)
         event = np.concatenate([opening, landing])
         step = ev.measured.step[event]
         sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])

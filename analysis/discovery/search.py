@@ -16,7 +16,6 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.coarse_search import subsample
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.selection import THREADS
 from analysis.discovery.penalised_fit import (
     SHARP,
     TAILS,
@@ -33,6 +32,7 @@ from analysis.discovery.penalised_fit import (
 )
 from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Curve, Term, event_terms, ranges_of
+from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
 from analysis.residuals.noise_model import robust_loss
 from analysis.residuals.whitening import Whitener
@@ -131,7 +131,7 @@ class TermSearch:
 
     def _looked(self, stack: StackedResiduals) -> list[ScreenedTerm]:
         ahead = stack.loss(stack.residuals(self.world, self.values))
-        judged = self.world.evidence.judged
+        judged = self.world.evidence.scored
         tried: list[ScreenedTerm] = []
         constants: dict[str, float] = {}
         known: dict[tuple[str, str], Curve] = {}

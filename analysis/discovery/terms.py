@@ -6,7 +6,7 @@ one-event-ahead prediction as any named effect, either as a number of each fligh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.discovery.spline_basis import basis_of, penalty_of
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
-from model.effects.registry import offsets
+from model.effects.registry import offsets, registry
 from model.effects.smooth_force import KNOTS
 
 Array = NDArray[np.float64]
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 USUAL = 0.05  # roughness: how far second differences may go, relative to the spread of the curve
 FIRST_KNOTS, MOST_INSIDE = 12, 23  # of a term within the flight, at first and at most
 POINTS = 45  # at which a curve is told
+FIRST_VALUE = "c0"  # of the values at the knots, in the effects that carry a curve
 
 
 @dataclass(frozen=True)
@@ -64,12 +65,6 @@ class Term:
         return ("against", 1.0) in self.fixed
 
 
-FRICTION = (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"))
-REPLACED: dict[str, tuple[ParameterId, ...]] = {
-    "friction": FRICTION,
-    "restitution": (("restitution", "e0"), ("restitution", "e1_s_per_m")),
-    "threshold": (("adhesion", "a_mps2"), ("adhesion", "dwell_s")),
-}
 IN_FLIGHT_WORDS = {
     "height_m": ("height", "mm", 1e3),
     "speed_mps": ("velocity", "m/s", 1.0),
@@ -89,36 +84,48 @@ EVENT_GRIDS: dict[str, Array] = {
 }
 
 
+EVENT_VALUES: dict[str, tuple[str, str, float, float, float]] = {  # unit, words, bounds, finite difference
+    "force": ("m/s^2", "a downward pull", -8.0, 8.0, 0.02),
+    "friction": ("g", "dry friction", 0.0, 2.0, 0.002),
+    "threshold": ("m/s^2", "the take-off threshold", 0.0, 30.0, 0.02),
+    "restitution": ("1", "restitution", 0.0, 0.95, 0.003),
+}
+FLIGHT_VALUES: dict[str, tuple[str, float, float]] = {  # words, bounds
+    "force": ("a force", -200.0, 200.0),
+    "friction": ("dry friction", 0.0, 20.0),
+    "restitution": ("restitution", 0.0, 0.95),
+}
+NUDGES = {"g": 0.003, "m/s^2": 0.03, "1": 0.003}  # finite difference of a term within the flight, by its unit
+
+
+def carriers(name: str) -> tuple[ParameterId, ...]:
+    """Parameters that take the value of a term of one kind, another one in each flight."""
+    return tuple((r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.carries_term == name)
+
+
+def substituted(name: str) -> tuple[ParameterId, ...]:
+    """Parameters of the effects whose place a term of one kind takes."""
+    found = (r.effect for r in registry() if r.effect.substitutes_term == name)
+    return tuple((e.name, q.name) for e in found for q in e.parameters)
+
+
 def event_term(name: str, of: str) -> Term:
     """A term with one value for each flight."""
-    if name == "force":
-        return Term(name, of, "m/s^2", "a downward pull", -8.0, 8.0, 0.02, (("local_gravity", "excess_mps2"),))
-    if name == "friction":
-        return Term(name, of, "g", "dry friction", 0.0, 2.0, 0.002, FRICTION)
-    if name == "threshold":
-        return Term(name, of, "m/s^2", "the take-off threshold", 0.0, 30.0, 0.02, (("adhesion", "a_mps2"),))
-    if name == "restitution":
-        return Term(name, of, "1", "restitution", 0.0, 0.95, 0.003, (("restitution", "e0"),))
+    if name in EVENT_VALUES:
+        return Term(name, of, *EVENT_VALUES[name], carriers(name))
     raise ValueError(f"no term is called {name!r}; known are {', '.join(EVENT_GRIDS)}")
 
 
-def _within(name: str, of: str, effect: str, place: float, against: bool = False) -> Term:
-    fixed = {"of": place} | ({"against": 1.0} if against else {})
-    unit, nudge = ("g", 0.003) if effect == "smooth_friction" else ("m/s^2", 0.03)
-    low, high, words = (0.0, 20.0, "dry friction") if name == "friction" else (-200.0, 200.0, "a force")
-    return Term(name, of, unit, words, low, high, nudge, (), effect, tuple(fixed.items()))
+def _within_flight() -> Iterator[Term]:
+    """Terms within the flight, from the effects that carry them."""
+    for e in (r.effect for r in registry()):
+        for curve in e.curves:
+            words, low, high = FLIGHT_VALUES[curve.term]
+            unit, fixed = e.parameter(FIRST_VALUE).unit, tuple(curve.fixed.items())
+            yield Term(curve.term, curve.of, unit, words, low, high, NUDGES[unit], (), e.name, fixed)
 
 
-IN_FLIGHT: tuple[Term, ...] = (
-    _within("friction", "height_m", "smooth_friction", 1.0),
-    _within("friction", "speed_mps", "smooth_friction", 2.0),
-    _within("friction", "since_impact_s", "smooth_force", 5.0, against=True),
-    _within("force", "height_m", "smooth_force", 1.0),
-    _within("force", "velocity_mps", "smooth_force", 2.0),
-    _within("force", "absolute_velocity_mps", "smooth_force", 3.0),
-    _within("force", "since_takeoff_s", "smooth_force", 4.0),
-    Term("restitution", "impact_mps", "1", "restitution", 0.0, 0.95, 0.003, (), "smooth_restitution"),
-)
+IN_FLIGHT: tuple[Term, ...] = tuple(_within_flight())
 
 
 @dataclass(frozen=True)
@@ -264,7 +271,7 @@ class AugmentedModel(ForwardModel):
 def _put(out: Array, curve: Curve, dwell_s: Array) -> None:
     """Set the parameters that carry a curve; a friction or restitution takes the place of a constant one."""
     term, place = curve.term, offsets()
-    for key in REPLACED.get(term.name, ()):
+    for key in substituted(term.name):
         out[..., place[key]] = 0.0
     if term.columns:
         for key in term.columns:
@@ -276,5 +283,5 @@ def _put(out: Array, curve: Curve, dwell_s: Array) -> None:
         out[:, place[term.effect, "lag_s"]] = dwell_s
     out[..., place[term.effect, "start"]] = curve.knots[0]
     out[..., place[term.effect, "spacing"]] = (curve.knots[-1] - curve.knots[0]) / (KNOTS - 1)
-    first = place[term.effect, "c0"]
+    first = place[term.effect, FIRST_VALUE]
     out[..., first : first + KNOTS] = curve.table

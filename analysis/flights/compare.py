@@ -17,7 +17,7 @@ from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.bifurcations.sweep import observed_bifurcations
-from model.effects.registry import resolve
+from model.effects.registry import effect, resolve
 from model.effects.routing import Effects, accelerometer_factor, ball_effects
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
 from model.orbits.contact_sensor import Instrument, observe
@@ -133,7 +133,7 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
     distortion the significant measured harmonics are part of the forcing.
     """
     multiples = list(plate.forcing_multiples)
-    if "harmonic_distortion" in effects:
+    if any("harmonics" in effect(name).hooks for name in effects):
         sigma = plate.acceleration.amplitude_sigma()
         size = np.abs(plate.acceleration.amplitudes)
         multiples += [

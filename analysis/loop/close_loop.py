@@ -17,27 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.attribution.fit import Fitter, priors_of
+from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Rejected, SelectionResult
+from analysis.attribution.priors import priors_of
 from analysis.attribution.selection import StepwiseSelection
 from analysis.discovery.discover import Discovery, discover
 from analysis.loop.calibrations import fitted_calibrations
 from analysis.loop.verdict import Failed, Verdict, failed_tests, verdict_of
-from analysis.residuals.forward_model import DRIFT, ForwardModel
-from analysis.residuals.lack_of_fit import GoodnessOfFit, remainder
+from analysis.residuals.forward_model import TREND, ForwardModel
+from analysis.residuals.lack_of_fit import GoodnessOfFit, goodness_of_fit
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.prediction_errors import (
     Errors,
     held_out_errors,
-    judged_rows,
     noise_floors_us,
     noise_quantiles_us,
+    scored_rows,
 )
 from analysis.residuals.whitening import step_losses
 from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from model.effects.registry import effect, registry, resolve
+from model.effects.registry import effect, registry, resolve, trend_name
 
 Progress = Callable[[str, float], None]
 
@@ -77,6 +78,8 @@ class ClosedLoop:
         Effects that this run could not show at any size.
     failed
         Tests that forbid the verdict "explained" or "nothing missing".
+    limits
+        Thresholds of the verdict.
     """
 
     verdict: Verdict
@@ -94,6 +97,7 @@ class ClosedLoop:
     world: ForwardModel
     notes: tuple[str, ...]
     failed: tuple[Failed, ...] = ()
+    limits: Thresholds = FROZEN
 
     @property
     def rejected(self) -> Rejected | None:
@@ -141,27 +145,27 @@ def close_loop(
     evidence = observations_from(
         recordings, setup=setup, progress=lambda name, part: say(f"reading {name}", 0.15 * part)
     )
-    if len(evidence.steps) < 2 * limits.reserve or not len(evidence.plate):
+    if len(evidence.steps) < 2 * limits.reserve_every or not len(evidence.plate):
         raise InputError(
-            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve} steps whose plate motion "
-            f"can be measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
+            f"{', '.join(p.name for p in recordings)}: wanted at least {2 * limits.reserve_every} steps whose plate "
+            f"motion can be measured, found {len(evidence.steps)}; record a ramp of more steps or pass more recordings"
         )
     world = ForwardModel(evidence, resolve(evidence.setup.declared_values()))
-    train = np.arange(len(evidence.steps)) % limits.reserve != limits.reserve // 2
+    train = np.arange(len(evidence.steps)) % limits.reserve_every != limits.reserve_every // 2
     fitter = Fitter(world, priors_of(evidence.setup), train)
-    attributor = StepwiseSelection(world, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
-    attribution = _borne_out(world, attributor.explain(), train, limits)
+    selection = StepwiseSelection(world, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
+    attribution = _borne_out(world, selection.run(), train, limits)
     best = attribution.best
     say("what remains", 0.87)
-    left = remainder(world, best)
-    rows, out = judged_rows(world, best.fitted.values, ~train)
+    left = goodness_of_fit(world, best.fitted.values, limits)
+    rows, out = scored_rows(world, best.fitted.values, ~train)
     after, floors = (
         held_out_errors(world, best.fitted.values, rows, out),
         noise_floors_us(world, best.fitted.values, rows),
     )
-    named, chance = best is not attribution.before, noise_quantiles_us(world, best.fitted.values, rows)
+    named, chance = best is not attribution.before, noise_quantiles_us(world, best.fitted.values, rows, limits.chance_p)
     verdict = verdict_of(named, left, after, floors, limits, chance)
-    found = discover(world, fitter, best, train) if verdict == "unexplained" else None
+    found = discover(world, fitter, best, limits) if verdict == "unexplained" else None
     say("detection limits", 0.97)
     detection, blind = detection_limits(attribution, limits)
     return ClosedLoop(
@@ -179,6 +183,7 @@ def close_loop(
         world,
         _notes(evidence, attribution),
         failed_tests(named, left, after, floors, limits, chance),
+        limits,
     )
 
 
@@ -192,10 +197,10 @@ def _borne_out(
     while len(chain) > 1:
         worse, better = (_all_steps(world, x, train) for x in chain[-2:])
         gain = LogScoreDifference.of(worse, better, np.ones_like(train))
-        stands = gain.beyond(limits.next_effect_nats, limits.again_sigmas)
+        stands = gain.exceeds(limits.next_effect_nats, limits.next_effect_sigmas)
         if len(chain) > 2:  # of a further cause more is asked: the best of many gains by chance
-            stands = stands and gain.gain > 2.0 * limits.next_effect_nats
-        if stands or LogScoreDifference.of(worse, better, ~train).even > 0.0:
+            stands = stands and gain.gain > limits.reserve_factor * limits.next_effect_nats
+        if stands or LogScoreDifference.of(worse, better, ~train).clipped > 0.0:
             break
         last = chain.pop()
         added = " + ".join(n for n in last.names if n not in chain[-1].names) or " + ".join(last.names)
@@ -221,12 +226,12 @@ def _found(best: Hypothesis) -> list[Found]:
     for key in best.free:
         name, q = key
         value, spread = fitted.values[key], Z95 * fitted.sigma(key)
-        if q.endswith(DRIFT):
-            bare = q.removesuffix(DRIFT)
+        if q.endswith(TREND):
+            bare = q.removesuffix(TREND)
             middle = fitted.values.get((name, bare), 0.0)
             size = abs(middle) if middle else 1.0
             change = "relative_change" if middle else "change"
-            tables.setdefault("parameter_drift", {})[f"{name}.{bare}_{change}"] = (
+            tables.setdefault(trend_name(), {})[f"{name}.{bare}_{change}"] = (
                 value / size,
                 (value - spread) / size,
                 (value + spread) / size,
@@ -252,7 +257,7 @@ def detection_limits(attribution: SelectionResult, limits: Thresholds) -> tuple[
         shown = []
         for q in e.parameters:
             key = (e.name, q.name)
-            if q.shape or key in best.free:
+            if q.is_shape or key in best.free:
                 continue
             size = best.fitter.detectable(best, key, limits.gain_nats)
             if size < q.high - q.low:
@@ -268,7 +273,7 @@ def _notes(evidence: Observations, attribution: SelectionResult) -> tuple[str, .
     values = attribution.best.fitted.values
     for (name, q), value in values.items():
         entry = effect(name).effect
-        parameter = entry.parameter(q.removesuffix(DRIFT))
+        parameter = entry.parameter(q.removesuffix(TREND))
         if entry.nuisance and parameter.calibration and abs(value) > 3.0 * parameter.calibration:
             notes.append(
                 f"{name}.{q} = {value:.3g} {parameter.unit}: more than a harmless imperfection ({entry.summary})"
@@ -349,6 +354,6 @@ def declared_after(loop: ClosedLoop) -> dict[str, dict[str, float]]:
     """Declared and added effects together, for the next prediction."""
     out = {name: dict(table) for name, table in resolve(loop.world.evidence.setup.declared_values()).items()}
     for name, q in loop.best.free:
-        if not q.endswith(DRIFT):
+        if not q.endswith(TREND):
             out.setdefault(name, {})[q] = loop.best.fitted.values[name, q]
     return out

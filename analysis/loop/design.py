@@ -13,16 +13,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.fit import Fitter, Prior, priors_of
+from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.priors import Prior, priors_of
 from analysis.loop.close_loop import ClosedLoop
-from analysis.residuals.forward_model import DRIFT, ForwardModel, ParameterId
+from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
 from model.effects.base import COMPILED_HOOKS
-from model.effects.registry import effect
+from model.effects.registry import effect, registry
 from model.integrator.one_step import Measured, PlateSteps, simulate
 from model.tones import Plate
 
@@ -78,15 +79,15 @@ def designs_for(evidence: Observations) -> list[Design]:
     out.append(Design("farther into the irregular range", ratio, over(2.0 * high, ratio)))
     out.append(Design("c = 2, farther into the irregular range", 2, over(2.0 * high, 2)))
     out.append(Design("the same steps, shuffled", ratio, same, "shuffled"))
-    flip = {("accelerometer_gain", "relative"): 1e-3}
-    out.append(Design("the same ramp after a flip test of the accelerometer", ratio, same, priors=flip))
-    drop = {
-        ("restitution", "e0"): 5e-3,
-        ("coulomb_friction", "mu_up"): 1e-2,
-        ("coulomb_friction", "mu_down"): 1e-2,
-    }
-    out.append(Design("the same ramp after a drop test along the rod", ratio, same, priors=drop))
+    for test, words in (("flip test", "flip test of the accelerometer"), ("drop test", "drop test along the rod")):
+        out.append(Design(f"the same ramp after a {words}", ratio, same, priors=_calibrated_by(test)))
     return out
+
+
+def _calibrated_by(test: str) -> dict[ParameterId, float]:
+    """Standard deviations of the parameters that a measurement beside the run would give."""
+    every = ((r.effect.name, q) for r in registry() for q in r.effect.parameters)
+    return {(name, q.name): q.calibrated_by[test] for name, q in every if test in q.calibrated_by}
 
 
 def rank(loop: ClosedLoop, designs: Sequence[Design] | None = None) -> list[Ranked]:
@@ -122,7 +123,7 @@ def _priors(setup: Setup, design: Design, best: Hypothesis) -> dict[ParameterId,
     """Priors of the next run: the profile's, and what the calibration beside it would find if the best one is true."""
     priors = priors_of(setup)
     for key, sigma in design.priors.items():
-        priors[key] = Prior(best.fitted.values.get(key, effect(key[0]).effect.parameter(key[1]).absent), sigma)
+        priors[key] = Prior(best.fitted.values.get(key, effect(key[0]).effect.parameter(key[1]).null_value), sigma)
     return priors
 
 
@@ -161,12 +162,12 @@ def rehearse(design: Design, world: ForwardModel, best: Hypothesis) -> Observati
         measured=measured,
         opening_sigma_s=opening_sigma,
         landing_sigma_s=landing_sigma,
-        judged=measured.wanted,
+        scored=measured.wanted,
         time_s=measured.landing_s,
         weak_mps=np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
         steps=steps,
         plate=data,
-        swells=None,
+        modulation=None,
     )
     truth = ForwardModel(made, _base(world))
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(best.fitted.values))))
@@ -184,10 +185,10 @@ def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array
         effects: dict[str, dict[str, float]] = {}
         for (name, q), value in values.items():
             entry = effect(name)
-            if q.endswith(DRIFT) or not entry.hooks.keys() & set(COMPILED_HOOKS):
+            if q.endswith(TREND) or not entry.hooks.keys() & set(COMPILED_HOOKS):
                 continue
             parameter = entry.effect.parameter(q)
-            moved = value + values.get((name, q + DRIFT), 0.0) * part[i]
+            moved = value + values.get((name, q + TREND), 0.0) * part[i]
             effects.setdefault(name, {})[q] = float(np.clip(moved, parameter.low, parameter.high))
         period = plate.period_s[i]
         tones = Plate(plate.omega_radps[i], plate.acceleration_mps2[i])

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from analysis.residuals.lack_of_fit import GoodnessOfFit
-from analysis.residuals.noise_model import SHARED_S
 from analysis.residuals.prediction_errors import Errors
-from analysis.thresholds import Thresholds
+from analysis.thresholds import SHARED_S, Thresholds
 
 Verdict = Literal["explained", "unexplained", "nothing_missing"]
 

@@ -7,7 +7,6 @@ noise floor is drawn wherever an error is.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +35,14 @@ def draw_errors(loop: ClosedLoop, folder: Path, badge: str) -> None:
     def per_step(x: Array) -> Array:
         out = np.full(m, np.nan)
         for s in range(m):
-            rows = ev.judged & (ev.measured.step == s) & np.isfinite(x)
+            rows = ev.scored & (ev.measured.step == s) & np.isfinite(x)
             if rows.any():
                 out[s] = 1e6 * mad_sigma(x[rows])
         return out
 
     floor = np.array(
         [
-            1e6 * np.sqrt(np.mean(total[r] ** 2)) if (r := ev.judged & (ev.measured.step == s)).any() else np.nan
+            1e6 * np.sqrt(np.mean(total[r] ** 2)) if (r := ev.scored & (ev.measured.step == s)).any() else np.nan
             for s in range(m)
         ]
     )
@@ -67,7 +66,7 @@ def _held(loop: ClosedLoop) -> NDArray[np.bool_]:
     return ~loop.best.fitted.fitter.train
 
 
-def draw_candidates(loop: ClosedLoop, folder: Path, badge: str, limits: Any) -> None:
+def draw_candidates(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and what a gain must exceed."""
     rows = list(gains(loop).items())[:16][::-1]
     if not rows:
@@ -99,8 +98,8 @@ def draw_candidates(loop: ClosedLoop, folder: Path, badge: str, limits: Any) -> 
         for place, (_, (g, e)) in zip(at, rows, strict=True):
             if not g > 0.0:
                 ax.annotate("none", (e, float(place)), (6, 0), textcoords="offset points", va="center", fontsize=7)
-        needed = f"needed: {limits.gain_nats:g} nats and {limits.gain_sigmas:g} standard errors"
-        ax.axvline(limits.gain_nats, color=BEFORE, lw=1.2, ls="--", label=needed)
+        needed = f"needed: {loop.limits.gain_nats:g} nats and {loop.limits.gain_sigmas:g} standard errors"
+        ax.axvline(loop.limits.gain_nats, color=BEFORE, lw=1.2, ls="--", label=needed)
         ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)
         ax.set_yticks(at, [name for name, _ in rows])
         ax.set_xscale("symlog", linthresh=10.0)

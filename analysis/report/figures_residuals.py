@@ -39,13 +39,13 @@ def draw_landings(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """Landing residuals, before and after, against nine covariates."""
     ev = loop.world.evidence
     before, after = (_of(loop, v, "landing_s") for v in _points(loop))
-    _draw(loop, folder, badge, "residuals", "landing", LANDINGS, ev.judged, before, after, loop.noise_floor_us)
+    _draw(loop, folder, badge, "residuals", "landing", LANDINGS, ev.scored, before, after, loop.noise_floor_us)
 
 
 def draw_takeoffs(loop: ClosedLoop, folder: Path, badge: str) -> None:
     """Take-off residuals, before and after, against six covariates; nothing where no take-off was seen."""
     before, after = (_of(loop, v, "opening_s") for v in _points(loop))
-    rows, floor = loop.world.opens, loop.takeoff_floor_us
+    rows, floor = loop.world.from_rest, loop.takeoff_floor_us
     _draw(loop, folder, badge, "takeoffs", "take-off", TAKEOFFS, rows, before, after, floor)
 
 

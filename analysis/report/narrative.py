@@ -15,15 +15,14 @@ from analysis.report.wording import microseconds, plain, probability, rejected_i
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import KINDS
 from analysis.statistics import mad_sigma
-from analysis.thresholds import FROZEN, Thresholds
 from model.effects.registry import effect
 
 LISTED = 3
 
 
-def reasoning(loop: ClosedLoop, limits: Thresholds = FROZEN) -> list[str]:
+def reasoning(loop: ClosedLoop) -> list[str]:
     """Sentences in the order of the argument."""
-    return [*_what_was_off(loop, limits), *_what_was_tried(loop), *why_this_verdict(loop)]
+    return [*_what_was_off(loop), *_what_was_tried(loop), *why_this_verdict(loop)]
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
@@ -36,14 +35,14 @@ def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
     return dict(sorted(best.items(), key=lambda item: -item[1][0]))
 
 
-def _what_was_off(loop: ClosedLoop, limits: Thresholds) -> list[str]:
+def _what_was_off(loop: ClosedLoop) -> list[str]:
     """The residuals of the declared model, channel by channel."""
     values = loop.attribution.before.fitted.values
     world = loop.world
     residuals = world.residuals(values)
     out = []
-    landing = residuals.landing_s[world.evidence.judged]
-    opening = residuals.opening_s[world.opens]
+    landing = residuals.landing_s[world.evidence.scored]
+    opening = residuals.opening_s[world.from_rest]
     for event, found, floor in (
         ("landings", landing, loop.noise_floor_us), ("take-offs", opening, loop.takeoff_floor_us)
     ):  # fmt: skip
@@ -61,7 +60,7 @@ def _what_was_off(loop: ClosedLoop, limits: Thresholds) -> list[str]:
     data = world.evidence.plate
     far = {KINDS[k]: float(np.sqrt(np.mean(z**2))) for k in np.unique(data.kind)
            if len(z := (residuals.plate / data.sigma)[data.kind == k])}  # fmt: skip
-    odd = sorted((n for n, z in far.items() if z > limits.plate_rms_z), key=lambda n: -far[n])
+    odd = sorted((n for n, z in far.items() if z > loop.limits.plate_rms_z), key=lambda n: -far[n])
     if odd:
         out.append("the plate differs from what the drive asks: " + ", ".join(
             f"{n} by {far[n]:.1f} standard deviations (rms)" for n in odd[:LISTED]) + ".")  # fmt: skip

@@ -39,7 +39,6 @@ from analysis.report.wording import (
     verdict_line,
 )
 from analysis.residuals.covariates import COVARIATES
-from analysis.thresholds import FROZEN
 from daq.recording import Recording, open_recording
 from daq.recording.provenance import software_commit, software_version
 from daq.recording.whole_file import write_whole
@@ -101,7 +100,7 @@ def write_report(
             ("landings", lambda: draw_landings(loop, folder, badge)),
             ("take-offs", lambda: draw_takeoffs(loop, folder, badge)),
             ("plate", lambda: draw_plate(loop, folder, badge)),
-            ("candidates", lambda: draw_candidates(loop, folder, badge, FROZEN)),
+            ("candidates", lambda: draw_candidates(loop, folder, badge)),
         ]
         for i, (name, draw) in enumerate(pictures):
             say(f"report: picture of {name}", 0.4 + 0.6 * i / len(pictures))
@@ -276,7 +275,8 @@ def _errors_table(loop: ClosedLoop) -> str:
     body = "".join(f"<tr><td>{n}</td><td>{x}</td><td>{y}</td><td>{z}</td></tr>" for n, x, y, z in rows)
     return (
         f"<table><tr><th>{a.flights} flights of {len(loop.held_out)} held-out steps</th><th>before</th><th>after</th>"
-        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; {100 * a.left_out:.1f} % of "
+        f"<th>noise floor</th></tr>{body}</table><p>95 % intervals by resampling steps; "
+        f"{100 * a.excluded_fraction:.1f} % of "
         "the flights were left out because their landing (grazing) could not be predicted from what was measured.</p>"
     )
 

@@ -6,15 +6,14 @@ import math
 
 from analysis.loop.calibrations import fitted_calibrations
 from analysis.loop.close_loop import ClosedLoop, Found
-from analysis.residuals.forward_model import DRIFT
-from model.effects.registry import effect
+from analysis.residuals.forward_model import TREND
+from model.effects.registry import effect, trend_name
 
 VERDICTS = {
     "explained": "Explained",
     "unexplained": "Unexplained: something is left that no named effect accounts for",
     "nothing_missing": "Nothing is missing: the declared model explains the recording",
 }
-DRIFT_EFFECT = "parameter_drift"  # its parameters are those of other effects, relative to their middle
 BELOW = 1e-4  # a number smaller than this is written with an exponent
 
 
@@ -53,9 +52,9 @@ def plain(name: str) -> str:
 
 def unit_of(name: str, parameter: str) -> str:
     """Unit of a parameter as printed; empty where it has none."""
-    if name == DRIFT_EFFECT:
+    if name == trend_name():  # its parameters are those of other effects, relative to their middle
         return ""
-    unit = effect(name).effect.parameter(parameter.removesuffix(DRIFT)).unit
+    unit = effect(name).effect.parameter(parameter.removesuffix(TREND)).unit
     return "" if unit == "1" else unit
 
 

@@ -1,8 +1,8 @@
-"""The table of events: everything about a flight that a missing cause might depend on.
+"""Covariates of every flight: quantities on which a missing cause may depend.
 
-The rule kept here: a covariate is known before the flight it is held against ends. It comes from the measured events
-and the plate's tones alone, so that no residual can explain itself; the few that describe the flight's own end are
-marked and serve pictures and tests of the remainder only.
+A covariate is known before its flight ends. It is computed from the measured events and the plate's tones alone, so
+that no residual can explain itself. The few that describe the flight's own end are marked and serve figures and tests
+of fit only.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from model.integrator.one_step import PlateSteps
 
 Array = NDArray[np.float64]
 
-HEIGHT_POINTS = 33  # of each flight, to find its highest point
+HEIGHT_POINTS = 33  # points of a flight in the search of its highest one
 
 
 @dataclass(frozen=True)
 class Covariate:
-    """How a covariate is spoken of.
+    """Name and unit of a covariate.
 
     Attributes
     ----------
     words
-        Its name for a person.
+        Its name in prose.
     unit, scale
-        Unit in which a person reads it, and the factor to it from SI.
+        Unit as printed, and the factor to it from SI.
     ahead
-        True where it is known when the ball leaves: only these may carry a term of the model.
+        True where it is known at take-off: only these may carry a term of the model.
     """
 
     words: str
@@ -68,14 +68,14 @@ COVARIATES: Mapping[str, Covariate] = {
 
 
 def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
-    """Covariates of every flight of the evidence.
+    """Covariates of every flight of the observations.
 
     Parameters
     ----------
     world
-        The evidence.
+        The observations.
     values
-        Fitted values: they correct the contact circuit's delay and the accelerometer's scale, nothing else.
+        Fitted values, of which only the contact circuit's delay and the accelerometer's scale are used.
 
     Returns
     -------
@@ -90,9 +90,9 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked
     land, opening = events.landing_s - shift, events.opening_s - shift
-    start = np.where(events.at_once & linked, land[before], opening)
+    start = np.where(events.relaunched & linked, land[before], opening)
     lasts = land - start
-    launch, impact = _ends(world.gravity, plate, step, start, lasts, events.at_once & linked)
+    launch, impact = _ends(world.gravity, plate, step, start, lasts, events.relaunched & linked)
     _, at_land, a_land = _plate(plate, step, land)
     _, at_start, _ = _plate(plate, step, start)
 
@@ -112,7 +112,7 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
         "takeoff_phase_rad": _phase(plate, step, start),
         "launch_mps": launch,
         "plate_speed_at_takeoff_mps": at_start,
-        "flights_since_rest": _since_rest(events.at_once & linked),
+        "flights_since_rest": _since_rest(events.relaunched & linked),
         "turn": np.arange(len(step)) % 2.0,
         "step_number": ev.steps.number[step].astype(np.float64),
         "time_in_step_s": land - _first_of_step(step, land),
@@ -138,12 +138,12 @@ def _phase(plate: PlateSteps, step: NDArray[np.int64], t: Array) -> Array:
 
 
 def _ends(
-    g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, lasts: Array, at_once: NDArray[np.bool_]
+    g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, lasts: Array, relaunched: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Launch and impact speed relative to the plate of flights under gravity alone, from where they began and ended."""
     x0, v0, _ = _plate(plate, step, start)
     x1, v1, _ = _plate(plate, step, start + lasts)
-    launch = np.where(at_once, 0.5 * g * lasts + (x1 - x0) / lasts - v0, 0.0)
+    launch = np.where(relaunched, 0.5 * g * lasts + (x1 - x0) / lasts - v0, 0.0)
     return np.maximum(launch, 0.0), np.maximum(g * lasts + v1 - v0 - launch, 0.0)
 
 
@@ -158,10 +158,10 @@ def _height(g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, 
     return best
 
 
-def _since_rest(at_once: NDArray[np.bool_]) -> Array:
-    """How many flights have gone by without a rest, (n,)."""
-    index = np.arange(len(at_once))
-    return np.asarray(index - np.maximum.accumulate(np.where(at_once, 0, index)), dtype=np.float64)
+def _since_rest(relaunched: NDArray[np.bool_]) -> Array:
+    """Number of flights since the last rest, (n,)."""
+    index = np.arange(len(relaunched))
+    return np.asarray(index - np.maximum.accumulate(np.where(relaunched, 0, index)), dtype=np.float64)
 
 
 def _first_of_step(step: NDArray[np.int64], t: Array) -> Array:

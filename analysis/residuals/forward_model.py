@@ -1,13 +1,13 @@
-"""What a set of effects says of the evidence: residuals one event ahead, and their uncertainty.
+"""Forward model: parameter values to residuals one event ahead, and their uncertainty.
 
-The rule kept here: every residual is judged by the uncertainty of what was measured, carried through the prediction
-(edges of this and the earlier flights, the plate's tones), never by the scatter of residuals.
+The uncertainty of a residual is that of the measured numbers (edges of this and the earlier flights, the plate's
+tones), propagated through the prediction; it is never taken from the scatter of residuals.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import INEXACT, Ringing
 from analysis.residuals.plate_observables import expected, power_uncertainty
-from model.effects.base import COMPILED_HOOKS
+from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import effect, offsets, registry, row
 from model.integrator.one_step import Detection, Predicted, one_ahead
 
@@ -26,18 +26,20 @@ Array = NDArray[np.float64]
 ParameterId = tuple[str, str]
 Values = Mapping[ParameterId, float]
 
-DRIFT = "@drift"  # suffix of a parameter's trend: its change over the whole run
-FARTHEST_PERIODS = 0.5  # a residual beyond says no more than one at this distance: another event was met
-EDGE_STEP_S = 2e-6
-KICK = 0.25  # of what gravity adds to a speed in a period: half a usual impact
+TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
+EDGE_STEP_S = 2e-6  # finite difference of an edge
+STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
+LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
+KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
+MOST_CACHED = 64  # predictions
 
 
 @dataclass(frozen=True)
 class Uncertainty:
     """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
 
-    ``*_sigma_s`` is that of the edges, carried through; ``*_by_tone`` the change for one sigma of each quadrature of
-    each plate tone of the event's step, and of how a plate mode rang when the step began.
+    ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
+    plate tone of the event's step, and of the initial state of a plate mode in the step.
     """
 
     opening_sigma_s: Array
@@ -67,12 +69,12 @@ class Residuals:
 
 
 class ForwardModel:
-    """The evidence with everything that turns parameter values into residuals.
+    """Observations with everything that turns parameter values into residuals.
 
     Parameters
     ----------
     evidence
-        What was measured.
+        The observations.
     base
         Declared effects, by effect and parameter: the model before anything is added.
     """
@@ -81,16 +83,18 @@ class ForwardModel:
         self.evidence, self.declared = evidence, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
         self.gravity = evidence.setup.g_mps2.value
-        self.ringing = None if evidence.swells is None else Ringing.of(evidence.swells, evidence.steps.plate)
+        self.ringing = None if evidence.modulation is None else Ringing.of(evidence.modulation, evidence.steps.plate)
         at_work = (evidence.plate, evidence.steps.plate, self.gravity)
         self.loading = None if self.ringing is None else self.ringing.loading(*at_work)
         self._nothing = row({}, self.gravity)
-        self.opens = evidence.judged & ~evidence.measured.at_once  # a take-off that was seen, after a rest
+        self.from_rest = (
+            evidence.scored & ~evidence.measured.relaunched
+        )  # take-offs after a rest, seen by the contact circuit
         self._cache: dict[tuple[object, ...], Predicted] = {}
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
     def start(self, values: Values) -> dict[ParameterId, float]:
-        """All non-absent parameters: the base, overridden by ``values``."""
+        """All parameters that are set: the base, overridden by ``values``."""
         return {**self.base, **values}
 
     def rows(self, values: Values) -> Array:
@@ -98,14 +102,14 @@ class ForwardModel:
         point = self.start(values)
         out = self._nothing.copy()
         for (name, key), value in point.items():
-            if not key.endswith(DRIFT):
+            if not key.endswith(TREND):
                 out[offsets()[name, key]] = value
-        drifting = [(k, v) for k, v in point.items() if k[1].endswith(DRIFT) and v != 0.0]
+        drifting = [(k, v) for k, v in point.items() if k[1].endswith(TREND) and v != 0.0]
         if not drifting:
             return out
         out = np.repeat(out[None, :], len(self.evidence), axis=0)
         for (name, key), value in drifting:
-            parameter = effect(name).effect.parameter(key.removesuffix(DRIFT))
+            parameter = effect(name).effect.parameter(key.removesuffix(TREND))
             column = offsets()[name, parameter.name]
             trend = out[:, column] + value * self._run_part_events
             out[:, column] = np.clip(trend, parameter.low, parameter.high)
@@ -117,14 +121,14 @@ class ForwardModel:
         m = len(self.evidence.steps)
         out: dict[str, dict[str, Array]] = {}
         for name in {k[0] for k in point}:
-            table = {q.name: np.full(m, q.absent) for q in effect(name).effect.parameters}
+            table = {q.name: np.full(m, q.null_value) for q in effect(name).effect.parameters}
             for (n, key), value in point.items():
-                if n == name and not key.endswith(DRIFT):
+                if n == name and not key.endswith(TREND):
                     table[key] = np.full(m, value)
             for (n, key), value in point.items():
-                if n == name and key.endswith(DRIFT):
-                    table[key.removesuffix(DRIFT)] = (
-                        table[key.removesuffix(DRIFT)] + value * self.evidence.steps.run_part
+                if n == name and key.endswith(TREND):
+                    table[key.removesuffix(TREND)] = (
+                        table[key.removesuffix(TREND)] + value * self.evidence.steps.run_part
                     )
             out[name] = table
         return out
@@ -153,7 +157,7 @@ class ForwardModel:
         rows: Array | None = None,
         kick: tuple[float, float] = (0.0, 0.0),
     ) -> Predicted:
-        """One event ahead at ``values``; times are those that the instrument would show."""
+        """One event ahead at ``values``; times as the instrument would show them."""
         ev = self.evidence
         step = ev.measured.step
         shift = self.per_step(values, "contact_delay_s", 0.0)[step]
@@ -164,8 +168,8 @@ class ForwardModel:
         if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
             z = z - loaded[:, None] * self.loading.tones_mps2
         plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
-        if (swell := self._swell(values)) is not None:
-            plate = swell[0].modulated(plate, *swell[1:])
+        if (swings := self._modulation_at(values)) is not None:
+            plate = swings[0].modulated(plate, *swings[1:])
         moved = ev.measured.landing_s - shift
         if landing_shift_s is not None:
             moved = moved + landing_shift_s
@@ -180,29 +184,52 @@ class ForwardModel:
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
-    def _swell(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
-        """A swell of the plate's amplitude: what steps and windows say of it, its depth in each step, its frequency."""
-        if self.evidence.swells is None:
+    def _modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
+        """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
+        if self.evidence.modulation is None:
             return None
         for name, table in self.by_step(values).items():
             hook = effect(name).hooks.get("modulation")
             if hook is None:
                 continue
-            swell = [hook(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
-            depth, omega = np.array(swell).T
+            found = [hook(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
+            depth, omega = np.array(found).T
             if np.any(depth):
-                return self.evidence.swells, depth, float(omega[0]) / (2.0 * np.pi)
+                return self.evidence.modulation, depth, float(omega[0]) / (2.0 * np.pi)
         return None
 
     def _kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
-        """One sigma of how a plate mode rang when a step began, beyond what the flights before say: half an impact."""
+        """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
         point = self.start(values)
-        ratio = point.get(("table_resonance", "mass_ratio"), 0.0)
-        if ratio == 0.0:
-            return ()
-        speed = KICK * ratio * self.gravity * float(np.median(self.evidence.steps.plate.period_s))
-        hz = point.get(("table_resonance", "frequency_hz"), effect("table_resonance").effect.absent["frequency_hz"])
-        return (speed / (2.0 * np.pi * hz), 0.0), (0.0, speed)
+        here = self._nothing.copy()
+        for key, value in point.items():
+            if not key[1].endswith(TREND):
+                here[offsets()[key]] = value
+        for entry in (effect(name) for name in dict.fromkeys(name for name, _ in point)):
+            omega, _, ratio = (
+                entry.hooks["plate_mode"](here, entry.offset) if "plate_mode" in entry.hooks else (1.0, 0.0, 0.0)
+            )
+            if ratio != 0.0:
+                speed = KICK * ratio * self.gravity * float(np.median(self.evidence.steps.plate.period_s))
+                return (speed / omega, 0.0), (0.0, speed)
+        return ()
+
+    def moved_landings(
+        self, values: Values, shift_s: Array
+    ) -> Iterator[tuple[Predicted, tuple[NDArray[np.bool_], ...]]]:
+        """Predictions with every third landing moved by ``shift_s`` (n,), so that each event depends on one of them.
+
+        Yields
+        ------
+        Predicted
+            With the landings of one colour moved.
+        tuple of bool arrays, shape (n,)
+            Events whose own landing, the one before, and the one two before has been moved.
+        """
+        index = np.arange(len(self.evidence))
+        for colour in range(3):
+            moved = self.predict(values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0))
+            yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
         """Measured minus predicted at ``values``."""
@@ -211,25 +238,25 @@ class ForwardModel:
             flying = tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
             found = self._cache.get(flying)
             if found is None:
-                if len(self._cache) > 64:
+                if len(self._cache) > MOST_CACHED:
                     self._cache.clear()
                 found = self._cache[flying] = self.predict(values)
             p = found
         else:
             p = self.predict(values, rows=rows)
-        opening = np.where(self.opens, ev.measured.opening_s - p.opening_s, np.nan)
-        landing = np.where(ev.judged, ev.measured.landing_s - p.landing_s, np.nan)
-        said, vague = expected(ev.plate, self.by_step(values)), np.zeros(len(ev.plate))
+        opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
+        landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
+        predicted, inexact = expected(ev.plate, self.by_step(values)), np.zeros(len(ev.plate))
         if self.ringing is not None:
-            rung, vague = self.ringing.added(ev.plate, ev.steps.plate, p)
-            said = said + rung
+            mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
+            predicted = predicted + mode
         if self.loading is not None:
-            said = said + self.loading.added(self.per_step(values, "flight_gain", 0.0)[ev.plate.step])
-        if (swell := self._swell(values)) is not None:
-            swelling, leaking = swell[0].expected(ev.plate, ev.steps.plate, *swell[1:])
-            said, vague = said + swelling, np.hypot(vague, leaking)
-        vague = np.hypot(vague, power_uncertainty(ev.plate, said))
-        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, vague) * (ev.plate.value - said)
+            predicted = predicted + self.loading.added(self.per_step(values, "flight_gain", 0.0)[ev.plate.step])
+        if (swings := self._modulation_at(values)) is not None:
+            swings_data, leaking = swings[0].expected(ev.plate, ev.steps.plate, *swings[1:])
+            predicted, inexact = predicted + swings_data, np.hypot(inexact, leaking)
+        inexact = np.hypot(inexact, power_uncertainty(ev.plate, predicted))
+        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact) * (ev.plate.value - predicted)
         return Residuals(opening, landing, plate, p)
 
     def uncertainty(self, values: Values) -> Uncertainty:
@@ -238,28 +265,24 @@ class ForwardModel:
         n = len(ev)
         base = self.predict(values)
         open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2 + _finite(base.ambiguity_s) ** 2
-        index = np.arange(n)
-        for colour in range(3):
-            chosen = index % 3 == colour
-            moved = self.predict(values, landing_shift_s=np.where(chosen, EDGE_STEP_S, 0.0))
+        for moved, rows in self.moved_landings(values, np.full(n, EDGE_STEP_S)):
             for back in (1, 2):
-                rows = (index - back >= 0) & chosen[np.maximum(index - back, 0)]
-                sigma = ev.landing_sigma_s[np.maximum(index - back, 0)]
-                open_var = open_var + np.where(rows, _slope(moved.opening_s - base.opening_s) * sigma, 0.0) ** 2
-                land_var = land_var + np.where(rows, _slope(moved.landing_s - base.landing_s) * sigma, 0.0) ** 2
+                sigma = np.where(rows[back], ev.landing_sigma_s[np.maximum(np.arange(n) - back, 0)], 0.0)
+                open_var = open_var + (edge_slope(moved.opening_s - base.opening_s) * sigma) ** 2
+                land_var = land_var + (edge_slope(moved.landing_s - base.landing_s) * sigma) ** 2
         columns_open, columns_land = [], []
         steps = ev.steps
         sigma = steps.sigma_mps2
-        told = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
-        if (swell := self._swell(values)) is not None:
-            told = np.hypot(told, swell[0].leaking(steps.plate, *swell[1:]))
-        wider = np.hypot(sigma, told) / np.where(sigma > 0.0, sigma, 1.0)
+        inexact = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
+        if (swings := self._modulation_at(values)) is not None:
+            inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
+        wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)
         moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
         for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
             by = wider[:, j // 2, None] * steps.spread_mps2[:, j]
             moves.append(({"tones": steps.plate.acceleration_mps2 + by}, {"tones": steps.plate.acceleration_mps2 - by}))
         moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in self._kicks(values)]
-        for there, back_again in moves:  # large enough that what is not linear in it counts as noise of its own
+        for there, back_again in moves:  # the nonlinear part of so large a change counts as noise of each event
             ahead, behind = self.predict(values, **there), self.predict(values, **back_again)
             columns_open.append(_finite(0.5 * (ahead.opening_s - behind.opening_s)))
             columns_land.append(_finite(0.5 * (ahead.landing_s - behind.landing_s)))
@@ -275,16 +298,15 @@ class ForwardModel:
 
 
 def _finite(x: Array) -> Array:
-    return np.where(np.abs(x) < 5e-3, np.nan_to_num(x), 0.0)
+    return np.where(np.abs(x) < LARGEST_CHANGE_S, np.nan_to_num(x), 0.0)
 
 
-def _slope(difference: Array) -> Array:
-    return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -30.0, 30.0)
+def edge_slope(difference: Array) -> Array:
+    """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
+    return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)
 
 
 @functools.cache
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
-    of_plate_and_sensors = {"contact_delay_s", "accelerometer_factor", "gap_m", "modulation", "flight_gain"}
-    flying = of_plate_and_sensors | set(COMPILED_HOOKS)
-    return frozenset(r.effect.name for r in registry() if r.hooks and not flying & r.hooks.keys())
+    return frozenset(r.effect.name for r in registry() if r.hooks and r.hooks.keys() <= PLATE_ONLY_HOOKS)

@@ -1,9 +1,13 @@
-"""What is left when an explanation has been fitted: is it noise, and if not, what carries it?
+"""Goodness of fit: F tests, chi-square and Ljung-Box on Cholesky-standardised innovations.
 
-The rule kept here: residuals are first made independent by everything that is known of their noise (an edge's error
-enters its own flight and, through the prediction, the next ones; a tone's error enters a whole step), then tested
-against the larger of that noise and their own scatter, so that neither odd-shaped noise nor a scale that is known only
-roughly raises an alarm.
+Residuals are first made independent by their known covariance: an edge's error enters its own flight and, through the
+prediction, the next ones; a tone's error enters a whole step. They are tested against the larger of that noise and
+their own scatter, so that neither odd-shaped noise nor a roughly known scale fails a test.
+
+References
+----------
+G. M. Ljung and G. E. P. Box, Biometrika 65, 297 (1978): serial correlation.
+J. Durbin and S. J. Koopman, Time Series Analysis by State Space Methods (Oxford, 2012), 2.12: standardised innovations.
 """
 
 from __future__ import annotations
@@ -16,27 +20,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.covariates import covariates
-from analysis.residuals.forward_model import EDGE_STEP_S, ForwardModel, Uncertainty, Values
-from analysis.residuals.noise_model import LEAST_EXCESS_S, SHARED_S
-from analysis.residuals.prediction_errors import fragile
-from analysis.thresholds import FROZEN
+from analysis.residuals.forward_model import EDGE_STEP_S, ForwardModel, Uncertainty, Values, edge_slope
+from analysis.residuals.prediction_errors import near_grazing
+from analysis.thresholds import (
+    FARTHEST_SIGMAS,
+    FROZEN,
+    INNOVATION_SIGMAS,
+    LEAST_EXCESS_S,
+    LEAST_IN_BIN,
+    LEAST_OF_KIND,
+    SCALE_KNOWN,
+    SHARED_S,
+    Thresholds,
+)
 
 Array = NDArray[np.float64]
 
-FARTHEST = 6.0  # a residual beyond so many of its own uncertainties counts as one at this distance
-CLIPPED = 4.0  # the same for independent residuals: a rare graze must not look like a law
-SCALE_KNOWN = 0.12  # relative: how well jitter found from some dozens of edges is known
-BINS = 8
-LEAST_IN_BIN = 6
-LAGS = 4
-LEAST_OF_KIND = 6
+BINS = 8  # quantile bins of a covariate
+LAGS = 4  # of the Ljung-Box test
 
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """What an explanation leaves.
+    """Tests of what a hypothesis leaves.
 
     Attributes
     ----------
@@ -75,20 +82,18 @@ class Innovations:
     step: NDArray[np.int64]
 
 
-def remainder(world: ForwardModel, explanation: Hypothesis) -> GoodnessOfFit:
-    """Test what ``explanation`` leaves, on all steps.
+def goodness_of_fit(world: ForwardModel, values: Values, limits: Thresholds = FROZEN) -> GoodnessOfFit:
+    """Tests of the residuals at ``values``, on all steps.
 
     Parameters
     ----------
     world
-    explanation
-        Any fitted explanation, the declared model alone included.
-
-    Returns
-    -------
-    Remainder
+        The observations and their model.
+    values
+        Fitted values of any hypothesis, the declared model alone included.
+    limits
+        Thresholds of the verdict: the covariate is named where its probability is below ``lack_p``.
     """
-    values = explanation.fitted.values
     u = world.uncertainty(values)
     found = innovations(world, values, u)
     tables = covariates(world, values)
@@ -99,8 +104,8 @@ def remainder(world: ForwardModel, explanation: Hypothesis) -> GoodnessOfFit:
     return GoodnessOfFit(
         min(1.0, 4.0 * min(p_first, between, scatter, serial)),
         rms_standardised(world, values, u),
-        plate_ratio_of(world, values),
-        first if p_first < FROZEN.lack_p else None,
+        plate_rms_standardised(world, values),
+        first if p_first < limits.lack_p else None,
         {k: math.exp(v) for k, v in logs.items()},
         between,
         scatter,
@@ -109,22 +114,22 @@ def remainder(world: ForwardModel, explanation: Hypothesis) -> GoodnessOfFit:
 
 
 def rms_standardised(world: ForwardModel, values: Values, u: Uncertainty) -> float:
-    """Root mean square of residuals over uncertainty, cut at `FARTHEST`; of openings or landings, the greater."""
+    """Rms of residuals over uncertainty, clipped at `FARTHEST_SIGMAS`; the larger of openings and landings."""
     r = world.residuals(values)
-    out, firm = [0.0], ~fragile(world, values)  # whether the others happen at all hangs on less than is known
+    out, firm = [0.0], ~near_grazing(world, values)  # the others may or may not happen
     for residual, sigma, rows in (
-        (r.opening_s, u.opening_total_s, world.opens & firm),
-        (r.landing_s, u.landing_total_s, world.evidence.judged & firm),
+        (r.opening_s, u.opening_total_s, world.from_rest & firm),
+        (r.landing_s, u.landing_total_s, world.evidence.scored & firm),
     ):
         if rows.any():
             out.append(float(np.sqrt(np.mean(_unit(residual, sigma)[rows] ** 2))))
     return max(out)
 
 
-def plate_ratio_of(world: ForwardModel, values: Values) -> float:
-    """Root mean square of normalised plate residuals of the kind that fits worst, drawn to 1 where few."""
+def plate_rms_standardised(world: ForwardModel, values: Values) -> float:
+    """Root mean square of normalised plate residuals of the kind that fits worst, shrunk to 1 where few."""
     data = world.evidence.plate
-    z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST, FARTHEST)
+    z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
     kinds = [k for k in np.unique(data.kind) if np.sum(data.kind == k) >= LEAST_OF_KIND]
     squares = {k: z[data.kind == k] ** 2 for k in kinds}
     few = LEAST_OF_KIND
@@ -132,54 +137,52 @@ def plate_ratio_of(world: ForwardModel, values: Values) -> float:
 
 
 def _unit(residual: Array, sigma: Array) -> Array:
-    """Residuals over uncertainty, cut; where nothing was predicted, the farthest."""
+    """Residuals over uncertainty, clipped; the clip itself where nothing was predicted."""
     sigma = np.hypot(sigma, SHARED_S)
-    return np.clip(np.where(np.isfinite(residual), residual / sigma, FARTHEST), -FARTHEST, FARTHEST)
+    return np.clip(
+        np.where(np.isfinite(residual), residual / sigma, FARTHEST_SIGMAS), -FARTHEST_SIGMAS, FARTHEST_SIGMAS
+    )
 
 
 def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovations:
-    """Residuals of each step, each less what the earlier ones say of it, over what then remains uncertain."""
+    """Standardised innovations of each step: residuals over the Cholesky factor of their covariance."""
     ev = world.evidence
     r = world.residuals(values)
     carried = _carried(world, values)
-    firm = ev.judged & ~fragile(world, values)  # the others say nothing, and say it loudly
+    firm = ev.scored & ~near_grazing(world, values)
     parts = []
     for s in range(len(ev.steps)):
         rows = np.flatnonzero(firm & (ev.measured.step == s))
         if len(rows) == 0:
             continue
-        event = np.concatenate([rows[world.opens[rows]], rows])
+        event = np.concatenate([rows[world.from_rest[rows]], rows])
         landing = np.arange(len(event)) >= len(event) - len(rows)
         order = np.lexsort((landing, event))
         event, landing = event[order], landing[order]
         total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
         bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, SHARED_S)
-        noise = _noise(world, u, carried, event, landing)
+        noise = innovation_covariance(world, u, carried, event, landing)
         z = np.linalg.solve(np.linalg.cholesky(noise), bare)
         parts.append((z, event, landing, np.full(len(z), s)))
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Innovations(np.zeros(0), none, none.astype(bool), none)
     z, event, landing, step = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Innovations(np.clip(z, -CLIPPED, CLIPPED), event, landing, step)
+    return Innovations(np.clip(z, -INNOVATION_SIGMAS, INNOVATION_SIGMAS), event, landing, step)
 
 
 def _carried(world: ForwardModel, values: Values) -> tuple[Array, Array]:
-    """Change of predicted openings and landings with the landing one and two flights before, (n, 2) each."""
+    """Derivatives of predicted openings and landings by the landing one and two flights before, (n, 2) each."""
     base, n = world.predict(values), len(world.evidence)
-    index = np.arange(n)
     opening, landing = np.zeros((n, 2)), np.zeros((n, 2))
-    for colour in range(3):
-        moved = world.predict(values, landing_shift_s=np.where(index % 3 == colour, EDGE_STEP_S, 0.0))
+    for moved, rows in world.moved_landings(values, np.full(n, EDGE_STEP_S)):
         for back in (1, 2):
-            rows = (index >= back) & ((index - back) % 3 == colour)
-            both = ((opening, moved.opening_s - base.opening_s), (landing, moved.landing_s - base.landing_s))
-            for out, change in both:
-                out[rows, back - 1] = np.clip(np.nan_to_num(change[rows]) / EDGE_STEP_S, -30.0, 30.0)
+            opening[rows[back], back - 1] = edge_slope(moved.opening_s - base.opening_s)[rows[back]]
+            landing[rows[back], back - 1] = edge_slope(moved.landing_s - base.landing_s)[rows[back]]
     return opening, landing
 
 
-def _noise(
+def innovation_covariance(
     world: ForwardModel,
     u: Uncertainty,
     carried: tuple[Array, Array],

@@ -1,8 +1,8 @@
-"""A slow modulation of the plate's amplitude: what a step, a window and the ball see of it; its pitch and phase.
+"""Slow modulation of the plate's amplitude: its frequency and phase, and its contribution to the data.
 
-The rule kept here: depth and frequency are the rig's, the phase is each recording's own and follows from that
-recording's windows. A tone measured in a step holds the swell's mean and a little of the other tones'; least squares
-over the step's span, in closed form, takes both out again.
+Depth and frequency are those of the rig; each recording has a phase of its own, found from its windows. A tone measured
+in a step contains the modulation's mean and leakage from other tones; least squares over the step's span, in closed
+form, removes both.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
-FASTEST = 0.45  # of the windows' rate, beyond which a swell cannot be told from a slower one
+FASTEST = 0.45  # highest frequency over the windows' rate: beyond, it is aliased
 FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
-ROUNDS = 3  # of the phase's fit, in which the scatter of the steps' gains is learnt
+ROUNDS = 3  # of the phase's fit, with the scatter of the steps' gains estimated anew
 MOST_AT_ONCE, CHUNK = 3000, 64  # windows of the first scan; frequencies calculated together
-GROWTH = 4  # by which the scanned part of a long recording grows from round to round
+GROWTH = 4  # factor by which the scanned part of a long recording grows from round to round
 SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
 RIDGE, TINY = 1e-9, 1e-300
 SMALL = 1e-3  # depth from which slopes are taken
-LEAKING = 0.05  # of what leaks from tone to tone, by which the averaging over blocks may change it
+LEAKING = 0.05  # relative uncertainty of the leakage between tones, from averaging over blocks
 KEPT = 4  # frequencies for which the projections are kept
-LEAST = 4  # steps, that say anything
-SAME = 0.2  # periods in a recording by which two frequencies must differ to be two
+LEAST = 4  # steps or windows that are used at all
+SAME = 0.2  # difference in periods per recording below which two frequencies are one
 Source = Literal["both", "windows", "gains"]
 SOURCES: tuple[Source, ...] = ("both", "windows", "gains")
 PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gains": slice(0, 1)}
@@ -45,25 +45,25 @@ PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gain
 
 @dataclass(frozen=True)
 class AmplitudeModulation:
-    """What windows within steps, and the steps' gains, say of a swell.
+    """Amplitude modulation as seen by windows within steps and by the steps' gains.
 
     Attributes
     ----------
     recording
         Of each step, (m,).
     span_s
-        From where to where each step was fitted, (m, 2).
+        Start and end of each step's fit, (m, 2).
     omega_radps, seen_mps2
         Every fitted tone and its amplitude, the forcing's two (or its one and the second harmonic) first, (m, k).
     tones
-        How many the forcing has, (m,).
+        Number of tones of the forcing, (m,).
     gain, gain_sigma
         Logarithm of plate over drive in each step, (m,); not finite where there is no drive.
     window_step, window_span_s, value, sigma
         Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
         order of the `MODULATION` rows of the plate data.
     kept
-        What of steps and windows their fits have seen.
+        Unmasked intervals of the fits of steps and windows.
     """
 
     recording: Ints
@@ -120,13 +120,13 @@ class AmplitudeModulation:
         omega = np.concatenate([self.omega_radps, free], axis=1)
         return replace(self, omega_radps=omega, seen_mps2=np.pad(self.seen_mps2, ((0, 0), (0, more))))
 
-    # -- pitch and phase --------------------------------------------------------------------------------------------
+    # -- frequency and phase -------------------------------------------------------------------------------------------
     def phases(self, hz: float) -> Array:
-        """Phase of the swell ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
-        return np.asarray(np.angle(self._pitch(hz).swell)[self.recording])
+        """Phase of the modulation ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
+        return np.asarray(np.angle(self._fit_at(hz).phasor)[self.recording])
 
     def hints(self) -> tuple[tuple[float, float], ...]:
-        """Where windows and gains swell most, by both and by either alone: frequency (Hz) and depth."""
+        """Strongest modulations of windows and gains, by both and by either alone: frequency (Hz) and depth."""
         if len(self.value) < LEAST:
             return ()
         found: list[float] = []
@@ -134,7 +134,7 @@ class AmplitudeModulation:
         for hz in map(self._strongest_hz, sources):
             if all(abs(hz - other) * float(self._since_s[1].max()) > SAME for other in found):
                 found.append(round(hz, 9))
-        depths = [float(np.median(np.abs(self._pitch(hz).swell))) for hz in found]
+        depths = [float(np.median(np.abs(self._fit_at(hz).phasor))) for hz in found]
         return tuple((hz, min(max(d, SHALLOWEST), DEEPEST)) for hz, d in zip(found, depths, strict=True))
 
     @property
@@ -151,7 +151,7 @@ class AmplitudeModulation:
         """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
         since = np.sort(self._since_s[1])
         fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
-        if source == "gains":  # a faster swell looks like a slower one from step to step
+        if source == "gains":  # a faster modulation looks like a slower one from step to step
             fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
         until = float(since[min(len(since), MOST_AT_ONCE) - 1])
         hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
@@ -164,7 +164,7 @@ class AmplitudeModulation:
                 return best
 
     def _power(self, hz: Array, until_s: float, source: Source) -> Array:
-        """What the best swell at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
+        """What the best modulation at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
         out = np.zeros(len(hz))
         for first in range(0, len(hz), CHUNK):
             some = slice(first, first + CHUNK)
@@ -191,58 +191,58 @@ class AmplitudeModulation:
         return np.asarray(0.5 * len(gain) * np.log((total + least) / np.maximum(total - gained + least, TINY)))
 
     @cached_property
-    def _pitches(self) -> dict[float, ModulationFit]:
+    def _fits(self) -> dict[float, ModulationFit]:
         return {}
 
-    def _pitch(self, hz: float) -> ModulationFit:
-        """Projections at a frequency and the swell of each recording that fits windows and gains best."""
-        found = self._pitches.get(hz)
+    def _fit_at(self, hz: float) -> ModulationFit:
+        """Projections at a frequency and the modulation of each recording that fits windows and gains best."""
+        found = self._fits.get(hz)
         if found is None:
-            if len(self._pitches) >= KEPT:
-                self._pitches.clear()
+            if len(self._fits) >= KEPT:
+                self._fits.clear()
             w, of = 2.0 * np.pi * hz, self.window_step
             e, own = signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, :2])
             windows = self.kept.in_windows
             every, forced = _in_both_senses(self.seen_mps2 != 0.0), _in_both_senses(self._forced)
             up, down = (self.kept.projected(e, every, own[:, 1:], x)[:, 1:] for x in (w, -w))
             in_up, in_down = (windows.projected(own[of], forced[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
-            pitch = ModulationFit(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
-            found = self._pitches[hz] = replace(pitch, swell=self._fitted(pitch))
+            fit = ModulationFit(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
+            found = self._fits[hz] = replace(fit, phasor=self._fitted(fit))
         return found
 
-    def _fitted(self, pitch: ModulationFit) -> Complex:
-        """Depth and phase, ``depth exp(i phase)``, of each recording's swell, by least squares, (recordings,)."""
-        swell = pitch.swell
+    def _fitted(self, fit: ModulationFit) -> Complex:
+        """Depth and phase, ``depth exp(i phase)``, of each recording's modulation, by least squares, (recordings,)."""
+        phasor = fit.phasor
         slopes = [
-            tuple(x / SMALL for x in self._model(pitch, np.full(len(swell), SMALL * turn))) for turn in (1.0 + 0j, 1j)
+            tuple(x / SMALL for x in self._model(fit, np.full(len(phasor), SMALL * turn))) for turn in (1.0 + 0j, 1j)
         ]
         windows, gains = (np.stack(x)[None] for x in zip(*slopes, strict=True))
         for _ in range(ROUNDS):
-            seen = self._model(pitch, swell)
+            seen = self._model(fit, phasor)
             value, gain = self.value - seen[0], self.gain - seen[1]
-            step = np.zeros(len(swell), dtype=np.complex128)
+            step = np.zeros(len(phasor), dtype=np.complex128)
             for r in self._runs:
                 normal, side = self._normal(r, windows, gains, value, gain, np.inf)
                 step[r] = complex(*np.linalg.solve(normal.sum(axis=0)[0] + RIDGE * np.eye(2), side.sum(axis=0)[0]))
-            swell = swell + step
-            swell = swell * np.minimum(1.0, DEEPEST / np.maximum(np.abs(swell), DEEPEST))
-        return swell
+            phasor = phasor + step
+            phasor = phasor * np.minimum(1.0, DEEPEST / np.maximum(np.abs(phasor), DEEPEST))
+        return phasor
 
-    def _model(self, pitch: ModulationFit, swell: Complex) -> tuple[Array, Array]:
-        """What a swell of each recording makes of the windows, (w,), and of the steps' gains, (m,)."""
-        depth, phase = np.abs(swell)[self.recording], np.angle(swell)[self.recording]
-        true = self._true(self.seen_mps2, pitch, depth, phase)
+    def _model(self, fit: ModulationFit, phasor: Complex) -> tuple[Array, Array]:
+        """Contribution of each recording's modulation to the windows, (w,), and to the steps' gains, (m,)."""
+        depth, phase = np.abs(phasor)[self.recording], np.angle(phasor)[self.recording]
+        true = self._true(self.seen_mps2, fit, depth, phase)
         power = np.where(self._forced, np.abs(self.seen_mps2[:, :2]) ** 2, 0.0)
         logs = np.log(np.abs(self.seen_mps2[:, :2] / np.where(true[:, :2] == 0.0, 1.0, true[:, :2])) + TINY)
         gain = np.sum(power * logs, axis=1) / np.maximum(power.sum(axis=1), TINY)
-        return self._in_windows(self.seen_mps2, true, pitch, depth, phase), gain
+        return self._in_windows(self.seen_mps2, true, fit, depth, phase), gain
 
     def _normal(
         self, r: int, rows: Array, means: Array, value: Array, gain: Array, until_s: float
     ) -> tuple[Array, Array]:
         """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows.
 
-        ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a swell make of windows and gains.
+        ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a modulation make of windows and gains.
         """
         known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(gain)
         windows = (self.recording[self.window_step] == r) & (self._since_s[1] <= until_s)
@@ -251,20 +251,20 @@ class AmplitudeModulation:
         if known.sum() > LEAST:
             weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain[known]) ** 2)
             means, gain = means[..., known], gain[known]
-            means = means - (means @ weight / weight.sum())[..., None]  # what all steps share says nothing
+            means = means - (means @ weight / weight.sum())[..., None]  # a common offset is no modulation
             normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
         return normal, side
 
-    # -- what it does -----------------------------------------------------------------------------------------------
+    # -- its contribution ----------------------------------------------------------------------------------------------
     def modulated(self, plate: PlateSteps, depth: Array, hz: float) -> PlateSteps:
         """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
-        pitch, w = self._pitch(hz), 2.0 * np.pi * hz
+        fit, w = self._fit_at(hz), 2.0 * np.pi * hz
         phase, forced = self.phases(hz), self._forced
         seen = self._seen(plate)
-        true = self._true(seen, pitch, depth, phase)
+        true = self._true(seen, fit, depth, phase)
         z = np.where(forced, true[:, :2], 0.0)
         apart = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
-        false = np.take_along_axis(seen - true, np.argmin(apart, axis=2), axis=1)  # lines that the swell fakes, too
+        false = np.take_along_axis(seen - true, np.argmin(apart, axis=2), axis=1)  # lines that it mimics, too
         steady = np.where(plate.acceleration_mps2 == 0.0, 0.0, plate.acceleration_mps2 - false)
         turn = (depth * np.exp(1j * phase) / 2j)[:, None]
         tones = np.concatenate([steady, z * turn, z * np.conj(turn)], axis=1)
@@ -274,46 +274,46 @@ class AmplitudeModulation:
         return PlateSteps(omega, tones, plate.period_s, derived=4)
 
     def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> tuple[Array, Array]:
-        """What the swell adds to each plate datum, and how well that is known, (r,) each.
+        """Contribution of the modulation to each plate datum and its standard deviation, (r,) each.
 
-        What leaks from tone to tone is known less well than the swell's mean over a step.
+        Leakage between tones is known less well than the modulation's mean over a step.
         """
-        out, vague = np.zeros((2, len(data)))
-        pitch, phase, seen = self._pitch(hz), self.phases(hz), self._seen(plate)
-        true = self._true(seen, pitch, depth, phase)
+        out, sigma = np.zeros((2, len(data)))
+        fit, phase, seen = self._fit_at(hz), self.phases(hz), self._seen(plate)
+        true = self._true(seen, fit, depth, phase)
         k = np.argmin(np.abs(self.omega_radps[data.step] - data.omega_radps[:, None]), axis=1)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         factor = seen[data.step[rows], k[rows]] / true[data.step[rows], k[rows]]
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(factor)), np.angle(factor))
-        vague[rows] = LEAKING * np.abs(factor - 1.0 - (depth * self._means(hz))[data.step[rows]])
+        sigma[rows] = LEAKING * np.abs(factor - 1.0 - (depth * self._means(hz))[data.step[rows]])
         rows = np.flatnonzero(np.isin(data.kind, (SECOND, THIRD, HUM)))
-        false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a swell fakes
+        false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a modulation mimics
         out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
-        vague[rows] = 2.0 * LEAKING * out[rows]
-        out[data.kind == MODULATION] = self._in_windows(seen, true, pitch, depth, phase)
-        return out, vague
+        sigma[rows] = 2.0 * LEAKING * out[rows]
+        out[data.kind == MODULATION] = self._in_windows(seen, true, fit, depth, phase)
+        return out, sigma
 
     def leaking(self, plate: PlateSteps, depth: Array, hz: float) -> Array:
-        """How well the forcing's tones are known for what leaks between them, m/s^2, in the places of ``plate``."""
+        """Standard deviation of the forcing's tones from the leakage between them, m/s^2."""
         out = np.zeros(plate.acceleration_mps2.shape)
         seen = self._seen(plate)
-        true = self._true(seen, self._pitch(hz), depth, self.phases(hz))
+        true = self._true(seen, self._fit_at(hz), depth, self.phases(hz))
         leak = LEAKING * np.abs(seen - true * (1.0 + depth * self._means(hz))[:, None])
         out[:, :2] = np.where(self._forced, leak[:, :2], 0.0)
         return out
 
     def _means(self, hz: float) -> Array:
-        """Mean of the swell of depth 1 over each step, (m,)."""
+        """Mean of the modulation of depth 1 over each step, (m,)."""
         turned = mean_phasor(self.span_s, np.array([2.0 * np.pi * hz]))[0]
         return np.asarray((np.exp(1j * self.phases(hz)) * turned).imag)
 
-    def _in_windows(self, seen: Complex, true: Complex, pitch: ModulationFit, depth: Array, phase: Array) -> Array:
+    def _in_windows(self, seen: Complex, true: Complex, fit: ModulationFit, depth: Array, phase: Array) -> Array:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
         of, forced = self.window_step, self._forced
         z = two_sided(np.where(forced, true[:, :2], 0.0))[of]
-        false = two_sided((seen - true)[:, 2:])[of]  # what the step's fit has taken for other lines
-        swelling = modulated_projection(pitch.window_up, pitch.window_down, phase[of])
-        found = z + depth[of, None] * (swelling @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
+        false = two_sided((seen - true)[:, 2:])[of]  # other lines in the step's fit
+        projection = modulated_projection(fit.window_up, fit.window_down, phase[of])
+        found = z + depth[of, None] * (projection @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
         own = np.where(forced, seen[:, :2], 0.0)[of]
         power = np.sum(np.abs(own) ** 2, axis=1)
         change = np.sum((np.conj(own) * (2.0 * found[:, :2] - own)).real, axis=1)
@@ -321,7 +321,7 @@ class AmplitudeModulation:
 
     @cached_property
     def _others(self) -> Complex:
-        """What windows make of the tones beyond the forcing's two, (w, 4, b)."""
+        """Projection of the tones beyond the forcing's two on windows, (w, 4, b)."""
         own, others = (
             signed_frequencies(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None))
         )
@@ -339,25 +339,25 @@ class AmplitudeModulation:
         out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
         return out
 
-    def _true(self, seen: Complex, pitch: ModulationFit, depth: Array, phase: Array) -> Complex:
-        """The tones without the share that the swell has in the fits ``seen``, (m, k)."""
+    def _true(self, seen: Complex, fit: ModulationFit, depth: Array, phase: Array) -> Complex:
+        """The tones without the contribution of the modulation to the fits ``seen``, (m, k)."""
         k = self.omega_radps.shape[1]
-        swelling = modulated_projection(pitch.step_up, pitch.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
+        projection = modulated_projection(fit.step_up, fit.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
         change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
-        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * swelling
+        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * projection
         return np.asarray(2.0 * np.linalg.solve(change, two_sided(seen)[..., None])[:, :k, 0])
 
 
 @dataclass(frozen=True)
 class ModulationFit:
     """Projections at one frequency: of the forcing's two tones in both senses, shifted up and down by it, on the tones
-    of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the swell of each recording."""
+    of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the modulation of each recording."""
 
     step_up: Complex
     step_down: Complex
     window_up: Complex
     window_down: Complex
-    swell: Complex
+    phasor: Complex
 
 
 def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:

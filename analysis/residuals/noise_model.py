@@ -1,7 +1,11 @@
-"""Robust likelihood: Student's t for what was measured well, and now and then another event than the predicted one.
+"""Robust likelihood: Student-t core (nu = 5) plus a 3 % uniform outlier component for misassociated events.
 
-The rule kept here: one residual, however large, says no more than "a bounce was hidden here"; whatever cannot be said
-of a single event (a scatter beyond the uncertainty) is the same for its whole channel.
+The loss of one residual is bounded, however large it is. Scatter beyond the uncertainty (excess noise) is common to a
+whole channel.
+
+References
+----------
+K. L. Lange, R. J. A. Little and J. M. G. Taylor, J. Am. Stat. Assoc. 84, 881 (1989): robust fits with Student's t.
 """
 
 from __future__ import annotations
@@ -9,24 +13,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.thresholds import LEAST_EXCESS_S, OUTLIER_FRACTION
+
 Array = NDArray[np.float64]
 
-FREEDOM = 5.0  # of Student's t: robust, and close to normal in the middle
-OUTLIER_FRACTION = 0.03  # share of events that may be another one than predicted: anywhere within a period
+FREEDOM = 5.0  # degrees of freedom of Student's t: robust, and close to normal in the middle
 T_PEAK = 0.3796  # density of that t at its centre
-LEAST_EXCESS_S = 3e-7  # what the integration and the edge's own physics may leave
-SHARED_S = 1e-6  # by which all edges of one kind in a step may be off together: the circuit's own physics
 LARGEST_EXCESS_S = 2e-2
 NEVER = -np.inf
 
 
 def log_odds(sigma_s: Array, period_s: Array) -> Array:
-    """Density of "another event" relative to that of a perfect hit of width ``sigma_s``, as a logarithm."""
+    """Log odds of an outlier: its density over that of a perfect hit of width ``sigma_s``."""
     return np.asarray(np.log(OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK * sigma_s / period_s))
 
 
 def robust_loss(z: Array, odds: Array | float = NEVER) -> Array:
-    """Negative log density of unit residuals, up to a constant; ``odds`` (a logarithm) of being another event."""
+    """Negative log density of unit residuals, up to a constant; ``odds`` (a logarithm) of being an outlier."""
     inlier = -0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM)
     return np.asarray(-np.logaddexp(inlier, odds))
 
@@ -38,7 +41,7 @@ def robust_weight(z: Array, odds: Array | float = NEVER) -> Array:
 
 
 def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[float, float]:
-    """Scatter beyond the uncertainty, by maximum likelihood on a grid; and the loss with it."""
+    """Excess noise: scatter beyond the uncertainty by maximum likelihood on a grid, and the loss with it."""
     if len(residual_s) == 0:
         return LEAST_EXCESS_S, 0.0
     grid = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, LARGEST_EXCESS_S, 45)])
@@ -49,7 +52,7 @@ def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[fl
 
 
 def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
-    """Uncertainty of plate data with each kind's own excess, and its logarithm relative to the bare one."""
+    """Uncertainty of plate data with each kind's own excess noise, and its logarithm relative to the bare one."""
     out = sigma.copy()
     for k in np.unique(kind):
         rows = kind == k

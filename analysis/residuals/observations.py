@@ -1,7 +1,6 @@
-"""What a set of recordings says, reduced to what a prediction can be held against: events, steps, plate data.
+"""Observations of one or several recordings: events, steps and plate data with their uncertainties.
 
-The rule kept here: measured numbers with their own uncertainties and nothing else; no model has touched them. Several
-recordings stand in one table, one after the other, and the step is the replicate.
+These are measured numbers; no model enters. Several recordings stand in one table, one after the other.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ from model.tones import STANDARD_GRAVITY_MPS2
 Array = NDArray[np.float64]
 
 NOT_EVENTS = FlightFlag.FALSE
-NOT_JUDGED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
+NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
-SHORTEST_REST_S = 1.2e-3  # a shorter contact is taken for an impact from which the ball leaves at once
+SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball leaves at once
 MAX_TONES = 8
-TINY_S = 5e-4  # a rebound shorter than this is the tail of a chatter: it is followed, not judged
-WHOLE = 0.02  # of a cycle: a line closer to a multiple of the forcing is the same in every cycle
+TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
+WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
-WEAK_MPS = 0.03  # impacts slower than this may escape the accelerometer, or slower than is often heard
-HEARD = 1.5  # times the scan's threshold, above which an impact is heard whatever the noise
-RINGING_S = 2.5e-3  # after an impact, in which a weak one may drown
+WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
+DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
+RINGING_S = 2.5e-3  # time after an impact in which a weak one may be masked
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,8 @@ class Steps:
     run_part
         Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
     spread_mps2
-        What one standard deviation each way changes in all tones together, shape (m, 2 k, k): the sum of the rows'
-        squares is the covariance of the tones. Rows 2 i and 2 i + 1 lead along the quadratures of tone i.
+        Factor of the covariance of all tones, shape (m, 2 k, k): the sum of the rows' squares is the covariance. Rows
+        2 i and 2 i + 1 belong to the quadratures of tone i.
     forcing
         True for the forcing's own tones, shape (m, k).
     """
@@ -90,8 +89,8 @@ class Observations:
         The flights (n,), in order.
     opening_sigma_s, landing_sigma_s : arrays, shape (n,)
         Uncertainty of the edges alone.
-    judged : bool array, shape (n,)
-        Flights that a prediction may be held against.
+    scored : bool array, shape (n,)
+        Flights that are compared with predictions.
     time_s : array, shape (n,)
         Landing since the start of its recording.
     steps : Steps
@@ -99,22 +98,22 @@ class Observations:
     setup : Setup
         Of the first recording; the others must agree in what scales a measurement.
     weak_mps : array, shape (n,)
-        Impacts slower than this may have gone unnoticed when the ball left at once; infinite without a second witness.
+        Speed below which an impact may have gone undetected; infinite without an accelerometer that shows impacts.
     unseen_s : float
-        Flights shorter than this cannot have been seen.
+        Shortest flight that the contact circuit shows.
     sources : tuple of str
     closure_s : float
-        How long an impact keeps the circuit closed: what contacts last from which the ball leaves at once.
+        Time for which an impact keeps the circuit closed.
     hints_hz : tuple of float
         Lines that stand out below the forcing in several steps: where a table resonance may be.
-    swells : Swells or None
-        How the forcing's amplitude changes within steps and from step to step.
+    modulation : AmplitudeModulation or None
+        Change of the forcing's amplitude within steps and from step to step.
     """
 
     measured: Measured
     opening_sigma_s: Array
     landing_sigma_s: Array
-    judged: NDArray[np.bool_]
+    scored: NDArray[np.bool_]
     time_s: Array
     weak_mps: Array
     steps: Steps
@@ -124,17 +123,17 @@ class Observations:
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     hints_hz: tuple[float, ...] = ()
-    swells: AmplitudeModulation | None = None
+    modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
 
     def __len__(self) -> int:
-        return len(self.judged)
+        return len(self.scored)
 
 
 def observations_from(
     paths: Sequence[Path], *, setup: Setup | None = None, progress: Callable[[str, float], None] | None = None
 ) -> Observations:
-    """Reduce recordings to evidence.
+    """Reduce recordings to observations.
 
     Parameters
     ----------
@@ -163,7 +162,7 @@ def observations_from(
 
 
 def _check_alike(paths: Sequence[Path]) -> None:
-    """Refuse recordings of unlike c before any is read: their steps cannot be judged together."""
+    """Refuse recordings of unlike c before any is read: their steps cannot be fitted together."""
     ratios = {}
     for path in paths:
         with open_recording(path) as recording:
@@ -178,7 +177,7 @@ def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float
 
 
 def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
-    """Evidence of a single recording."""
+    """Observations of a single recording."""
     fitted = [s for s in flights.plate.steps if s is not None]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     for i, s in enumerate(fitted):
@@ -206,14 +205,14 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
         spread,
         forcing,
     )
-    measured, judged, keep = _events(flights, rows, _half_faded_s(recording))
+    measured, scored, keep = _events(flights, rows, _half_faded_s(recording))
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    sigmas_open = with_jitter(measured.opening_s, bare[0], step, judged & ~measured.at_once, period_s, lines)
-    sigmas_land = with_jitter(measured.landing_s, bare[1], step, judged, period_s, lines)
-    weak = np.full(len(judged), np.inf)
+    sigmas_open = with_jitter(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines)
+    sigmas_land = with_jitter(measured.landing_s, bare[1], step, scored, period_s, lines)
+    weak = np.full(len(scored), np.inf)
     if flights.edges.sensor_offset is not None:
         weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
@@ -222,7 +221,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
         measured,
         sigmas_open,
         sigmas_land,
-        judged,
+        scored,
         measured.landing_s.copy(),
         weak,
         steps,
@@ -233,7 +232,7 @@ def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
         notes=notes,
         hints_hz=hints,
         closure_s=_closure_s(measured),
-        swells=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+        modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
 
@@ -256,36 +255,36 @@ def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
 def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
     """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
 
-    How strong it hears a speed is told by free flights from rest; friction makes this too low by its own size at most.
-    While an impact rings, only a part of its own size is heard.
+    The strength at a speed is calibrated by free flights from rest; friction makes it too low by its own size at most.
+    While an impact rings, impacts of less than a part of its size are masked.
     """
-    rest, turns = ~measured.at_once, 1j * steps.plate.omega_radps[measured.step]
+    rest, turns = ~measured.relaunched, 1j * steps.plate.omega_radps[measured.step]
     velocity = steps.plate.acceleration_mps2[measured.step] / turns
     at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
     strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
     impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
-    heard = rest & (impact > WEAK_MPS) & (strength > 0.0)
-    if heard.sum() < FEW_CONTACTS:
+    shown = rest & (impact > WEAK_MPS) & (strength > 0.0)
+    if shown.sum() < FEW_CONTACTS:
         return np.full(len(rest), WEAK_MPS)
-    speed = float(np.median(impact[heard] / strength[heard]))
+    speed = float(np.median(impact[shown] / strength[shown]))
     before = np.concatenate([[0.0], strength[:-1]])
-    rings = measured.at_once & (duration_s < RINGING_S)
-    usual = max(WEAK_MPS, HEARD * THRESHOLD * speed)
-    return np.where(rings, np.maximum(usual, HEARD * ECHO_MARGIN * speed * before), usual)
+    rings = measured.relaunched & (duration_s < RINGING_S)
+    usual = max(WEAK_MPS, DETECTED * THRESHOLD * speed)
+    return np.where(rings, np.maximum(usual, DETECTED * ECHO_MARGIN * speed * before), usual)
 
 
 def _closure_s(measured: Measured) -> float:
     """Middle of the contacts from which the ball left at once; 0 where there are few."""
-    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.at_once[1:] & measured.linked[1:]]
+    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.relaunched[1:] & measured.linked[1:]]
     return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
 
 
 def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
     """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
-    return _clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
+    return clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
 
 
-def _clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
+def clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
     """Middles of clusters of at least ``least`` lines."""
     found = np.sort(lines_hz)
     clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
@@ -308,7 +307,7 @@ def _half_faded_s(recording: Recording) -> Array:
 def _events(
     flights: Flights, rows: NDArray[np.int64], half_faded_s: Array
 ) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
-    """True flights of steps whose plate is known, with their links; which may be judged; which rows were kept."""
+    """True flights of steps whose plate is known, with their links; which are scored; which rows were kept."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
     step = np.clip(flights.step, 0, len(rows) - 1)
@@ -323,14 +322,14 @@ def _events(
     before = np.maximum(np.arange(n) - 1, 0)
     linked = (np.arange(n) > 0) & (step == step[before]) & ((flags[before] & MISLEADING) == 0)
     rest = opening - landing[before]
-    at_once = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
-    tiny = at_once & (landing - opening < TINY_S)
-    judged = linked & ~tiny & ((flags & NOT_JUDGED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
-    return Measured(opening, landing, at_once, linked, step.astype(np.int64), judged), judged, keep
+    relaunched = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
+    tiny = relaunched & (landing - opening < TINY_S)
+    scored = linked & ~tiny & ((flags & NOT_SCORED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
+    return Measured(opening, landing, relaunched, linked, step.astype(np.int64), scored), scored, keep
 
 
 def join(parts: Sequence[Observations]) -> Observations:
-    """One table of several recordings' evidence."""
+    """One table of the observations of several recordings."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
 
     def column(of: Callable[[Observations], NDArray[Any]]) -> NDArray[Any]:
@@ -339,7 +338,7 @@ def join(parts: Sequence[Observations]) -> Observations:
     measured = Measured(
         opening_s=column(lambda p: p.measured.opening_s),
         landing_s=column(lambda p: p.measured.landing_s),
-        at_once=column(lambda p: p.measured.at_once),
+        relaunched=column(lambda p: p.measured.relaunched),
         linked=column(lambda p: p.measured.linked),
         step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
         wanted=column(lambda p: p.measured.wanted),
@@ -362,7 +361,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         measured=measured,
         opening_sigma_s=column(lambda p: p.opening_sigma_s),
         landing_sigma_s=column(lambda p: p.landing_sigma_s),
-        judged=column(lambda p: p.judged),
+        scored=column(lambda p: p.scored),
         time_s=column(lambda p: p.time_s),
         weak_mps=column(lambda p: p.weak_mps),
         steps=table,
@@ -371,9 +370,9 @@ def join(parts: Sequence[Observations]) -> Observations:
         unseen_s=max(p.unseen_s for p in parts),
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
-        hints_hz=_clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
+        hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
-        swells=AmplitudeModulation.join(swells)
-        if (swells := [p.swells for p in parts if p.swells is not None])
+        modulation=AmplitudeModulation.join(modulation)
+        if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
     )

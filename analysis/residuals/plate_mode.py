@@ -1,7 +1,7 @@
-"""What the fits of steps, windows, contact and flight make of a plate mode that rings: the same masks, the same tones.
+"""Contribution of a ringing plate mode to measured tones, offset, windows and mass loading, for the same masked fits.
 
-The rule kept here: like is compared with like. A mode rings at its own pitch and with the load of the ball; what of it
-a masked fit takes for tones, offset, swell or mass loading follows from normal equations over just what was kept.
+A mode rings at its own frequency and with the load of the ball. The part of it that a masked fit attributes to tones,
+offset, modulation or mass loading follows from the normal equations over the unmasked intervals.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
-KNOWN = 0.99  # of a window's time, for which the mode must have been followed
-LEAST = 1e-6  # of a tone, that is left of it whatever rings
-SMALL = 1e-3  # relative change for which a load's part is taken as linear
-INEXACT = 0.03  # of what the mode puts into a datum: blocks are means, and the learnt impact takes its part
+KNOWN = 0.99  # least part of a window's time in which the mode is followed
+LEAST = 1e-6  # least driven part of a tone
+SMALL = 1e-3  # relative change for which a load's contribution is taken as linear
+INEXACT = 0.03  # relative uncertainty of the contribution: blocks are means, and the impact template absorbs a part
 
 
-def _driven(z: Complex, rung: Complex) -> Complex:
-    """Tones less what rings of them; where nothing would be left, a trifle: such a mode is wrong, and finitely so."""
-    left = z - rung
+def driven(z: Complex, mode_amplitudes: Complex) -> Complex:
+    """Driven part of the tones (measured minus mode); floored at 1e-6 of the tone so that log ratios stay finite."""
+    left = z - mode_amplitudes
     return np.where(np.abs(left) > LEAST * np.abs(z), left, LEAST * z)
 
 
 @dataclass(frozen=True)
 class Loading:
-    """What a plate that moves more without the ball on it puts into tones and data, by one of its relative change.
+    """Contribution to tones and data of a plate that moves more without the ball on it, per unit of relative change.
 
     Attributes
     ----------
     tones_mps2
-        Into the plate's tones, beyond those of contact, (m, j).
+        To the plate's tones, beyond those of contact, (m, j).
     data
-        Into the plate data but that of the gate itself, (r,).
+        To the plate data, except the flight-to-contact ratio itself, (r,).
     power
-        With which power of the change a datum grows, (r,).
+        Power of the change with which a datum grows, (r,).
     """
 
     tones_mps2: Complex
@@ -54,26 +54,26 @@ class Loading:
     power: Array
 
     def added(self, change: Array) -> Array:
-        """What ``change`` (r,) of each datum's step adds to it, (r,)."""
+        """Contribution of ``change`` (r,) in each datum's step, (r,)."""
         return np.asarray(self.data * np.abs(change) ** self.power * np.sign(change))
 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Fits that hear a plate mode; an `model.integrator.one_step.ToneProbe`.
+    """Projection of a plate mode on the fitted tones; an `model.integrator.one_step.ToneProbe`.
 
     Attributes
     ----------
     kept
-        What the fits have seen.
+        Unmasked intervals of the fits.
     omega_radps
         Zero and every fitted tone, the forcing's two (or its one and the second harmonic) first, (m, 1 + k).
     seen_mps2
         The tones as fitted, (m, k); 0 where none was.
     tones
-        How many the forcing has, (m,).
+        Number of tones of the forcing, (m,).
     place
-        Which of the fitted tones each of the plate's is, (m, j).
+        Index of the fitted tone that is each tone of the plate, (m, j).
     """
 
     kept: FitIntervals
@@ -83,76 +83,78 @@ class Ringing:
     place: Ints
 
     @classmethod
-    def of(cls, swells: AmplitudeModulation, plate: PlateSteps) -> Self:
+    def of(cls, measured: AmplitudeModulation, plate: PlateSteps) -> Self:
         """From the fits of the steps and the plate made of them."""
-        apart = np.abs(plate.omega_radps[:, :, None] - swells.omega_radps[:, None, :])
-        omega = np.column_stack([np.zeros(len(swells.omega_radps)), swells.omega_radps])
-        return cls(swells.kept, omega, swells.seen_mps2, swells.tones, np.argmin(apart, axis=2))
+        apart = np.abs(plate.omega_radps[:, :, None] - measured.omega_radps[:, None, :])
+        omega = np.column_stack([np.zeros(len(measured.omega_radps)), measured.omega_radps])
+        return cls(measured.kept, omega, measured.seen_mps2, measured.tones, np.argmin(apart, axis=2))
 
-    # -- what the kernel asks for -----------------------------------------------------------------------------------
+    # -- the probe of the integrator -----------------------------------------------------------------------------------
     @cached_property
     def first(self) -> Ints:
-        """Where each step's stretches begin, and the last ends, (m + 1,)."""
+        """First interval of each step, and the end of the last, (m + 1,)."""
         return np.searchsorted(self.kept.step, np.arange(len(self.omega_radps) + 1))
 
     @property
     def span_s(self) -> Array:
-        """The stretches, (r, 2)."""
+        """The intervals, (r, 2)."""
         return self.kept.span_s
 
-    def of_tones(self, heard: Complex, heard_s: Array) -> Complex:
-        """What the plate's tones take for their own, (m, j), m/s^2."""
-        return np.take_along_axis(2.0 * self._of_steps(heard, heard_s)[:, 1 : self.omega_radps.shape[1]], self.place, 1)
+    def of_tones(self, projection: Complex, observed_s: Array) -> Complex:
+        """Contribution of the mode to the fitted tones of the plate, (m, j), m/s^2."""
+        return np.take_along_axis(
+            2.0 * self._of_steps(projection, observed_s)[:, 1 : self.omega_radps.shape[1]], self.place, 1
+        )
 
-    # -- what plate data make of it ---------------------------------------------------------------------------------
+    # -- plate data ---------------------------------------------------------------------------------
     def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Array, Array]:
-        """What the mode of a prediction adds to each datum, and how well that is known, (r,) each."""
+        """Contribution of a prediction's mode to each datum and its standard deviation, (r,) each."""
         if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))
         return self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s)
 
     def _added(
-        self, data: PlateData, plate: PlateSteps, rung: Complex, heard: Complex, heard_s: Array
+        self, data: PlateData, plate: PlateSteps, mode_amplitudes: Complex, projection: Complex, observed_s: Array
     ) -> tuple[Array, Array]:
         out = np.zeros(len(data))
-        found, step = self._of_steps(heard, heard_s), data.step
+        found, step = self._of_steps(projection, observed_s), data.step
         out += np.where(data.kind == OFFSET, found[step, 0].real, 0.0)
         k = np.argmin(np.abs(self.omega_radps[step] - data.omega_radps[:, None]), axis=1)
         size = 2.0 * np.abs(found[step, k])
         out += np.where(np.isin(data.kind, (SECOND, THIRD)), (size / data.scale) ** 2, 0.0)
         out += np.where(data.kind == HUM, size**2, 0.0)
-        vague = INEXACT * np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
+        sigma = INEXACT * np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
-        ratio = z / _driven(z, rung[step[rows], j])
+        ratio = z / driven(z, mode_amplitudes[step[rows], j])
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
-        vague[rows] = INEXACT * np.abs(ratio - 1.0)
+        sigma[rows] = INEXACT * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
-        contact, flight = self._apart(heard, heard_s)
-        z = _driven(plate.acceleration_mps2[step[rows], 0], rung[step[rows], 0])
+        contact, flight = self._apart(projection, observed_s)
+        z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
-        vague[rows] = INEXACT * np.abs((flight - contact)[step[rows]] / z)
+        sigma[rows] = INEXACT * np.abs((flight - contact)[step[rows]] / z)
         rows = np.flatnonzero(data.kind == MODULATION)
-        out[rows], vague[rows] = self._in_windows(found, heard, heard_s)
-        return out, vague
+        out[rows], sigma[rows] = self._in_windows(found, projection, observed_s)
+        return out, sigma
 
     # -- a plate that the ball loads --------------------------------------------------------------------------------
     def loading(self, data: PlateData, plate: PlateSteps, gravity_mps2: float) -> Loading:
-        """What a plate does that accelerates by ``c (a_p + g)`` more in flight, a_p being that of contact.
+        """Contribution of a plate that accelerates by ``c (a_p + g)`` more in flight, a_p being that of contact.
 
-        Such is a plate driven by a force, its mass by c smaller without the ball. A flight's times do not change by it:
-        all of the relative motion is 1 + c times as large.
+        This is a plate driven by a force, whose mass is smaller by c without the ball. Flight times are unchanged: all
+        of the relative motion is 1 + c times as large.
         """
-        heard, heard_s = SMALL * self._lifted(gravity_mps2), self.kept.seconds
-        tones = self.of_tones(heard, heard_s) * (plate.acceleration_mps2 != 0.0)
-        said, _ = self._added(data, plate, tones, heard, heard_s)
+        projection, observed_s = SMALL * self._lifted(gravity_mps2), self.kept.seconds
+        tones = self.of_tones(projection, observed_s) * (plate.acceleration_mps2 != 0.0)
+        added, _ = self._added(data, plate, tones, projection, observed_s)
         power = np.where(np.isin(data.kind, (SECOND, THIRD, HUM)), 2.0, 1.0)
-        return Loading(tones / SMALL, np.where(data.kind == GATE, 0.0, said / SMALL**power), power)
+        return Loading(tones / SMALL, np.where(data.kind == GATE, 0.0, added / SMALL**power), power)
 
     def _lifted(self, gravity_mps2: float) -> Complex:
-        """What is heard of ``a_p + g`` in flight and of nothing in contact, (r, 1 + k): the ball's load taken away."""
+        """Projection of ``a_p + g`` in flight and of zero in contact, (r, 1 + k): the ball's load taken away."""
         step, w = self.kept.step, self.omega_radps[self.kept.step]
         length, middle = self.kept.seconds[:, None], self.kept.span_s.mean(axis=1)[:, None]
 
@@ -191,10 +193,10 @@ class Ringing:
     def _inverse(self) -> Complex:
         return solved(self._gram, np.broadcast_to(np.eye(self._gram.shape[1], dtype=np.complex128), self._gram.shape))
 
-    def _sides(self, heard: Complex, heard_s: Array, rows: Ints, of: Ints, n: int) -> tuple[Complex, Array]:
-        """Right sides of ``n`` fits, (n, 1 + 2 k), of stretches ``rows`` in order of their fit ``of``; the part known.
+    def _sides(self, projection: Complex, observed_s: Array, rows: Ints, of: Ints, n: int) -> tuple[Complex, Array]:
+        """Right sides of ``n`` fits, (n, 1 + 2 k), of intervals ``rows`` in order of their fit ``of``; the part known.
 
-        Where the mode was not followed for all of the time, the rest is taken to be alike.
+        Where the mode was not followed for all of the time, its mean over the rest is taken to be the same.
         """
         bounds = np.searchsorted(of, np.arange(n))
         some = np.diff(np.append(bounds, len(of))) > 0
@@ -204,21 +206,21 @@ class Ringing:
             summed = np.add.reduceat(np.concatenate([x[rows], nothing]), bounds, axis=0)
             return np.asarray(summed * some.reshape(-1, *([1] * (x.ndim - 1))))
 
-        known, kept_s = total(heard_s), total(self.kept.seconds)
+        known, kept_s = total(observed_s), total(self.kept.seconds)
         part = np.where(kept_s > 0.0, known / np.where(kept_s > 0.0, kept_s, 1.0), 0.0).real
-        sums = total(heard) / np.where(part > 0.0, part, 1.0)[:, None]
+        sums = total(projection) / np.where(part > 0.0, part, 1.0)[:, None]
         return np.concatenate([sums, np.conj(sums[:, 1:])], axis=1), part
 
-    def _of_steps(self, heard: Complex, heard_s: Array) -> Complex:
+    def _of_steps(self, projection: Complex, observed_s: Array) -> Complex:
         """Amplitudes of all turns in the steps' fits, (m, 1 + 2 k)."""
-        contact, rest = self._of_places(heard, heard_s)
+        contact, rest = self._of_places(projection, observed_s)
         sides = contact + rest
         return np.asarray((self._inverse @ sides[..., None])[..., 0])
 
-    def _of_places(self, heard: Complex, heard_s: Array) -> tuple[Complex, Complex]:
-        """Right sides of the steps' fits from what was in contact and from the rest, (m, 1 + 2 k) each."""
+    def _of_places(self, projection: Complex, observed_s: Array) -> tuple[Complex, Complex]:
+        """Right sides of the steps' fits from intervals in contact and from the rest, (m, 1 + 2 k) each."""
         both = (np.flatnonzero(self.kept.contact == place) for place in (True, False))
-        contact, rest = (self._sides(heard, heard_s, r, self.kept.step[r], len(self._turns))[0] for r in both)
+        contact, rest = (self._sides(projection, observed_s, r, self.kept.step[r], len(self._turns))[0] for r in both)
         return contact, rest
 
     # -- contact and flight -----------------------------------------------------------------------------------------
@@ -231,17 +233,17 @@ class Ringing:
         own = extra * (self._own[:, :, None] & self._own[:, None, :])
         return np.block([[self._gram, beside], [np.conj(beside.transpose(0, 2, 1)), own]])
 
-    def _apart(self, heard: Complex, heard_s: Array) -> tuple[Complex, Complex]:
+    def _apart(self, projection: Complex, observed_s: Array) -> tuple[Complex, Complex]:
         """The first tone in contact and in flight, (m,) each."""
         p = self._turns.shape[1]
-        contact, rest = self._of_places(heard, heard_s)
+        contact, rest = self._of_places(projection, observed_s)
         found = solved(self._gates, np.concatenate([contact + rest, contact * self._own], axis=1)[..., None])[..., 0]
         return 2.0 * (found[:, 1] + found[:, p + 1]), 2.0 * found[:, 1]
 
     # -- windows ----------------------------------------------------------------------------------------------------
     @cached_property
     def _windows(self) -> tuple[Ints, Ints, Ints, Complex, Complex]:
-        """Stretches, their windows, the windows' steps; what fits of windows make of sides and of steps' turns."""
+        """Intervals, their windows, the windows' steps; inverse normal matrices, alone and times the Gram matrix."""
         rows = np.flatnonzero(self.kept.window >= 0)
         of = self.kept.window[rows]
         step = self.kept.step[rows[np.searchsorted(of, np.arange(int(of.max(initial=-1)) + 1))]]
@@ -253,14 +255,14 @@ class Ringing:
         inverse = solved(gram * (own[:, :, None] & own[:, None, :]), one)
         return rows, of, step, inverse, inverse @ gram
 
-    def _in_windows(self, found: Complex, heard: Complex, heard_s: Array) -> tuple[Array, Array]:
-        """Relative deviation of the forcing's amplitude in each window, and how well that is known, (w,) each."""
+    def _in_windows(self, found: Complex, projection: Complex, observed_s: Array) -> tuple[Array, Array]:
+        """Relative deviation of the forcing's amplitude in each window and its standard deviation, (w,) each."""
         rows, of, step, inverse, of_steps = self._windows
-        sides, part = self._sides(heard, heard_s, rows, of, len(step))
+        sides, part = self._sides(projection, observed_s, rows, of, len(step))
         left = (inverse @ sides[..., None] - of_steps @ found[step, :, None])[..., 0]
         own = np.where(self._own[step, 1 : self.omega_radps.shape[1]], self.seen_mps2[step], 0.0)
         power = np.sum(np.abs(own) ** 2, axis=1)
         change = 2.0 * np.sum((np.conj(own) * left[:, 1 : self.omega_radps.shape[1]]).real, axis=1)
         value, known = change / np.where(power > 0.0, power, 1.0), part > KNOWN
-        typical = float(np.sqrt(np.mean(value[known] ** 2))) if known.any() else 0.0
-        return np.where(known, value, 0.0), np.where(known, INEXACT * np.abs(value), typical)
+        usual = float(np.sqrt(np.mean(value[known] ** 2))) if known.any() else 0.0
+        return np.where(known, value, 0.0), np.where(known, INEXACT * np.abs(value), usual)

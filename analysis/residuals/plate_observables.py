@@ -1,7 +1,7 @@
-"""The plate against the drive, step by step: each number that an effect of plate or accelerometer would move.
+"""Plate data: numbers of each step that compare the plate with its drive, and their expected values.
 
-The rule kept here: a datum is a number with its uncertainty and a kind; what an effect says of that kind is computed
-in one place (`expected`), from the hooks of the effects' own files.
+A datum is a number with its uncertainty and a kind. Its expected value is computed in one place (`expected`), from the
+hooks of the effects' own files.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ Array = NDArray[np.float64]
 
 GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
 KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
-UNITS = ("1", "rad", "1", "1", "m/s^2", "1", "1", "m/s^2", "1")
 SQUARED = (SECOND, THIRD, HUM)  # kept as unbiased squares: an amplitude without its sign
-CLOCK_LIMIT = 5e-3  # a larger difference is another frequency, not a clock
-REVERSED = 0.8 * np.pi  # a phase beyond is a matter of leads
-SYSTEMATIC = 2e-5  # relative: what the estimator itself leaves
-LEAST_WINDOWS = 4  # of a step, that show a modulation
+CLOCK_LIMIT = 5e-3  # relative difference beyond which it is another frequency, not a clock error
+REVERSED = 0.8 * np.pi  # phase beyond which leads are reversed
+SYSTEMATIC = 2e-5  # relative error of the estimator itself
+LEAST_WINDOWS = 4  # windows of a step that shows a modulation
 
 
 @dataclass(frozen=True)
@@ -208,15 +207,15 @@ def _square_sigma(square: float, noise: float) -> float:
     return float(np.sqrt(4.0 * square * noise**2 + 4.0 * noise**4))
 
 
-def power_uncertainty(data: PlateData, said: Array) -> Array:
-    """What an amplitude that is said to be larger than it was measured adds to the uncertainty of its square, (r,).
+def power_uncertainty(data: PlateData, predicted: Array) -> Array:
+    """Additional uncertainty of a squared amplitude whose expected value exceeds the measured one, (r,).
 
-    Noise times the amplitude is what a square errs by, and chance may have made the measured one small.
+    The error of a square is noise times the amplitude, and chance may have made the measured amplitude small.
     """
     squared = np.isin(data.kind, SQUARED)
     value, sigma = (np.where(squared, x, 0.0) for x in (data.value, data.sigma))
     noise = (np.sqrt(value**2 + 3.0 * sigma**2) - value) / 6.0  # of a quadrature, squared: `_square_sigma` undone
-    return np.asarray(np.where(squared, 2.0 * np.sqrt(noise * np.maximum(said - value - 2.0 * noise, 0.0)), 0.0))
+    return np.asarray(np.where(squared, 2.0 * np.sqrt(noise * np.maximum(predicted - value - 2.0 * noise, 0.0)), 0.0))
 
 
 def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
@@ -244,7 +243,7 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
 
 
 def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Array:
-    """What the effects say of each datum, shape (r,).
+    """Expected value of each datum under the effects, shape (r,).
 
     Parameters
     ----------
@@ -261,7 +260,7 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
         points = np.array(list(table.values()))
         for point in np.unique(points, axis=1).T:
             p = dict(zip(table, map(float, point), strict=True))
-            if p != entry.effect.absent:
+            if p != entry.effect.null_values:
                 rows = np.all(points == point[:, None], axis=0)[data.step]
                 _add(out, data, rows, entry.hooks, p)
     return out
@@ -297,7 +296,7 @@ def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[st
 
 
 def _add_harmonics(out: Array, data: PlateData, among: NDArray[np.bool_], hook: Any, p: dict[str, float]) -> None:
-    """What falls on a forcing tone changes its gain and phase; the rest stands alone, as a square over that tone."""
+    """Harmonics on a forcing tone change its gain and phase; the others are squares relative to the first tone."""
 
     def added(rows: NDArray[np.bool_], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
         accel_g = np.where(data.accel_g > 0.0, data.accel_g, data.scale / STANDARD_GRAVITY_MPS2)[rows]

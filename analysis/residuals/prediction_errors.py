@@ -1,7 +1,7 @@
-"""How far predictions miss, in microseconds, on steps that no fit and no selection has seen.
+"""Prediction errors in microseconds on steps that no fit and no selection has seen.
 
-The rule kept here: every judged flight counts; one may be left out only because its landing could not have been
-predicted from what was measured (grazing), and how many were is reported.
+Every scored flight counts. Only near-grazing ones are excluded, whose landing could not have been predicted from the
+measured numbers; their fraction is reported.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.statistics import MAD_TO_SIGMA
+from analysis.thresholds import FROZEN, GRAZING_RATIO, GRAZING_SIGMAS
 from model.integrator.one_step import Predicted
 
 Array = NDArray[np.float64]
 
-GRAZING = 6.0  # times the median uncertainty of the recording: so uncertain a landing says nothing
-REACH_SIGMAS = 3.0  # within which a measured number may be off
-DRAWS, CHANCE = 4000, 1e-3  # of noise, for what it hardly exceeds
+DRAWS = 4000  # of noise, for its quantile
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class Errors:
         The same of the take-off times that were seen; NaN where no flight began from rest.
     flight_time_relative
         Median absolute error of the flight times over the measured flight time.
-    flights, left_out
-        Flights counted, and the fraction left out for grazing.
+    flights, excluded_fraction
+        Flights counted, and the fraction excluded as near-grazing.
     """
 
     landing_rms_us: float
@@ -49,64 +48,65 @@ class Errors:
     takeoff_rms_us: float
     flight_time_relative: float
     flights: int
-    left_out: float
+    excluded_fraction: float
 
 
-def judged_rows(
+def scored_rows(
     world: ForwardModel, values: Mapping[ParameterId, float], steps: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], float]:
-    """Flights of ``steps`` (m,) that count at ``values``, and the fraction left out for grazing."""
+    """Flights of ``steps`` (m,) that count at ``values``, and the fraction excluded as near-grazing."""
     ev = world.evidence
-    rows = np.flatnonzero(ev.judged & steps[ev.measured.step])
+    rows = np.flatnonzero(ev.scored & steps[ev.measured.step])
     if len(rows) == 0:
         return rows, 0.0
-    keep = ~fragile(world, values)[rows]
+    keep = ~near_grazing(world, values)[rows]
     return rows[keep], 1.0 - float(keep.mean())
 
 
-def fragile(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:
-    """Flights whose landing cannot be predicted from what was measured, (n,): no residual is looked at.
+def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:
+    """Flights whose landing cannot be predicted from the measured numbers, (n,), whatever the residuals.
 
-    Either its uncertainty is `GRAZING` times the usual one, or the prediction leaps by as much as that would mean when
-    one of the landings before or a tone of the plate is off by `REACH_SIGMAS`: a graze that is met or missed.
+    Either the uncertainty is `GRAZING_RATIO` times the median one, or the prediction jumps by `GRAZING_SIGMAS` of that
+    when an earlier landing or a tone of the plate is off by `GRAZING_SIGMAS`: the graze is met or missed.
     """
     ev = world.evidence
     total = world.uncertainty(values).landing_total_s
-    usual = GRAZING * float(np.median(total[ev.judged])) if ev.judged.any() else np.inf
+    usual = GRAZING_RATIO * float(np.median(total[ev.scored])) if ev.scored.any() else np.inf
     base = world.predict(values)
-    index = np.arange(len(ev))
     out = total >= usual
-    for sign in (-REACH_SIGMAS, REACH_SIGMAS):
-        for colour in range(3):
-            chosen = index % 3 == colour
-            moved = world.predict(values, landing_shift_s=np.where(chosen, sign * ev.landing_sigma_s, 0.0))
-            out |= ~chosen & _leaps(base, moved, REACH_SIGMAS * usual)
+    for sign in (-GRAZING_SIGMAS, GRAZING_SIGMAS):
+        for moved, rows in world.moved_landings(values, sign * ev.landing_sigma_s):
+            out |= ~rows[0] & _jumps(base, moved, GRAZING_SIGMAS * usual)
         for k in np.flatnonzero(ev.steps.forcing.any(axis=0)):
             for unit in (1.0, 1j):
                 z = ev.steps.plate.acceleration_mps2.copy()
                 z[:, k] += sign * unit * ev.steps.sigma_mps2[:, k]
-                out |= _leaps(base, world.predict(values, tones=z), REACH_SIGMAS * usual)
+                out |= _jumps(base, world.predict(values, tones=z), GRAZING_SIGMAS * usual)
     return np.asarray(out)
 
 
-def _leaps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]:
+def _jumps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]:
     """Whether a landing moves by more than ``far_s``, or comes into being or vanishes, (n,)."""
     lost = np.isfinite(base.landing_s) != np.isfinite(moved.landing_s)
     return np.asarray(lost | (np.abs(moved.landing_s - base.landing_s) > far_s))
 
 
 def held_out_errors(
-    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64], left_out: float, seed: int = 0
+    world: ForwardModel,
+    values: Mapping[ParameterId, float],
+    rows: NDArray[np.int64],
+    excluded_fraction: float,
+    seed: int = 0,
 ) -> Errors:
     """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
     ev = world.evidence
     if len(rows) == 0:
         nan = float("nan")
-        return Errors(nan, nan, nan, nan, nan, nan, nan, 0, left_out)
+        return Errors(nan, nan, nan, nan, nan, nan, nan, 0, excluded_fraction)
     r = world.residuals(values)
     half = 0.5 * ev.steps.plate.period_s[ev.measured.step[rows]]
     landing = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
-    seen = world.opens[rows]
+    seen = world.from_rest[rows]
     opening = np.where(np.isfinite(r.opening_s[rows]), r.opening_s[rows], half)[seen]
     measured = (ev.measured.landing_s - ev.measured.opening_s)[rows]
     predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
@@ -121,7 +121,7 @@ def held_out_errors(
         _rms_us(opening),
         float(np.median(relative)),
         len(rows),
-        left_out,
+        excluded_fraction,
     )
 
 
@@ -144,15 +144,19 @@ def noise_floors_us(
     tuple of float
         Of landings, and of the take-offs that were seen; NaN where there are none.
     """
-    u, opens = world.uncertainty(values), rows[world.opens[rows]]
-    landing, opening = u.landing_total_s[rows], u.opening_total_s[opens]
+    u, from_rest = world.uncertainty(values), rows[world.from_rest[rows]]
+    landing, opening = u.landing_total_s[rows], u.opening_total_s[from_rest]
     return _rms_us(landing), _rms_us(opening)
 
 
 def noise_quantiles_us(
-    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64], seed: int = 0
+    world: ForwardModel,
+    values: Mapping[ParameterId, float],
+    rows: NDArray[np.int64],
+    chance_p: float = FROZEN.chance_p,
+    seed: int = 0,
 ) -> tuple[float, float]:
-    """Root mean squares that noise alone exceeds in one of a thousand such sets of flights.
+    """Root mean squares that noise alone exceeds with probability ``chance_p`` in such a set of flights.
 
     Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor.
 
@@ -161,7 +165,7 @@ def noise_quantiles_us(
     tuple of float
         Of landings, and of the take-offs that were seen; 0 where there are none.
     """
-    u, opens, rng = world.uncertainty(values), rows[world.opens[rows]], np.random.default_rng(seed)
+    u, from_rest, rng = world.uncertainty(values), rows[world.from_rest[rows]], np.random.default_rng(seed)
     step = world.evidence.measured.step
 
     def quantile(events: NDArray[np.int64], sigma: Array, by_tone: Array) -> float:
@@ -173,17 +177,12 @@ def noise_quantiles_us(
             mine = events[place == i]
             together = by_tone[mine] @ rng.standard_normal((by_tone.shape[1], DRAWS))
             squares += np.sum((together + sigma[mine, None] * rng.standard_normal((len(mine), DRAWS))) ** 2, axis=0)
-        return 1e6 * float(np.quantile(np.sqrt(squares / len(events)), 1.0 - CHANCE))
+        return 1e6 * float(np.quantile(np.sqrt(squares / len(events)), 1.0 - chance_p))
 
     return (
         quantile(rows, u.landing_sigma_s, u.landing_by_tone),
-        quantile(opens, u.opening_sigma_s, u.opening_by_tone),
+        quantile(from_rest, u.opening_sigma_s, u.opening_by_tone),
     )
-
-
-def noise_floor_us(world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64]) -> float:
-    """That of the landings alone."""
-    return noise_floors_us(world, values, rows)[0]
 
 
 def _rms_us(x: Array) -> float:

@@ -1,7 +1,7 @@
-"""From bare residuals to independent unit ones, step by step, and their robust loss.
+"""Whitening of residuals step by step, and their robust loss.
 
-The rule kept here: the plate's tones err for a whole step together, and so does the contact circuit a little; so
-residuals of one step are whitened together, and weights stay as they are while a fit runs.
+Errors of the plate's tones are common to all events of a step, and so is a small error of the contact circuit. So the
+residuals of a step are whitened together; weights stay fixed while a fit runs.
 """
 
 from __future__ import annotations
@@ -15,32 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from analysis.residuals.forward_model import FARTHEST_PERIODS, ForwardModel, Residuals, Values
-from analysis.residuals.noise_model import (
-    LEAST_EXCESS_S,
-    NEVER,
-    SHARED_S,
-    excess_noise,
-    log_odds,
-    plate_scale,
-    robust_loss,
-)
+from analysis.residuals.forward_model import ForwardModel, Residuals, Values
+from analysis.residuals.noise_model import NEVER, excess_noise, log_odds, plate_scale, robust_loss
 from analysis.residuals.plate_observables import PlateData
 from analysis.statistics import mad_sigma
+from analysis.thresholds import (
+    COMMON_MODE_SIGMAS,
+    FARTHEST_PERIODS,
+    LEAST_EXCESS_S,
+    LOST_RATIO,
+    SHARED_S,
+    UNSHARED_RATIO,
+)
 from kernels import njit
 
 Array = NDArray[np.float64]
 
-CLIP = 6.0  # a residual beyond so many sigmas, tones included, does not speak for what its step has in common
-STRAIGHT = 0.1  # of what a step shares: by how much a graze bends what is taken for linear
-RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds in which an excess is raised, from which scatter, of how many
-LOST = 20.0  # excess over uncertainty beyond which events are lost: behaviours are searched, not fitted
-BEYOND = 2.0  # excess over uncertainty that is no matter of errors shared by a step
-REACH, COARSE, FINE = 1.4, 0.7, 0.05  # of the search for it, in its logarithm: beyond a first guess, steps, precision
+NONLINEAR = 0.1  # part of the error that a step shares which counts as an event's own: grazes are not linear in it
+RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds that raise an excess, least scatter and number of events
+REACH, COARSE, FINE = 1.4, 0.7, 0.05  # search of the excess, in its logarithm: range, steps, precision
 
 
 def _capped(x: Array, cap: Array) -> Array:
-    """Residuals within their caps; where nothing was predicted, the cap itself."""
+    """Residuals within their caps; the cap itself where nothing was predicted."""
     return np.clip(np.where(np.isfinite(x), x, cap), -cap, cap)
 
 
@@ -48,8 +45,8 @@ def _capped(x: Array, cap: Array) -> Array:
 class Whitener:
     """Turns residuals into independent unit ones, step by step; fixed while a fit runs.
 
-    ``excess_s`` is what the residuals scatter beyond their uncertainty, for openings and for landings: a model that
-    misses something is compared with others at its own excess, and an excess of nothing is the aim.
+    ``excess_s`` is the excess noise of openings and of landings: scatter beyond their uncertainty. Hypotheses are
+    compared each at its own excess.
     """
 
     opening: NDArray[np.int64]
@@ -58,24 +55,24 @@ class Whitener:
     order: NDArray[np.int64]
     bounds: NDArray[np.int64]  # of the steps' blocks
     sd: Array
-    shared: Array  # directions in which a step's residuals err together, orthonormal in each block
+    shared: Array  # directions of the common errors of a step, orthonormal in each block
     shrink: Array
-    cap: Array  # of each unit residual: beyond, it does not speak for what its step has in common
+    cap: Array  # of each unit residual: beyond, it is excluded from the estimate of the common errors
     period_s: Array  # of the stacked events, before they are ordered by step
     log_sigma: Array  # of each whitened residual
-    odds: Array  # of each event being another than predicted, and of no plate datum
+    odds: Array  # log odds of being an outlier, of each event; never of plate data
     plate_sigma: Array
     plate_log: Array
     excess_s: tuple[float, float]
     total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
-    lost: bool  # whether landings miss by so much that a fit may begin on the wrong branch
+    lost: bool  # whether landings are so far off that a fit may begin on the wrong branch
 
     @classmethod
     def of(cls, world: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
         """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
         ev = world.evidence
         u, r = world.uncertainty(values), world.residuals(values)
-        opening, landing = np.flatnonzero(world.opens), np.flatnonzero(ev.judged)
+        opening, landing = np.flatnonzero(world.from_rest), np.flatnonzero(ev.scored)
         step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
         period = ev.steps.plate.period_s[step]
         first = np.arange(len(step)) < len(opening)
@@ -89,14 +86,14 @@ class Whitener:
             excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
         edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
-        edges = np.hypot(edges, STRAIGHT * np.linalg.norm(tones, axis=1))
+        edges = np.hypot(edges, NONLINEAR * np.linalg.norm(tones, axis=1))
         tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
-        blocks = _Blocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
-        lost = excess[1] > LOST * float(np.median(total))
+        blocks = StepBlocks(bare[order], edges[order], tones[order], first[order], period[order], bounds)
+        lost = excess[1] > LOST_RATIO * float(np.median(total))
         if not lean:
-            excess = blocks.likeliest(excess, tuple(x > BEYOND * float(np.median(total)) for x in excess))
+            excess = blocks.likeliest(excess, tuple(x > UNSHARED_RATIO * float(np.median(total)) for x in excess))
         sd, shared, shrink, cap, logs = blocks.parts(excess)
         sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
@@ -121,7 +118,7 @@ class Whitener:
         )
 
     def near(self, other: Whitener) -> bool:
-        """Whether the weights are so alike, plate data included, that a fit would stay where it is."""
+        """Whether the weights have converged, plate data included."""
         shrunk = max(a / b for a, b in zip(other.excess_s, self.excess_s, strict=True))
         plate = np.max(np.abs(np.log(self.plate_sigma / other.plate_sigma)), initial=0.0)
         return bool(0.8 < shrunk < 1.25 and np.median(np.abs(self.log_sigma - other.log_sigma)) < 0.1 and plate < 0.2)
@@ -152,22 +149,22 @@ class Whitener:
         n = len(self.step)
         unit = bare[:n] / self.sd
         return np.concatenate(
-            [self._unshared(unit[:, None], self._heard(unit)[:, None])[:, 0], bare[n:] / self.plate_sigma]
+            [self._unshared(unit[:, None], self._limited(unit)[:, None])[:, 0], bare[n:] / self.plate_sigma]
         )
 
     def white_slopes(self, slopes: Array, bare: Array) -> Array:
         """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
         n = len(self.step)
         unit = slopes[:n] / self.sd[:, None]
-        speaks = np.abs(bare[:n] / self.sd) < self.cap
-        return np.concatenate([self._unshared(unit, unit * speaks[:, None]), slopes[n:] / self.plate_sigma[:, None]])
+        counts = np.abs(bare[:n] / self.sd) < self.cap
+        return np.concatenate([self._unshared(unit, unit * counts[:, None]), slopes[n:] / self.plate_sigma[:, None]])
 
-    def _heard(self, unit: Array) -> Array:
+    def _limited(self, unit: Array) -> Array:
         return np.clip(unit, -self.cap, self.cap)
 
-    def _unshared(self, y: Array, heard: Array) -> Array:
+    def _unshared(self, y: Array, limited: Array) -> Array:
         out = np.ascontiguousarray(y)
-        _unshare(out, np.ascontiguousarray(heard), self.bounds, self.shared, self.shrink)
+        _unshare(out, np.ascontiguousarray(limited), self.bounds, self.shared, self.shrink)
         return out
 
     def white(self, r: Residuals) -> tuple[Array, Array]:
@@ -177,8 +174,8 @@ class Whitener:
 
 
 @dataclass(frozen=True)
-class _Blocks:
-    """Events in the order of their steps: bare residuals, what each errs by itself, and with others of its step."""
+class StepBlocks:
+    """Events in the order of their steps: bare residuals, each one's own error, and errors common to its step."""
 
     bare: Array
     edges: Array
@@ -192,7 +189,7 @@ class _Blocks:
         sd = np.hypot(self.edges, np.where(self.opening, *excess))
         relative = self.tones / sd[:, None]
         shared, shrink, logs = _shared(relative, self.bounds)
-        return sd, shared, shrink, CLIP * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
+        return sd, shared, shrink, COMMON_MODE_SIGMAS * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
 
     def unit(self, excess: tuple[float, float]) -> tuple[Array, Array]:
         """Whitened residuals at an excess, and the logarithm of what each was divided by."""
@@ -207,26 +204,26 @@ class _Blocks:
         z, logs = self.unit(excess)
         return float(np.sum(robust_loss(z, log_odds(np.exp(logs), self.period_s)) + logs))
 
-    def likeliest(self, guess: tuple[float, float], beyond: Sequence[bool]) -> tuple[float, float]:
-        """Excess of openings and of landings by maximum likelihood, errors that a step shares told from scatter.
+    def likeliest(self, guess: tuple[float, float], unshared: Sequence[bool]) -> tuple[float, float]:
+        """Excess of openings and of landings by maximum likelihood, with the common errors of a step.
 
-        Explanations are compared at this likelihood: an excess off its maximum would let mere weights gain. Where the
-        guess is ``beyond`` anything that a step shares, it is at most raised: weights sharp for the few events that
-        fit would hold the others for astray, and lead nowhere.
+        Hypotheses are compared at this likelihood: off its maximum, mere weights would gain. Where the guess is
+        ``unshared``, larger than common errors explain, it is at most raised: weights sharp for the few events that
+        fit would take the others for outliers.
         """
         opening, landing = guess
-        if beyond[1]:
+        if unshared[1]:
             landing = self._raised(~self.opening, lambda x: (opening, x), landing)
         elif np.sum(~self.opening) >= ENOUGH_EVENTS:
             landing = _lowest(lambda x: self.loss((opening, x)), landing)
-        if beyond[0]:
+        if unshared[0]:
             opening = self._raised(self.opening, lambda x: (x, landing), opening)
         elif np.sum(self.opening) >= ENOUGH_EVENTS:
             opening = _lowest(lambda x: self.loss((x, landing)), opening)
         return opening, landing
 
     def _raised(self, rows: NDArray[np.bool_], both: Callable[[float], tuple[float, float]], excess: float) -> float:
-        """The excess raised while residuals scatter by more than a unit once what a step shares is taken out."""
+        """The excess raised while whitened residuals scatter by more than a unit."""
         for _ in range(RAISES):
             z, _ = self.unit(both(excess))
             scale = mad_sigma(z[rows]) if rows.sum() >= ENOUGH_EVENTS else 0.0
@@ -238,7 +235,7 @@ class _Blocks:
 
 
 def _lowest(loss: Callable[[float], float], guess: float) -> float:
-    """Excess of lowest loss from the least one to somewhat more than a guess: on a grid, then between its points."""
+    """Excess of lowest loss, from the least one to somewhat above a guess: on a grid, then between its points."""
     start = math.log(max(guess, 4.0 * LEAST_EXCESS_S))
     grid = np.arange(math.log(LEAST_EXCESS_S), start + REACH, COARSE)
     losses = [loss(math.exp(x)) for x in grid]
@@ -249,7 +246,7 @@ def _lowest(loss: Callable[[float], float], guess: float) -> float:
 
 
 def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Orthonormal directions in which each block errs together, their shrinkage, and its share of each log sigma."""
+    """Orthonormal directions of each block's common errors, their shrinkage, and their share of each log sigma."""
     shared = np.zeros_like(tones)
     logs, shrink = np.zeros(len(tones)), np.zeros((len(bounds) - 1, tones.shape[1]))
     for i in range(len(bounds) - 1):
@@ -262,8 +259,8 @@ def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Arra
 
 
 @njit()
-def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
-    """Take from each block what its residuals have in common: ``y += U shrink U^T heard``, in place, (n, columns)."""
+def _unshare(y: Array, limited: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
+    """Subtract the common mode of each block: ``y += U shrink U^T limited``, in place, (n, columns)."""
     for i in range(len(bounds) - 1):
         for q in range(shared.shape[1]):
             if shrink[i, q] == 0.0:
@@ -271,7 +268,7 @@ def _unshare(y: Array, heard: Array, bounds: NDArray[np.int64], shared: Array, s
             for c in range(y.shape[1]):
                 total = 0.0
                 for j in range(bounds[i], bounds[i + 1]):
-                    total += shared[j, q] * heard[j, c]
+                    total += shared[j, q] * limited[j, c]
                 total *= shrink[i, q]
                 for j in range(bounds[i], bounds[i + 1]):
                     y[j, c] += total * shared[j, q]

@@ -9,14 +9,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 from analysis.loop.close_loop import ClosedLoop, close_loop
-from analysis.thresholds import FROZEN
+from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
 
 MOST_RUNS = 4
 
 
 def until_clear(
-    recordings: list[Path], scenario: Path | None, seed: int, *, say: Callable[[str], None], quiet: bool
+    recordings: list[Path],
+    scenario: Path | None,
+    seed: int,
+    *,
+    say: Callable[[str], None],
+    quiet: bool,
+    limits: Thresholds = FROZEN,
 ) -> tuple[ClosedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would tell them apart.
 
@@ -30,6 +36,10 @@ def until_clear(
         Of the new runs' noise.
     say
         Told what is being done, a line at a time.
+    quiet
+        Without a progress bar.
+    limits
+        Thresholds of the verdict.
 
     Returns
     -------
@@ -53,12 +63,12 @@ def until_clear(
     text = profile_text(made[0])
     while True:
         with progress_bar(quiet) as bar:
-            loop = close_loop(made, progress=bar)
+            loop = close_loop(made, limits=limits, progress=bar)
         if len(loop.attribution.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
             return loop, made, ""
         tied = "; ".join(" + ".join(x.names) for x in loop.attribution.ties)
         ranked = [r for r in possible_runs(loop, made[0]) if not r.design.priors]
-        if not ranked or ranked[0].nats < FROZEN.gain_nats:
+        if not ranked or ranked[0].nats < limits.gain_nats:
             say(f"still tied: {tied}; no run that this rig can make would tell them apart")
             return loop, made, ""
         say(f"tied: {tied}; next run: {ranked[0].design.words} (worth {ranked[0].nats:.0f} nats)")

@@ -10,7 +10,7 @@ import datetime
 from pathlib import Path
 
 from analysis.loop.close_loop import ClosedLoop
-from analysis.residuals.forward_model import DRIFT
+from analysis.residuals.forward_model import TREND
 from bench.profiles.edit import Measured, declare
 from daq.recording import open_recording
 from daq.recording.whole_file import write_whole
@@ -52,7 +52,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     found = [
         Measured(f"declared.{name}.{q}", float(fitted.values[name, q]), float(fitted.sigma((name, q))), source)
         for name, q in loop.best.free
-        if not q.endswith(DRIFT)
+        if not q.endswith(TREND)
     ]
     believed = loop.verdict != "unexplained"
     edited = declare(text, found if believed else [], on, str(path))
@@ -78,8 +78,8 @@ def not_declared(loop: ClosedLoop) -> list[str]:
     """Findings that no profile can hold: a trend during the run, and a term without a name."""
     left = []
     for name, q in loop.best.free:
-        if q.endswith(DRIFT):
-            bare, change = q.removesuffix(DRIFT), loop.best.fitted.values[name, q]
+        if q.endswith(TREND):
+            bare, change = q.removesuffix(TREND), loop.best.fitted.values[name, q]
             middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
             left.append(f"{name}.{bare} changed by {change:.3g} from start to end of this run{middle}")
     if loop.discovered is not None:

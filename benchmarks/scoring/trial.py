@@ -40,7 +40,7 @@ class Job:
 def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
     from analysis.loop.close_loop import as_json, close_loop
-    from analysis.residuals.prediction_errors import held_out_errors, judged_rows, noise_floor_us
+    from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
     from model.effects.registry import effect
 
     with tempfile.TemporaryDirectory() as name:
@@ -52,17 +52,17 @@ def run(job: Job) -> dict[str, Any]:
         found = json.loads(json.dumps(as_json(loop)))
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     world, steps = loop.world, ~loop.best.fitted.fitter.train
-    rows, _ = judged_rows(world, loop.best.fitted.values, steps)
+    rows, _ = scored_rows(world, loop.best.fitted.values, steps)
     discovered = None
     if loop.discovered is not None:
         d = loop.discovered
         values = d.explanation.fitted.values
-        seen, out = judged_rows(d.world, values, steps)
+        seen, out = scored_rows(d.world, values, steps)
         after = held_out_errors(d.world, values, seen, out)
         discovered = {
             "term": d.term, "of": d.of, "in_words": d.in_words, "rivals": list(d.rivals),
             "rms_us": after.landing_rms_us, "robust_us": after.landing_nmad_us,
-            "floor_us": noise_floor_us(d.world, values, seen),
+            "floor_us": noise_floors_us(d.world, values, seen)[0],
         }  # fmt: skip
     declared = loop.attribution.before.fitted.values
     kept = ("verdict", "effects", "tie_set", "before", "after", "noise_floor_us", "remainder", "rounds")
@@ -84,13 +84,13 @@ def _unit_landings(world: Any, values: Any) -> NDArray[np.float64]:
 
 def size_of(world: Any, values: Any) -> dict[str, float]:
     """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out."""
-    from analysis.residuals.prediction_errors import fragile
+    from analysis.residuals.prediction_errors import near_grazing
 
     u, r, ev = world.uncertainty(values), world.residuals(values), world.evidence
-    firm, out = ~fragile(world, values), {}
+    firm, out = ~near_grazing(world, values), {}
     for name, residual, sigma, rows in (
-        ("landing", r.landing_s, u.landing_total_s, ev.judged & firm),
-        ("opening", r.opening_s, u.opening_total_s, world.opens & firm),
+        ("landing", r.landing_s, u.landing_total_s, ev.scored & firm),
+        ("opening", r.opening_s, u.opening_total_s, world.from_rest & firm),
     ):  # fmt: skip
         if rows.any():
             z = np.where(np.isfinite(residual), residual / sigma, 1e3)[rows]

@@ -1,5 +1,6 @@
 """The accelerometer reads too much (or too little).
-The rule kept here: the plate moves less than it seems, and flights know the truth.
+
+The plate moves less than it seems, and flights know the truth.
 """
 
 from __future__ import annotations
@@ -11,8 +12,20 @@ from model.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="accelerometer_gain",
     summary="the accelerometer's sensitivity is not the declared one",
-    parameters=(Parameter("relative", "1", -0.5, 1.0, 0.01, calibration=0.005, meaning="reading over truth, minus 1"),),
-    seen_in=("plate", "takeoff", "landing", "bounce"),
+    parameters=(
+        Parameter(
+            "relative",
+            "1",
+            -0.5,
+            1.0,
+            0.01,
+            calibration=0.005,
+            stated_by="accelerometer.sensitivity",
+            calibrated_by={"flip test": 1e-3},
+            drifts=True,
+            meaning="reading over truth, minus 1",
+        ),
+    ),
     confused_with={"drive_gain": "landing times", "local_gravity": "an absolute scale: flip test"},
     reference="calibration, mounting",
 )

@@ -1,5 +1,6 @@
 """The accelerometer reads something else at rest than declared.
-The rule kept here: it can be seen only where the channel is DC coupled and its zero is declared.
+
+It can be seen only where the channel is DC coupled and its zero is declared.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ EFFECT = Effect(
     name="accelerometer_offset",
     summary="the accelerometer's zero is not the declared one",
     parameters=(Parameter("offset_mps2", "m/s^2", -50.0, 50.0, 0.05, calibration=0.01, meaning="reading at rest"),),
-    seen_in=("plate",),
     confused_with={"local_gravity": "landing times"},
     reference="bias, tilt, temperature",
 )

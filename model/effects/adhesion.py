@@ -1,5 +1,6 @@
 """Adhesion to the plate: a pull that must be overcome at take-off, growing with the time spent in contact.
-The rule kept here: it ends the moment the ball has left.
+
+It ends the moment the ball has left.
 """
 
 from __future__ import annotations
@@ -13,21 +14,30 @@ EFFECT = Effect(
     name="adhesion",
     summary="the ball sticks to the plate and leaves late",
     parameters=(
-        Parameter("a_mps2", "m/s^2", 0.0, 30.0, 0.2, scan=(1.0,), meaning="pull-off force over mass"),
+        Parameter(
+            "a_mps2",
+            "m/s^2",
+            0.0,
+            30.0,
+            0.2,
+            start_grid=(1.0,),
+            carries_term="threshold",
+            meaning="pull-off force over mass",
+        ),
         Parameter(
             "dwell_s",
             "s",
             0.0,
             1.0,
             0.01,
-            shape=True,
-            scan=(0.01,),
+            is_shape=True,
+            start_grid=(0.01,),
             meaning="contact time over which it builds up; 0 at once",
         ),
     ),
     variants=(("a_mps2",), ("a_mps2", "dwell_s")),
-    seen_in=("takeoff", "landing"),
     confused_with={"contact_gap": "landing times, dwell time", "coulomb_friction": "landing times of long flights"},
+    substitutes_term="threshold",
     reference="Johnson, Kendall and Roberts, Proc. R. Soc. A 324, 301 (1971)",
 )
 

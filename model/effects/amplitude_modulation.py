@@ -1,6 +1,6 @@
 """The plate's amplitude swells and sinks slowly, by a sine in time that multiplies all that the drive asks for.
 
-The rule kept here: depth and frequency belong to the rig; the phase is another one in each recording, where the plate
+Depth and frequency belong to the rig; the phase is another one in each recording, where the plate
 itself shows it.
 """
 
@@ -15,10 +15,20 @@ EFFECT = Effect(
     name="amplitude_modulation",
     summary="the plate's amplitude swells and sinks slowly",
     parameters=(
-        Parameter("depth", "1", 0.0, 0.9, 0.003, meaning="relative amplitude of the swell"),
-        Parameter("frequency_hz", "Hz", 1e-3, 20.0, 0.002, absent=1.0, scan=(1.0,), shape=True, meaning="of the swell"),
+        Parameter("depth", "1", 0.0, 0.9, 0.003, hint="modulation_depth", meaning="relative amplitude of the swell"),
+        Parameter(
+            "frequency_hz",
+            "Hz",
+            1e-3,
+            20.0,
+            0.002,
+            null_value=1.0,
+            start_grid=(1.0,),
+            hint="modulation_hz",
+            is_shape=True,
+            meaning="of the swell",
+        ),
     ),
-    seen_in=("plate", "landing", "takeoff"),
     confused_with={
         "parameter_drift": "several periods within the run",
         "gain_compression": "steps in another order",

@@ -1,6 +1,6 @@
 """What an effect is: a named cause with parameters, bounds and hooks into the ball's equation.
 
-The rule kept here: an effect is one file. Its module holds ``EFFECT`` and any of these hooks, compiled with numba,
+An effect is one file. Its module holds ``EFFECT`` and any of these hooks, compiled with numba,
 where ``p`` is the row of all parameters, the local g last, and ``k`` the place of the effect's first one:
 
 ====================================== =========================================================================
@@ -61,7 +61,12 @@ PLAIN_HOOKS = (
     "closure_s",
 )
 
-Channel = Literal["plate", "takeoff", "landing", "bounce"]
+PLATE_ONLY_HOOKS = frozenset({"transfer", "harmonics", "hum_mps2", "offset_mps2", "time_scale", "closure_s"})
+"""Hooks that change plate data and instruments, and never a flight over the plate that was measured."""
+
+Stated = Literal["", "drive.g_per_volt", "drive.phase_deg", "accelerometer.sensitivity", "g_mps2"]
+Hint = Literal["", "slow_line_hz", "modulation_depth", "modulation_hz"]
+Term = Literal["", "force", "friction", "threshold", "restitution"]
 
 
 @dataclass(frozen=True)
@@ -74,34 +79,77 @@ class Parameter:
         Name with its unit suffix where it has one; ``unit`` as printed for a person ("1" where dimensionless).
     low, high
         Bounds of what is physically possible.
-    typical
+    scale
         A size at which the effect would matter: the scale for steps of the fit and for detection limits.
-    absent
+    null_value
         The value at which the effect does nothing.
-    scan
+    start_grid
         Values to try before a local fit, where the effect switches modes or repeats.
-    alarm
-        For a nuisance: beyond this value it is no longer a harmless imperfection.
+    hint
+        What the data suggest to start from: slow lines of the plate (added to ``start_grid``), or the depth and
+        frequency of a modulation (in place of it).
+    coarse_grid, coarse_step
+        For a number that switches the ball's behaviour: values over its whole range, and first step of the search.
     calibration
-        One standard deviation to which the number is known without being declared (0: exactly absent).
+        One standard deviation to which the number is known without being declared (0: exactly ``null_value``).
+    stated_by
+        Quantity of the profile whose stated uncertainty replaces ``calibration``.
+    calibrated_by
+        Standard deviation that a measurement beside the run would give, by its name ("flip test", "drop test").
     power
         The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height, 0.5 where
         data are squares.
-    shape
+    is_shape
         True for a number that only shapes the effect (a frequency, a length): a fit needs the others to be non-zero.
+    drifts
+        True where its trend alone is a candidate from the first round on.
+    carries_term
+        Kind of smooth term whose value this number can take, another one in each flight.
+    meaning
+        For a person, in a few words.
     """
 
     name: str
     unit: str
     low: float
     high: float
-    typical: float
-    absent: float = 0.0
-    scan: tuple[float, ...] = ()
+    scale: float
+    null_value: float = 0.0
+    start_grid: tuple[float, ...] = ()
+    hint: Hint = ""
+    coarse_grid: tuple[float, ...] = ()
+    coarse_step: float = 0.0
     calibration: float = 0.0
-    shape: bool = False
+    stated_by: Stated = ""
+    calibrated_by: Mapping[str, float] = field(default_factory=dict)
+    is_shape: bool = False
     power: float = 1.0
+    drifts: bool = False
+    carries_term: Term = ""
     meaning: str = ""
+
+    def __str__(self) -> str:
+        unit = "" if self.unit == "1" else f", {self.unit}"
+        return f"{self.name} ({self.meaning}{unit})" if self.meaning else f"{self.name}{unit}"
+
+
+@dataclass(frozen=True)
+class CurveOf:
+    """A smooth term within the flight that an effect can carry.
+
+    Parameters
+    ----------
+    term
+        Kind of the term.
+    of
+        Quantity of the flight that it depends on.
+    fixed
+        Values of the effect's parameters that select it.
+    """
+
+    term: Term
+    of: str
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -111,31 +159,46 @@ class Effect:
     Parameters
     ----------
     name
-        The name used in files, options and reports.
+        The name used in files, options and reports: that of its file.
     summary
         One sentence for the report.
     parameters
         In the order in which hooks find them.
-    seen_in
-        The residual channels in which it leaves its mark.
+    reference
+        Where the physics comes from.
     confused_with
         Names of effects that look alike on some runs, each with what separates them.
     nuisance
         A harmless imperfection of the instrument, always fitted and never reported as an explanation.
     variants
         Which parameters are fitted together, simplest first; all of them when empty.
-    reference
-        Where the physics comes from.
+    tied
+        Parameters that are one number in the simplest case, by the name under which a profile may give that number.
+        A search begins with them equal, and a trend is theirs together.
+    special_cases
+        Effects that are special cases of this one: by name, which of its parameters each of theirs begins from.
+    substitutes_term
+        Kind of smooth term that takes the place of this effect.
+    curves
+        Smooth terms within the flight that this effect can carry.
+    is_trend
+        True for the effect that stands for a trend of other effects' parameters; it has no hooks.
+    library
+        False for what no search may name.
     """
 
     name: str
     summary: str
     parameters: tuple[Parameter, ...]
-    seen_in: tuple[Channel, ...]
     reference: str
     confused_with: Mapping[str, str] = field(default_factory=dict)
     nuisance: bool = False
     variants: tuple[tuple[str, ...], ...] = ()
+    tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    special_cases: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    substitutes_term: Term = ""
+    curves: tuple[CurveOf, ...] = ()
+    is_trend: bool = False
     library: bool = True
 
     def parameter(self, name: str) -> Parameter:
@@ -144,18 +207,18 @@ class Effect:
         Raises
         ------
         ValueError
-            When the effect has no such parameter; the message lists those it has.
+            When the effect has no such parameter; the message lists those it has, with their meaning.
         """
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        known = ", ".join(q.name for q in self.parameters)
+        known = ", ".join(str(q) for q in self.parameters)
         raise ValueError(f"effect {self.name} has no parameter {name!r}; it has {known}")
 
     @property
-    def absent(self) -> dict[str, float]:
+    def null_values(self) -> dict[str, float]:
         """The values at which the effect does nothing."""
-        return {q.name: q.absent for q in self.parameters}
+        return {q.name: q.null_value for q in self.parameters}
 
 
 @dataclass(frozen=True)

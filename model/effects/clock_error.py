@@ -1,5 +1,6 @@
 """The recorder's clock runs fast or slow against the commanded frequency.
-The rule kept here: with one clock for drive and recorder it cannot be seen.
+
+With one clock for drive and recorder it cannot be seen.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ EFFECT = Effect(
     parameters=(
         Parameter("relative", "1", -0.05, 0.05, 1e-4, calibration=3e-5, meaning="recorded over true time, minus 1"),
     ),
-    seen_in=("plate",),
     confused_with={"local_gravity": "the drive's frequency"},
     reference="quartz: 50 ppm; a wrong rate in a file: anything",
 )

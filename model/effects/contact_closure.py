@@ -1,5 +1,6 @@
 """An impact closes the circuit for a moment even when the ball leaves at once.
-The rule kept here: a nuisance of the instrument, not of the motion.
+
+A nuisance of the instrument, not of the motion.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ EFFECT = Effect(
     name="contact_closure",
     summary="an impact closes the circuit for a moment even when the ball leaves at once",
     parameters=(Parameter("closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, meaning="shortest closed time"),),
-    seen_in=("takeoff",),
     confused_with={"contact_latency": "landing times"},
     nuisance=True,
     reference="elastic contact, deformation of the wire",

@@ -1,5 +1,6 @@
 """The circuit opens only when the ball has risen by a gap: take-offs are seen late, landings are not.
-The rule kept here: a nuisance, always fitted; an alarm when it leaves its prior.
+
+A nuisance, always fitted; an alarm when it leaves its prior.
 """
 
 from __future__ import annotations
@@ -19,12 +20,11 @@ EFFECT = Effect(
             2e-4,
             2e-7,
             calibration=2e-6,
-            scan=(3e-7, 3e-6),
+            start_grid=(3e-7, 3e-6),
             power=3.0,
             meaning="height kept in contact",
         ),
     ),
-    seen_in=("takeoff",),
     confused_with={"adhesion": "landing times, dwell time, two comparator levels"},
     nuisance=True,
     reference="a cubic tangency: 0.3 micrometres delay the opening by 0.7 ms",

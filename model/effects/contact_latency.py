@@ -1,5 +1,6 @@
 """The continuity channel lags the others, both edges alike.
-The rule kept here: the events happened earlier than they were seen.
+
+The events happened earlier than they were seen.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ EFFECT = Effect(
     name="contact_latency",
     summary="the contact circuit reports both edges late",
     parameters=(
-        Parameter("delay_s", "s", -5e-3, 5e-3, 1e-5, calibration=2e-6, scan=(-1e-3, 1e-3), meaning="event to edge"),
+        Parameter(
+            "delay_s", "s", -5e-3, 5e-3, 1e-5, calibration=2e-6, start_grid=(-1e-3, 1e-3), meaning="event to edge"
+        ),
     ),
-    seen_in=("takeoff", "landing"),
     confused_with={"phase_lag": "drive -> plate", "contact_gap": "landing times"},
     reference="filter of the contact circuit, multiplexed sampling",
 )

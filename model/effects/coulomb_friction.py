@@ -1,5 +1,6 @@
 """Coulomb friction of the rod, ``-mu g sign(v)`` against the motion relative to the plate, held in mid-air when it can.
-The rule kept here: static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
+
+Static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
 """
 
 from __future__ import annotations
@@ -7,19 +8,46 @@ from __future__ import annotations
 from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
+COARSE = (0.05, 0.12, 0.2, 0.3, 0.45)
+
 EFFECT = Effect(
     name="coulomb_friction",
     summary="dry friction of the rod, the same at any speed",
     parameters=(
-        Parameter("mu_up", "g", 0.0, 3.0, 0.02, scan=(0.1, 0.3), meaning="friction over weight, moving up"),
-        Parameter("mu_down", "g", 0.0, 3.0, 0.02, scan=(0.1, 0.3), meaning="friction over weight, moving down"),
+        Parameter(
+            "mu_up",
+            "g",
+            0.0,
+            3.0,
+            0.02,
+            start_grid=(0.1, 0.3),
+            coarse_grid=COARSE,
+            coarse_step=0.03,
+            calibrated_by={"drop test": 1e-2},
+            carries_term="friction",
+            meaning="friction over weight, moving up",
+        ),
+        Parameter(
+            "mu_down",
+            "g",
+            0.0,
+            3.0,
+            0.02,
+            start_grid=(0.1, 0.3),
+            coarse_grid=COARSE,
+            coarse_step=0.03,
+            calibrated_by={"drop test": 1e-2},
+            carries_term="friction",
+            meaning="friction over weight, moving down",
+        ),
     ),
-    seen_in=("takeoff", "landing", "bounce"),
     confused_with={
         "stribeck_friction": "slow and fast passages: high gamma",
         "viscous_damping": "gamma far into the irregular range",
         "local_gravity": "c = 2, or drops up and down",
     },
+    tied={"mu": ("mu_up", "mu_down")},
+    substitutes_term="friction",
     reference="Coulomb (1785); seed paper: about 0.3 g on the rod",
 )
 

@@ -1,5 +1,6 @@
 """Drive volts give more plate motion than declared.
-The rule kept here: the accelerometer reads the true motion, so flights do not notice.
+
+The accelerometer reads the true motion, so flights do not notice.
 """
 
 from __future__ import annotations
@@ -14,8 +15,19 @@ from model.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="drive_gain",
     summary="a volt of drive moves the plate by more (or less) than declared",
-    parameters=(Parameter("relative", "1", -0.9, 5.0, 0.01, calibration=0.005, meaning="true over declared, minus 1"),),
-    seen_in=("plate",),
+    parameters=(
+        Parameter(
+            "relative",
+            "1",
+            -0.9,
+            5.0,
+            0.01,
+            calibration=0.005,
+            stated_by="drive.g_per_volt",
+            drifts=True,
+            meaning="true over declared, minus 1",
+        ),
+    ),
     confused_with={"accelerometer_gain": "landing times", "gain_compression": "a range of amplitudes"},
     reference="amplifier knob, shaker sensitivity",
 )

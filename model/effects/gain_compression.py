@@ -1,5 +1,6 @@
 """The plate's motion falls behind the drive as the amplitude grows.
-The rule kept here: to lowest order the loss goes with the square of the amplitude.
+
+To lowest order the loss goes with the square of the amplitude.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ EFFECT = Effect(
     name="gain_compression",
     summary="the plate's motion falls behind the drive as the amplitude grows",
     parameters=(Parameter("per_g2", "1/g^2", -0.2, 0.5, 1e-3, meaning="relative loss per square of the asked g"),),
-    seen_in=("plate",),
     confused_with={"drive_gain": "a range of amplitudes", "parameter_drift": "steps in shuffled or up-and-down order"},
     reference="saturation of amplifier and magnet, first even term",
 )

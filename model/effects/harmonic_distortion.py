@@ -1,5 +1,6 @@
 """The plate moves at multiples of the forcing that nobody asked for.
-The rule kept here: either each harmonic keeps its part of the first tone, or drive and plate are bent by a polynomial.
+
+Either each harmonic keeps its part of the first tone, or drive and plate are bent by a polynomial.
 """
 
 from __future__ import annotations
@@ -21,29 +22,28 @@ EFFECT = Effect(
     summary="the plate also moves at multiples of the forcing frequency",
     parameters=(
         Parameter(
-            "second", "1", 0.0, 1.0, 0.005, scan=SIZES, calibration=1e-4, power=0.5,
+            "second", "1", 0.0, 1.0, 0.005, start_grid=SIZES, calibration=1e-4, power=0.5,
             meaning="second harmonic over first tone",
         ),
         Parameter(
-            "third", "1", 0.0, 1.0, 0.005, scan=SIZES, calibration=1e-4, power=0.5,
+            "third", "1", 0.0, 1.0, 0.005, start_grid=SIZES, calibration=1e-4, power=0.5,
             meaning="third harmonic over first tone",
         ),
         Parameter(
-            "phase_rad", "rad", -np.pi, np.pi, 0.5, scan=(-0.5 * np.pi, 0.0, 0.5 * np.pi, np.pi), shape=True,
+            "phase_rad", "rad", -np.pi, np.pi, 0.5, start_grid=(-0.5 * np.pi, 0.0, 0.5 * np.pi, np.pi), is_shape=True,
             meaning="of the harmonic that falls on the second forcing tone, against that tone",
         ),
-        Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, scan=BENDS, meaning="of acceleration squared"),
-        Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, scan=BENDS, meaning="of acceleration cubed"),
+        Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, start_grid=BENDS, meaning="of acceleration squared"),
+        Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, start_grid=BENDS, meaning="of acceleration cubed"),
     ),
     variants=(("second", "third"), ("quadratic_per_g", "cubic_per_g2"), ("second", "third", "phase_rad")),
-    seen_in=("plate",),
     confused_with={"gain_compression": "harmonics", "phase_lag": "c = 1: at c = 2 one harmonic falls on a tone"},
     reference="non-linear suspension and amplifier, to third order",
 )  # fmt: skip
 
 
 @functools.lru_cache(maxsize=1024)
-def powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex]:
+def _powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex]:
     """Part of ``multiple`` in square and cube of ``sin x + Im(share exp(i ratio x))``; that of a sine is real."""
     x = 2.0 * np.pi * np.arange(POINTS) / POINTS
     wave = np.sin(x) + ((share * np.exp(1j * ratio * x)).imag if ratio > 1 else 0.0)
@@ -68,6 +68,6 @@ def harmonics(
     if p["quadratic_per_g"] == 0.0 and p["cubic_per_g2"] == 0.0:
         return np.asarray(out)
     parts = np.array(
-        [powers(int(c), complex(np.round(s, 3)), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
+        [_powers(int(c), complex(np.round(s, 3)), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
     ).reshape(-1, 2)
     return np.asarray(out + p["quadratic_per_g"] * accel_g * parts[:, 0] + p["cubic_per_g2"] * accel_g**2 * parts[:, 1])

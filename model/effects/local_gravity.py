@@ -1,5 +1,6 @@
 """The place's gravity differs from the declared one.
-The rule kept here: the place's g is known to 1e-4 unless the profile says otherwise.
+
+The place's g is known to 1e-4 unless the profile says otherwise.
 """
 
 from __future__ import annotations
@@ -10,8 +11,19 @@ from model.effects.base import Effect, Parameter, Row
 EFFECT = Effect(
     name="local_gravity",
     summary="gravity at the place differs from the declared value",
-    parameters=(Parameter("excess_mps2", "m/s^2", -3.0, 3.0, 0.02, calibration=1e-3, meaning="true minus declared"),),
-    seen_in=("takeoff", "landing", "bounce"),
+    parameters=(
+        Parameter(
+            "excess_mps2",
+            "m/s^2",
+            -3.0,
+            3.0,
+            0.02,
+            calibration=1e-3,
+            stated_by="g_mps2",
+            carries_term="force",
+            meaning="true minus declared",
+        ),
+    ),
     confused_with={
         "accelerometer_gain": "the same together with drive_gain: only an absolute scale (flip test) tells",
         "coulomb_friction": "drops up and down",

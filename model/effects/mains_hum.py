@@ -1,5 +1,6 @@
 """The plate moves at the mains frequency.
-The rule kept here: it is a motion of the plate; pick-up in a sensor is a fault of that channel.
+
+It is a motion of the plate; pick-up in a sensor is a fault of that channel.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ EFFECT = Effect(
     parameters=(
         Parameter("amplitude_mps2", "m/s^2", 0.0, 50.0, 0.05, calibration=0.002, power=0.5, meaning="at 50 or 60 Hz"),
     ),
-    seen_in=("plate",),
     confused_with={"harmonic_distortion": "a forcing that does not divide the mains frequency"},
     reference="ground loops in the amplifier",
 )

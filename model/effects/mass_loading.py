@@ -1,5 +1,6 @@
 """The plate is driven by a force, and the ball's mass rides along while it is in contact.
-The rule kept here: in flight the plate accelerates by ``relative (a_p + g)`` more than the ``a_p`` of contact.
+
+In flight the plate accelerates by ``relative (a_p + g)`` more than the ``a_p`` of contact.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ EFFECT = Effect(
         Parameter(
             "relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, meaning="amplitude in flight over contact, minus 1"
         ),
-        Parameter("bare", "1", 0.0, 1.0, 0.3, scan=(1.0,), meaning="1 where the drive was scaled without the ball"),
+        Parameter(
+            "bare", "1", 0.0, 1.0, 0.3, start_grid=(1.0,), meaning="1 where the drive was scaled without the ball"
+        ),
     ),
     variants=(("relative",), ("relative", "bare")),
-    seen_in=("plate", "takeoff", "landing"),
     confused_with={"harmonic_distortion": "steps without flights", "table_resonance": "a slow line after impacts"},
     reference="Newton's second law; mass ratio of ball and armature",
 )

@@ -1,5 +1,6 @@
 """The plate follows the drive otherwise than declared: later, or through a filter.
-The rule kept here: what passes changes gain and phase together, as a causal filter does; a bare gain is `drive_gain`.
+
+What passes changes gain and phase together, as a causal filter does; a bare gain is `drive_gain`.
 """
 
 from __future__ import annotations
@@ -18,21 +19,49 @@ EFFECT = Effect(
     name="phase_lag",
     summary="the plate follows the drive later than declared",
     parameters=(
-        Parameter("delay_s", "s", -0.02, 0.02, 1e-4, calibration=1e-5, meaning="of the plate behind the drive"),
         Parameter(
-            "low_pass_s", "s", 0.0, 0.02, 1e-4, scan=(1e-4, 1e-3), meaning="time constant of an amplifier's roll-off"
+            "delay_s",
+            "s",
+            -0.02,
+            0.02,
+            1e-4,
+            calibration=1e-5,
+            stated_by="drive.phase_deg",
+            meaning="of the plate behind the drive",
         ),
-        Parameter("high_pass_hz", "Hz", 0.0, 100.0, 0.1, scan=(0.1, 1.0), meaning="corner below which little passes"),
         Parameter(
-            "sharpness", "1", 0.0, 4.0, 0.5, scan=SHARPNESS, shape=True,
+            "low_pass_s",
+            "s",
+            0.0,
+            0.02,
+            1e-4,
+            start_grid=(1e-4, 1e-3),
+            meaning="time constant of an amplifier's roll-off",
+        ),
+        Parameter(
+            "high_pass_hz",
+            "Hz",
+            0.0,
+            100.0,
+            0.1,
+            start_grid=(0.1, 1.0),
+            meaning="corner below which little passes",
+        ),
+        Parameter(
+            "sharpness",
+            "1",
+            0.0,
+            4.0,
+            0.5,
+            start_grid=SHARPNESS,
+            is_shape=True,
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
     ),
     variants=(("delay_s",), ("low_pass_s", "sharpness"), ("high_pass_hz", "sharpness")),
-    seen_in=("plate",),
     confused_with={"contact_latency": "landing times", "drive_gain": "c = 1: two tones tell a filter from a gain"},
     reference="amplifier, shaker above its resonance",
-)  # fmt: skip
+)
 
 
 def transfer(

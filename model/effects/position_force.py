@@ -1,5 +1,6 @@
 """A force that depends on the height above the plate: a spring, or a magnet near the plate.
-The rule kept here: positive numbers pull the ball towards the plate.
+
+Positive numbers pull the ball towards the plate.
 """
 
 from __future__ import annotations
@@ -13,22 +14,23 @@ EFFECT = Effect(
     name="position_force",
     summary="a force that depends on the height above the plate (spring, magnet)",
     parameters=(
-        Parameter("spring_per_s2", "1/s^2", -5000.0, 5000.0, 10.0, scan=(-50.0, 50.0), meaning="stiffness over mass"),
-        Parameter("magnet_mps2", "m/s^2", -50.0, 50.0, 0.2, scan=(-1.0, 1.0), meaning="pull at the plate"),
+        Parameter(
+            "spring_per_s2", "1/s^2", -5000.0, 5000.0, 10.0, start_grid=(-50.0, 50.0), meaning="stiffness over mass"
+        ),
+        Parameter("magnet_mps2", "m/s^2", -50.0, 50.0, 0.2, start_grid=(-1.0, 1.0), meaning="pull at the plate"),
         Parameter(
             "range_m",
             "m",
             1e-4,
             0.1,
             1e-3,
-            absent=2e-3,
-            scan=(1e-3, 4e-3),
-            shape=True,
+            null_value=2e-3,
+            start_grid=(1e-3, 4e-3),
+            is_shape=True,
             meaning="height over which the magnet's pull falls by e",
         ),
     ),
     variants=(("spring_per_s2",), ("magnet_mps2", "range_m")),
-    seen_in=("takeoff", "landing", "bounce"),
     confused_with={"viscous_damping": "irregular flights at high gamma", "local_gravity": "short and long flights"},
     reference="Hooke's law; the near field of a small magnet, as an exponential",
 )

@@ -1,5 +1,6 @@
 """Air drag, ``-k |u| u`` with the absolute velocity ``u``: the air does not move with the plate.
-The rule kept here: the air is at rest in the laboratory.
+
+The air is at rest in the laboratory.
 """
 
 from __future__ import annotations
@@ -10,8 +11,7 @@ from model.effects.base import Effect, Parameter, Row
 EFFECT = Effect(
     name="quadratic_drag",
     summary="air drag, proportional to the square of the absolute velocity",
-    parameters=(Parameter("k_per_m", "1/m", 0.0, 50.0, 0.1, scan=(0.5,), meaning="rho C_d S / (2 m)"),),
-    seen_in=("landing", "bounce"),
+    parameters=(Parameter("k_per_m", "1/m", 0.0, 50.0, 0.1, start_grid=(0.5,), meaning="rho C_d S / (2 m)"),),
     confused_with={"viscous_damping": "fast flights at high gamma"},
     reference="Rayleigh's drag equation",
 )

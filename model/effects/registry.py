@@ -1,12 +1,18 @@
-"""The effects found in this folder, their hooks, and the row of all their parameters."""
+"""The library of effects: the files of this folder and those of installed packages, and the row of their parameters.
+
+Effects are read once and checked as they are read: a file that would be an effect without effect is refused.
+"""
 
 from __future__ import annotations
 
 import difflib
 import functools
 import importlib
+import importlib.metadata
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,30 +20,107 @@ from numpy.typing import NDArray
 import model.effects
 from model.effects.base import COMPILED_HOOKS, PLAIN_HOOKS, Effect, Parameter, Registered
 
-__all__ = ["Effect", "Parameter", "Registered", "absent_row", "effect", "offsets", "registry", "resolve", "row"]
+__all__ = [
+    "Effect", "Parameter", "Registered", "effect", "null_row", "offsets", "registry", "resolve", "row", "trend_name",
+]  # fmt: skip
 
 NOT_EFFECTS = frozenset({"base", "registry", "routing"})
+ENTRY_POINTS = "shakerbench.effects"
 
 
 @functools.cache
 def registry() -> tuple[Registered, ...]:
-    """All effects in alphabetical order, with their places in the row of all parameters."""
-    found, offset = [], 0
-    for info in sorted(pkgutil.iter_modules(model.effects.__path__), key=lambda i: i.name):
-        if info.name in NOT_EFFECTS:
-            continue
-        name = f"{model.effects.__name__}.{info.name}"
+    """All effects in alphabetical order, with their places in the row of all parameters.
+
+    Raises
+    ------
+    ValueError
+        For a file without ``EFFECT``, a name that is not its file's or is taken, an unknown hook, an effect without
+        hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not exist.
+    """
+    found: dict[str, tuple[Effect, str, dict[str, Any]]] = {}
+    for name in _modules():
         module = importlib.import_module(name)
-        hooks = {h: getattr(module, h) for h in COMPILED_HOOKS + PLAIN_HOOKS if hasattr(module, h)}
-        found.append(Registered(module.EFFECT, offset, name, hooks))
-        offset += len(module.EFFECT.parameters)
-    return tuple(found)
+        e, hooks = _checked(module)
+        if e.name in found:
+            raise ValueError(
+                f"{_file(module)}: effect {e.name} exists already in {found[e.name][1]}; rename one of them"
+            )
+        found[e.name] = (e, name, hooks)
+    for e, name, _ in found.values():
+        _refuse_unknown(name, "confused_with or special_cases", {*e.confused_with, *e.special_cases}, found)
+    out, offset = [], 0
+    for key in sorted(found):
+        e, name, hooks = found[key]
+        out.append(Registered(e, offset, name, hooks))
+        offset += len(e.parameters)
+    return tuple(out)
+
+
+def _modules() -> Iterator[str]:
+    """Names of the modules that hold an effect each."""
+    for info in pkgutil.iter_modules(model.effects.__path__):
+        if info.name not in NOT_EFFECTS:
+            yield f"{model.effects.__name__}.{info.name}"
+    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        yield point.module
+
+
+def _checked(module: ModuleType) -> tuple[Effect, dict[str, Any]]:
+    """Effect and hooks of a file; refused where they cannot be meant."""
+    file, e = _file(module), getattr(module, "EFFECT", None)
+    if not isinstance(e, Effect):
+        raise ValueError(f"{file}: wanted EFFECT = Effect(...), found {'nothing' if e is None else repr(e)}")
+    own = module.__name__.rpartition(".")[2]
+    if e.name != own:
+        raise ValueError(f"{file}: the effect is called {e.name!r}; wanted the file's name, {own!r}")
+    known = COMPILED_HOOKS + PLAIN_HOOKS
+    for name in _functions(module):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"hooks are {', '.join(known)}"
+            raise ValueError(f"{file}: no hook is called {name!r}; {hint} (a function of its own begins with _)")
+    hooks = {k: getattr(module, k) for k in known if hasattr(module, k)}
+    if not hooks and not e.is_trend:
+        raise ValueError(f"{file}: wanted at least one hook, found none; hooks are {', '.join(known)}")
+    names = {q.name for q in e.parameters}
+    _refuse_unknown(file, "variants", {q for variant in e.variants for q in variant}, names)
+    _refuse_unknown(file, "tied", {q for group in e.tied.values() for q in group}, names)
+    _refuse_unknown(file, "special_cases", {q for case in e.special_cases.values() for q in case.values()}, names)
+    return e, hooks
+
+
+def _functions(module: ModuleType) -> list[str]:
+    """Names of the public functions that a module defines itself."""
+    own = ((k, f) for k, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__)
+    return [k for k, f in own if not k.startswith("_") and not isinstance(f, type)]
+
+
+def _file(module: ModuleType) -> str:
+    return module.__file__ or module.__name__
+
+
+def _refuse_unknown(file: str, field: str, named: set[str], known: Mapping[str, object] | set[str]) -> None:
+    """Refuse names that do not exist."""
+    for name in sorted(named - set(known)):
+        raise ValueError(f"{file}: {field} names {name!r}, which does not exist; known are {', '.join(sorted(known))}")
 
 
 @functools.cache
 def offsets() -> dict[tuple[str, str], int]:
     """Place of every parameter in the row, by ``(effect, parameter)``."""
     return {(r.effect.name, q.name): r.offset + i for r in registry() for i, q in enumerate(r.effect.parameters)}
+
+
+@functools.cache
+def trend_name() -> str:
+    """Name of the effect that stands for a trend of another effect's parameter."""
+    return next(r.effect.name for r in registry() if r.effect.is_trend)
+
+
+@functools.cache
+def _by_name() -> dict[str, Registered]:
+    return {r.effect.name: r for r in registry()}
 
 
 def effect(name: str) -> Registered:
@@ -48,9 +131,9 @@ def effect(name: str) -> Registered:
     ValueError
         When there is none; the message names the nearest.
     """
-    for entry in registry():
-        if entry.effect.name == name:
-            return entry
+    entry = _by_name().get(name)
+    if entry is not None:
+        return entry
     known = [r.effect.name for r in registry() if r.effect.library]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]}?" if near else f"; known are {', '.join(known)}"
@@ -60,7 +143,7 @@ def effect(name: str) -> Registered:
 def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
     """Check names and bounds of ``declared`` effects and fill in the parameters left out.
 
-    ``coulomb_friction`` also takes ``mu`` for both directions.
+    Tied parameters may be given by their common name (``mu`` of ``coulomb_friction``).
 
     Raises
     ------
@@ -69,14 +152,13 @@ def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
     """
     resolved: dict[str, dict[str, float]] = {}
     for name, given in declared.items():
-        entry = effect(name)
-        values = entry.effect.absent
-        table = dict(given)
-        if name == "coulomb_friction" and "mu" in table:
-            mu = table.pop("mu")
-            table = {"mu_up": mu, "mu_down": mu, **table}
+        e = effect(name).effect
+        values, table = e.null_values, dict(given)
+        for common, group in e.tied.items():
+            if common in table:
+                table = {**dict.fromkeys(group, table.pop(common)), **table}
         for key, value in table.items():
-            parameter = entry.effect.parameter(key)
+            parameter = e.parameter(key)
             if not parameter.low <= value <= parameter.high:
                 raise ValueError(
                     f"{name}.{key} = {value:g} {parameter.unit} is outside {parameter.low:g} .. {parameter.high:g}"
@@ -87,18 +169,18 @@ def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
 
 
 @functools.cache
-def _absent() -> tuple[float, ...]:
-    return tuple(q.absent for r in registry() for q in r.effect.parameters)
+def _null_values() -> tuple[float, ...]:
+    return tuple(q.null_value for r in registry() for q in r.effect.parameters)
 
 
-def absent_row(g_mps2: float) -> NDArray[np.float64]:
-    """The row of all parameters with every effect absent, shape (P + 1,); the last element is ``g_mps2``."""
-    return np.array((*_absent(), g_mps2))
+def null_row(g_mps2: float) -> NDArray[np.float64]:
+    """The row of all parameters at their null values, shape (P + 1,); the last element is ``g_mps2``."""
+    return np.array((*_null_values(), g_mps2))
 
 
 def row(values: Mapping[str, Mapping[str, float]], g_mps2: float) -> NDArray[np.float64]:
-    """The row of all parameters for ``values`` by effect and parameter, shape (P + 1,); the others are absent."""
-    out = absent_row(g_mps2)
+    """The row of all parameters for ``values`` by effect and parameter, shape (P + 1,); others at null values."""
+    out = null_row(g_mps2)
     for name, table in resolve(values).items():
         for key, value in table.items():
             out[offsets()[name, key]] = value

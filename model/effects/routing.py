@@ -1,6 +1,6 @@
 """Declared effects by where they act: on the ball, between drive and plate, or in what the instruments show.
 
-The rule kept here: each acts once. Who flies over a plate that was measured leaves the drive's effects out, because
+Each acts once. Who flies over a plate that was measured leaves the drive's effects out, because
 they are in the measurement; who starts from what was asked of the drive applies them first.
 """
 
@@ -45,4 +45,4 @@ def shapes_the_plate(effects: Effects) -> list[str]:
 
 def _with(effects: Effects, hook: str) -> list[tuple[Registered, Mapping[str, float]]]:
     found = ((effect(n), t) for n, t in effects.items())
-    return [(e, {**e.effect.absent, **t}) for e, t in found if hook in e.hooks]
+    return [(e, {**e.effect.null_values, **t}) for e, t in found if hook in e.hooks]

@@ -1,5 +1,6 @@
 """A force that is a smooth function of one quantity of the flight: the missing term itself, where no cause is named.
-The rule kept here: piecewise linear between knots, constant beyond them; never part of the named library.
+
+Piecewise linear between knots, constant beyond them; never part of the named library.
 """
 
 from __future__ import annotations
@@ -7,10 +8,9 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
-HEIGHT, VELOCITY, ABSOLUTE_VELOCITY, SINCE_TAKEOFF, SINCE_IMPACT = 1.0, 2.0, 3.0, 4.0, 5.0
 TURNS_MPS = 0.01  # speed over which a force against the motion changes its sign, so that the integrator can follow
 
 EFFECT = Effect(
@@ -23,17 +23,23 @@ EFFECT = Effect(
             0.0,
             5.0,
             1.0,
-            shape=True,
+            is_shape=True,
             meaning="0 none, 1 height, 2 velocity, 3 absolute velocity, 4 time since take-off, 5 since impact",
         ),
-        Parameter("against", "1", 0.0, 1.0, 1.0, shape=True, meaning="1: against the motion, as friction is"),
-        Parameter("lag_s", "s", 0.0, 1e3, 1e-2, shape=True, meaning="from impact to take-off"),
-        Parameter("start", "1", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
-        Parameter("spacing", "1", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
+        Parameter("against", "1", 0.0, 1.0, 1.0, is_shape=True, meaning="1: against the motion, as friction is"),
+        Parameter("lag_s", "s", 0.0, 1e3, 1e-2, is_shape=True, meaning="from impact to take-off"),
+        Parameter("start", "1", -1e3, 1e3, 1.0, is_shape=True, meaning="first knot"),
+        Parameter("spacing", "1", 1e-9, 1e3, 1.0, null_value=1.0, is_shape=True, meaning="between knots"),
         *(Parameter(f"c{i}", "m/s^2", -1e3, 1e3, 0.1, meaning="force at the knot") for i in range(KNOTS)),
     ),
-    seen_in=("takeoff", "landing", "bounce"),
     reference="penalised regression spline",
+    curves=(
+        CurveOf("friction", "since_impact_s", {"of": 5.0, "against": 1.0}),
+        CurveOf("force", "height_m", {"of": 1.0}),
+        CurveOf("force", "velocity_mps", {"of": 2.0}),
+        CurveOf("force", "absolute_velocity_mps", {"of": 3.0}),
+        CurveOf("force", "since_takeoff_s", {"of": 4.0}),
+    ),
     library=False,
 )
 

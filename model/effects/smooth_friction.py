@@ -1,26 +1,26 @@
 """Dry friction that is a smooth function of height or of speed: the missing term itself, where no cause is named.
-The rule kept here: piecewise linear between knots, constant beyond them, never negative; not part of the named library.
+
+Piecewise linear between knots, constant beyond them, never negative; not part of the named library.
 """
 
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
-HEIGHT, SPEED = 1.0, 2.0
 
 EFFECT = Effect(
     name="smooth_friction",
     summary="dry friction as a smooth function of height or speed",
     parameters=(
-        Parameter("of", "1", 0.0, 2.0, 1.0, shape=True, meaning="0 none, 1 height, 2 speed relative to the plate"),
-        Parameter("start", "1", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
-        Parameter("spacing", "1", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
+        Parameter("of", "1", 0.0, 2.0, 1.0, is_shape=True, meaning="0 none, 1 height, 2 speed relative to the plate"),
+        Parameter("start", "1", -1e3, 1e3, 1.0, is_shape=True, meaning="first knot"),
+        Parameter("spacing", "1", 1e-9, 1e3, 1.0, null_value=1.0, is_shape=True, meaning="between knots"),
         *(Parameter(f"c{i}", "g", 0.0, 3.0, 0.02, meaning="friction over weight at the knot") for i in range(KNOTS)),
     ),
-    seen_in=("takeoff", "landing", "bounce"),
     reference="penalised regression spline",
+    curves=(CurveOf("friction", "height_m", {"of": 1.0}), CurveOf("friction", "speed_mps", {"of": 2.0})),
     library=False,
 )
 

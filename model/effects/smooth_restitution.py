@@ -1,11 +1,12 @@
 """Restitution that is a smooth function of the impact speed: the missing term itself, where no cause is named.
-The rule kept here: piecewise linear between knots, constant beyond them; never part of the named library.
+
+Piecewise linear between knots, constant beyond them; never part of the named library.
 """
 
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
 
@@ -13,12 +14,12 @@ EFFECT = Effect(
     name="smooth_restitution",
     summary="restitution as a smooth function of the impact speed",
     parameters=(
-        Parameter("start", "m/s", -1e3, 1e3, 1.0, shape=True, meaning="first knot"),
-        Parameter("spacing", "m/s", 1e-9, 1e3, 1.0, absent=1.0, shape=True, meaning="between knots"),
+        Parameter("start", "m/s", -1e3, 1e3, 1.0, is_shape=True, meaning="first knot"),
+        Parameter("spacing", "m/s", 1e-9, 1e3, 1.0, null_value=1.0, is_shape=True, meaning="between knots"),
         *(Parameter(f"c{i}", "1", 0.0, 0.95, 0.02, meaning="restitution at the knot") for i in range(KNOTS)),
     ),
-    seen_in=("landing", "bounce"),
     reference="penalised regression spline",
+    curves=(CurveOf("restitution", "impact_mps"),),
     library=False,
 )
 

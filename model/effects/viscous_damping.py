@@ -1,5 +1,6 @@
 """Viscous damping relative to the plate, ``-rate v``.
-The rule kept here: it acts on the velocity relative to the plate, since the rod moves with it.
+
+It acts on the velocity relative to the plate, since the rod moves with it.
 """
 
 from __future__ import annotations
@@ -10,8 +11,7 @@ from model.effects.base import Effect, Parameter, Row
 EFFECT = Effect(
     name="viscous_damping",
     summary="a drag proportional to the speed along the rod",
-    parameters=(Parameter("rate_per_s", "1/s", 0.0, 200.0, 0.5, scan=(3.0,), meaning="deceleration over speed"),),
-    seen_in=("landing", "bounce"),
+    parameters=(Parameter("rate_per_s", "1/s", 0.0, 200.0, 0.5, start_grid=(3.0,), meaning="deceleration over speed"),),
     confused_with={"coulomb_friction": "take-off times", "position_force": "irregular flights at high gamma"},
     reference="linear (lubricated) friction",
 )

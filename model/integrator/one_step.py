@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model.tones
-from model.effects.registry import absent_row, registry, row
+from model.effects.registry import null_row, registry, row
 from model.integrator import predict
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
@@ -30,7 +30,7 @@ def _columns(hook: str) -> NDArray[np.intp]:
             for e in registry()
             if hook in e.hooks
             for i, q in enumerate(e.effect.parameters)
-            if not q.shape or q.name == "of"
+            if not q.is_shape or q.name == "of"
         ],
         dtype=np.intp,
     )
@@ -38,7 +38,7 @@ def _columns(hook: str) -> NDArray[np.intp]:
 
 def _active(rows: Array, hook: str) -> bool:
     columns = _columns(hook)
-    return bool(np.any(rows[..., columns] != absent_row(0.0)[columns]))
+    return bool(np.any(rows[..., columns] != null_row(0.0)[columns]))
 
 
 def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
@@ -87,7 +87,7 @@ class Measured:
     ----------
     opening_s, landing_s
         When the circuit opened and closed.
-    at_once
+    relaunched
         The ball left at the landing before, not after a rest.
     linked
         The flight before in the table is the flight before in reality.
@@ -99,7 +99,7 @@ class Measured:
 
     opening_s: Array
     landing_s: Array
-    at_once: NDArray[np.bool_]
+    relaunched: NDArray[np.bool_]
     linked: NDArray[np.bool_]
     step: NDArray[np.int64]
     wanted: NDArray[np.bool_]
@@ -229,7 +229,7 @@ class _Problem:
             Events(
                 _for_kernel(m.opening_s),
                 _for_kernel(m.landing_s),
-                _for_kernel(m.at_once),
+                _for_kernel(m.relaunched),
                 _for_kernel(m.linked),
                 _for_kernel(wanted),
                 _for_kernel(m.step),

@@ -65,17 +65,17 @@ def _measured(
     """Start, launch velocity and impact speed of the measured flight i itself, and the mode's state at the start."""
     opening, landing, bounces, p = events.opening[i], events.landing[i], events.bounces[i], law.p
     resting = with_state(bare, last.q, last.qd)
-    direct, start, lasts, v0, hit = events.at_once[i] and events.linked[i], last.t, -1.0, 0.0, 0.0
+    direct, start, lasts, v0, hit = events.relaunched[i] and events.linked[i], last.t, -1.0, 0.0, 0.0
     if not (direct and bounces):  # without a bounce the ball leaves as if from rest, at once or soon after
         q, qd = mode_under_ball(last.t, opening - last.t, resting, p)
         start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
     q, qd = mode_under_ball(last.t, start - last.t, resting, p)
-    if not (events.at_once[i] and bounces):
+    if not (events.relaunched[i] and bounces):
         lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
     if lasts < 0.0 or abs(start + lasts - landing) > OFF_PERIODS * period:
         if direct:
             start, q, qd = last.t, last.q, last.qd
-        near = out[1] if passed == 0 and out[6] == 1.0 and events.at_once[i] else -1.0
+        near = out[1] if passed == 0 and out[6] == 1.0 and events.relaunched[i] else -1.0
         v0, hit = launch_of(start, landing, near, out[2], with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 

@@ -121,7 +121,7 @@ class Events(NamedTuple):
 
     opening: Floats
     landing: Floats
-    at_once: Bools
+    relaunched: Bools
     linked: Bools
     wanted: Bools
     step: Integers

@@ -45,7 +45,7 @@ def make_ball(
             raise ValueError(
                 f"{name} acts on the drive or an instrument, not on the ball: a prediction at a given gamma has none"
             )
-        if table != entry.effect.absent:
+        if table != entry.effect.null_values:
             active[name] = table
     if not active:
         return IdealBall(forcing)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.attribution.fit import Fitter, priors_of
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import priors_of
 from analysis.loop.design import Design, rehearse
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.observations import Observations, Steps
@@ -180,7 +181,7 @@ def blurred(evidence: Observations, rng: np.random.Generator) -> Observations:
     again = np.concatenate([[np.nan], landing[:-1]])  # a ball that leaves at once opens where it has landed
     return replace(
         evidence,
-        measured=replace(m, landing_s=landing, opening_s=np.where(m.at_once & m.linked, again, opening)),
+        measured=replace(m, landing_s=landing, opening_s=np.where(m.relaunched & m.linked, again, opening)),
         plate=replace(plate, value=plate.value + plate.sigma * rng.standard_normal(len(plate))),
         steps=replace(steps, plate=replace(steps.plate, acceleration_mps2=z + noise)),
     )

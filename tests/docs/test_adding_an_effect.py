@@ -1,14 +1,19 @@
-"""The how-to for effects says what is true."""
+"""The how-to for effects: its file becomes an effect in the folder of effects and in a package of one's own."""
 
+import importlib
+import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import model.effects
+from model.effects.registry import registry
+
 ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "how-to" / "add-an-effect.md").read_text(encoding="utf-8")
 
 TRIAL = """
 import math
@@ -27,18 +32,41 @@ print(lasts({}), updraught, lasts({"local_gravity": {"excess_mps2": -0.5}}))
 """
 
 
-@pytest.mark.slow
-def test_the_effect_of_the_how_to_flies(tmp_path: Path) -> None:
-    """The how-to's file, put beside the others with nothing else edited, lengthens a flight as weaker gravity would."""
-    page = (ROOT / "docs" / "how-to" / "add-an-effect.md").read_text(encoding="utf-8")
-    assert len(page.splitlines()) < 60
-    code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    """The how-to's file in a folder."""
+    code = re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)
     assert code is not None
-    skip = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(ROOT / "model", tmp_path / "model", ignore=skip)
-    (tmp_path / "model" / "effects" / "updraught.py").write_text(code.group(1), encoding="utf-8")
+    (tmp_path / "updraught.py").write_text(code.group(1), encoding="utf-8")
+    return tmp_path
+
+
+def test_a_file_beside_the_others_is_an_effect(written: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The how-to is short, and its file is found in the folder of effects with its hook, nothing else edited."""
+    assert len(PAGE.splitlines()) < 80
+    monkeypatch.setattr(model.effects, "__path__", [*model.effects.__path__, str(written)])
+    importlib.invalidate_caches()
+    found = {r.effect.name: r for r in registry.__wrapped__()}
+    monkeypatch.delitem(sys.modules, "model.effects.updraught")
+    assert set(found["updraught"].hooks) == {"force"}
+    assert len(found) == len(registry()) + 1
+
+
+def test_the_effect_of_a_laboratory_s_own_package_flies(written: Path) -> None:
+    """The how-to's file in an installed package with an entry point lengthens a flight as weaker gravity would."""
+    package = written / "lab_effects-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-effects\nVersion: 1.0\n", encoding="utf-8")
+    (package / "entry_points.txt").write_text("[shakerbench.effects]\nupdraught = updraught\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(written), str(ROOT)])}
     done = subprocess.run(
-        [sys.executable, "-c", TRIAL], cwd=tmp_path, capture_output=True, text=True, timeout=200, check=False
+        [sys.executable, "-c", TRIAL],
+        cwd=written,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     ideal, pushed, lighter = map(float, done.stdout.split())

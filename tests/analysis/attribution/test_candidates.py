@@ -1,9 +1,14 @@
-"""Where fits of a candidate begin."""
+"""Candidates: what the effects' own files say of them, and where their fits begin."""
 
 from __future__ import annotations
 
-from analysis.attribution.candidates import unlike
-from analysis.residuals.forward_model import ParameterId
+from collections.abc import Callable
+from dataclasses import replace
+
+from analysis.attribution.candidates import candidates_of, distinct_starts, trends_of
+from analysis.attribution.coarse_search import joint_points
+from analysis.attribution.pruning import contained_in
+from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 
 RATIO, HZ, DAMPING = keys = tuple(("table_resonance", q) for q in ("mass_ratio", "frequency_hz", "damping"))
 
@@ -16,8 +21,8 @@ def start(loss: float, hz: float, ratio: float = 0.02) -> tuple[float, dict[Para
 def test_another_pitch_begins_a_fit_of_its_own() -> None:
     """Of starts in order, the best and the best at an unlike pitch; another size alone makes no other start."""
     starts = [start(1.0, 3.4), start(2.0, 3.4, ratio=0.01), start(3.0, 4.3), start(4.0, 4.9), start(5.0, 8.0)]
-    assert unlike(starts, keys) == [starts[0], starts[3]]
-    assert unlike(starts[:3], keys) == starts[:1]
+    assert distinct_starts(starts, keys) == [starts[0], starts[3]]
+    assert distinct_starts(starts[:3], keys) == starts[:1]
 
 
 def test_squares_are_also_begun_where_they_have_a_slope() -> None:
@@ -25,6 +30,40 @@ def test_squares_are_also_begun_where_they_have_a_slope() -> None:
     bends = tuple(("harmonic_distortion", q) for q in ("quadratic_per_g", "cubic_per_g2"))
     points = ((0.0, 0.0), (3e-3, 5e-4), (1.0, 1.0))
     starts = [(float(i), dict(zip(bends, point, strict=True))) for i, point in enumerate(points)]
-    assert unlike(starts, bends, absent=True) == starts[:2]
-    assert unlike(starts[1:], bends, absent=True) == starts[1:2]
-    assert unlike(starts, bends) == starts[:1]
+    assert distinct_starts(starts, bends, with_size=True) == starts[:2]
+    assert distinct_starts(starts[1:], bends, with_size=True) == starts[1:2]
+    assert distinct_starts(starts, bends) == starts[:1]
+
+
+UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
+
+
+def test_tied_parameters_begin_equal_and_drift_together(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Both directions of friction start from one number, are searched as one, and have a trend in common."""
+    world = fly_ramp({}, 0, gammas=(0.4, 0.8))
+    friction = next(c for c in candidates_of(world) if c.names == ("coulomb_friction",))
+    assert friction.starts and all(start[UP] == start[DOWN] for start in friction.starts)
+    points = joint_points(({},), (UP, DOWN), ())
+    assert any(p for p in points) and all(p[UP] == p[DOWN] for p in points if p)
+    together = [c.free for c in trends_of((UP, DOWN)) if len(c.free) == 2]
+    assert together == [((UP[0], UP[1] + TREND), (DOWN[0], DOWN[1] + TREND))]
+
+
+def test_slow_lines_of_the_plate_are_starts_of_a_resonance(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A line at 6.66 Hz that several steps show is one of the frequencies to begin with."""
+    world = fly_ramp({}, 0, gammas=(0.4, 0.8))
+    seen = ForwardModel(replace(world.evidence, hints_hz=(6.66,)), {})
+    resonance = next(c for c in candidates_of(seen) if c.names == ("table_resonance",))
+    assert 6.66 in {start[HZ] for start in resonance.starts}
+
+
+def test_trends_of_calibrations_are_candidates_from_the_first_round(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A drive and an accelerometer that drift are offered, each with its own calibration."""
+    found = [c.names for c in candidates_of(fly_ramp({}, 0, gammas=(0.4, 0.8)))]
+    assert ("drive_gain", "parameter_drift") in found and ("accelerometer_gain", "parameter_drift") in found
+
+
+def test_plain_friction_is_contained_in_friction_that_weakens() -> None:
+    """A fuller form holds its special cases and itself, not the other way round."""
+    assert contained_in(("stribeck_friction",)) == {"stribeck_friction", "coulomb_friction"}
+    assert contained_in(("coulomb_friction",)) == {"coulomb_friction"}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,31 +11,52 @@ from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.choice import Judge
+from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.selection import choice
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.whitening import Whitener
 
 STEPS = 16
+RATE = ("viscous_damping", "rate_per_s")
 
 
-def explanation(
-    name: str, events: NDArray[np.float64], plate: NDArray[np.float64] | None = None, *, sized: bool = True
-) -> Hypothesis:
-    """Losses of a candidate by step, without the fit behind them; ``sized``: its parameters differ from nothing."""
-    losses = {"events": events, "plate": np.zeros(STEPS) if plate is None else plate}
-    whitener: Any = SimpleNamespace(excess_s=(1e-6, 1e-6), total_s=np.ones(3), lost=False)
-    fitted: Any = SimpleNamespace(
-        differs=lambda keys: sized, fitter=SimpleNamespace(world=None), values={}, prior_penalty=0.0
-    )
-    return Hypothesis((Candidate((name,), ((name, "size"),)),), fitted, whitener, losses)
+@pytest.fixture(scope="module")
+def fit_of(fly_ramp: Callable[..., ForwardModel]) -> Callable[..., Fitted]:
+    """A fit of damping to a run of four steps: with damping or without, and with plate data scattered more or less."""
+
+    def made(*, sized: bool = True, scatter: float = 1.0) -> Fitted:
+        world = fly_ramp({RATE: 2.0 * sized}, 2, gammas=(0.5, 0.6, 0.7, 0.8))
+        data = world.evidence.plate
+        world = ForwardModel(replace(world.evidence, plate=replace(data, sigma=data.sigma / scatter)), {})
+        whitener = Whitener.of(world, {RATE: 2.0 * sized})
+        return Fitter(world, {}, np.ones(4, dtype=bool)).fit(whitener, (RATE,), {RATE: 2.0 * sized})
+
+    return made
+
+
+@pytest.fixture
+def explanation(fit_of: Callable[..., Fitted]) -> Callable[..., Hypothesis]:
+    """A candidate with given losses by step; ``sized``: its damping differs from none."""
+
+    def made(
+        name: str, events: NDArray[np.float64], plate: NDArray[np.float64] | None = None, **how: float
+    ) -> Hypothesis:
+        losses = {"events": events, "plate": np.zeros(STEPS) if plate is None else plate}
+        fitted = fit_of(**how)
+        return Hypothesis((Candidate((name,), (RATE,)),), fitted, fitted.state.whitener, losses)
+
+    return made
 
 
 @pytest.fixture
 def judge() -> Judge:
-    """All steps speak."""
+    """A choice in which all steps count."""
     return Judge(np.ones(STEPS, dtype=bool))
 
 
-def test_a_candidate_that_spoils_a_channel_is_refused_with_that_reason(judge: Judge) -> None:
+def test_a_candidate_that_spoils_a_channel_is_refused_with_that_reason(
+    judge: Judge, explanation: Callable[..., Hypothesis]
+) -> None:
     """Events gain 160 nats while the plate data lose 48: refused, and the plate is named."""
     best = explanation("nothing", np.full(STEPS, 10.0))
     x = explanation("drag", np.zeros(STEPS), np.full(STEPS, 3.0))
@@ -46,7 +67,9 @@ def test_a_candidate_that_spoils_a_channel_is_refused_with_that_reason(judge: Ju
     assert rejected.reason == "the plate data fit worse with it, by 48 +- 0 nats"
 
 
-def test_a_gain_that_steps_contradict_is_refused_with_both_gains(judge: Judge) -> None:
+def test_a_gain_that_steps_contradict_is_refused_with_both_gains(
+    judge: Judge, explanation: Callable[..., Hypothesis]
+) -> None:
     """Thirty nats, half the steps for it and half against: the reason gives the gain and what was wanted."""
     best, x = explanation("nothing", np.zeros(STEPS)), explanation("drag", np.tile([-15.0, 11.25], STEPS // 2))
     rejected = judge.rejected(best, [x], 0, None)
@@ -55,7 +78,9 @@ def test_a_gain_that_steps_contradict_is_refused_with_both_gains(judge: Judge) -
     assert "wanted 12 and 2 standard errors" in rejected.reason
 
 
-def test_what_gains_less_than_what_was_accepted_needs_no_reason(judge: Judge) -> None:
+def test_what_gains_less_than_what_was_accepted_needs_no_reason(
+    judge: Judge, explanation: Callable[..., Hypothesis]
+) -> None:
     """A refused candidate behind the accepted one is no news, before it it is."""
     best, taken = explanation("nothing", np.full(STEPS, 10.0)), explanation("friction", np.zeros(STEPS))
     behind = explanation("drag", np.full(STEPS, 2.0), np.full(STEPS, 4.0))
@@ -65,19 +90,18 @@ def test_what_gains_less_than_what_was_accepted_needs_no_reason(judge: Judge) ->
     assert found is not None and found.names == ("lag",)
 
 
-@pytest.mark.parametrize(("ratio", "accepted"), [(1.1, True), (1.4, False)])
+@pytest.mark.parametrize(("scatter", "accepted"), [(1.0, True), (3.0, False)])
 def test_found_landings_may_cost_the_plate_a_trifle(
-    judge: Judge, monkeypatch: pytest.MonkeyPatch, ratio: float, accepted: bool
+    judge: Judge, explanation: Callable[..., Hypothesis], scatter: float, accepted: bool
 ) -> None:
-    """Events gain 1600 nats, plate data lose 12 and are still noise: calibrations had followed that noise before."""
-    monkeypatch.setattr(choice, "plate_ratio_of", lambda world, values: ratio)
+    """Events gain 1600 nats, plate data lose 12: accepted where these are noise, refused where they scatter more."""
     best = explanation("nothing", np.full(STEPS, 100.0))
-    x = explanation("restitution", np.zeros(STEPS), np.full(STEPS, 0.75))
+    x = explanation("restitution", np.zeros(STEPS), np.full(STEPS, 0.75), scatter=scatter)
     assert (judge.choose(best, [x], 0) is x) is accepted
     assert (judge.rejected(best, [x], 0, None) is None) is accepted
 
 
-def test_a_cause_whose_size_may_be_nothing_is_refused(judge: Judge) -> None:
+def test_a_cause_whose_size_may_be_nothing_is_refused(judge: Judge, explanation: Callable[..., Hypothesis]) -> None:
     """Seventy nats of gain and an interval that holds zero: no name, and the interval is the reason."""
     best = explanation("nothing", np.full(STEPS, 4.5))
     x = explanation("table_resonance", np.zeros(STEPS), sized=False)
@@ -87,7 +111,7 @@ def test_a_cause_whose_size_may_be_nothing_is_refused(judge: Judge) -> None:
     assert "hold the values at which it does nothing" in rejected.reason
 
 
-def test_a_small_gain_is_called_small(judge: Judge) -> None:
+def test_a_small_gain_is_called_small(judge: Judge, explanation: Callable[..., Hypothesis]) -> None:
     """Eight nats are refused as too few, half a nat is not worth a word."""
     best = explanation("nothing", np.full(STEPS, 0.5))
     rejected = judge.rejected(best, [explanation("drag", np.zeros(STEPS))], 0, None)

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution.fit import FARTHEST_SIGMAS, Fitter, Prior, priors_of
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import Prior, priors_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener
+from analysis.thresholds import CALIBRATION_SIGMAS
 
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
 TRUTH = {UP: 0.12, DOWN: 0.18}
@@ -43,7 +45,7 @@ def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Ca
     fitter = Fitter(world, {gravity: Prior(0.0, 0.01)}, np.ones(len(world.evidence.steps), dtype=bool))
     whitener = Whitener.of(world, {gravity: 0.3})
     bound, free = fitter.fit(whitener, (), {}), fitter.fit(whitener, (gravity,), {})
-    assert bound.values[gravity] == pytest.approx(FARTHEST_SIGMAS * 0.01, rel=1e-6)
+    assert bound.values[gravity] == pytest.approx(CALIBRATION_SIGMAS * 0.01, rel=1e-6)
     assert free.values[gravity] == pytest.approx(0.3, abs=4 * free.sigma(gravity))
     assert bound.loss > free.loss + 100.0
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from analysis.attribution.candidates import Candidate, candidates_of
-from analysis.attribution.comparison import MOST_OF_A_STEP, LogScoreDifference, penalised_best
+from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import SelectionResult
-from analysis.attribution.selection import StepwiseSelection, selection
+from analysis.attribution.hypothesis import Hypothesis, SelectionResult
+from analysis.attribution.selection import StepwiseSelection, remaining_candidates
 from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.whitening import Whitener
+from analysis.thresholds import MOST_OF_A_STEP_NATS
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
 SOME = ("coulomb_friction", "viscous_damping", "quadratic_drag", "local_gravity", "adhesion", "contact_latency")
@@ -23,21 +24,28 @@ Explain = Callable[..., SelectionResult]
 
 
 @pytest.fixture
-def explain(
-    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
-) -> Explain:
+def explain(fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]) -> Explain:
     """Explanation of a short run by a library of six."""
-
-    def few(world: ForwardModel, hints_hz: object = ()) -> list[Candidate]:
-        return [c for c in candidates_of(world) if set(c.names) <= set(SOME)]
-
-    monkeypatch.setattr(selection, "candidates_of", few)
 
     def explained(truth: dict[ParameterId, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> SelectionResult:
         world = fly_ramp(truth, seed, gammas=gammas)
-        return StepwiseSelection(world, fitter_of(world)).explain()
+        few = [c for c in candidates_of(world) if set(c.names) <= set(SOME)]
+        return StepwiseSelection(world, fitter_of(world), library=few).run()
 
     return explained
+
+
+@pytest.fixture
+def selection_of(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> Callable[..., StepwiseSelection]:
+    """The whole selection on a short run."""
+
+    def made(truth: dict[ParameterId, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> StepwiseSelection:
+        world = fly_ramp(truth, seed, gammas=gammas)
+        return StepwiseSelection(world, fitter_of(world))
+
+    return made
 
 
 def test_a_cause_is_named_with_its_size(explain: Explain) -> None:
@@ -65,72 +73,59 @@ def test_two_causes_are_both_named(explain: Explain) -> None:
     assert set(found.best.names) == {"viscous_damping", "adhesion"}
 
 
-def test_an_idle_companion_is_left_out_again(
-    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
-) -> None:
+def test_an_idle_companion_is_left_out_again(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Drag that was added before friction explained everything goes when it is looked at again."""
-    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 4, gammas=GAMMAS)
-    attributor = StepwiseSelection(world, fitter_of(world))
+    selection = selection_of({UP: 0.05, DOWN: 0.05}, 4)
     drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),), ({("quadratic_drag", "k_per_m"): 0.5},))
     friction = Candidate(("coulomb_friction",), (UP, DOWN), ({UP: 0.05, DOWN: 0.05},))
-    before = _nothing(attributor)
-    both = attributor.add(attributor.add(before, drag) or before, friction)
-    assert both is not None
-    assert both.names == ("quadratic_drag", "coulomb_friction")
-    said: list[str] = []
-    assert attributor._step_back(both, said).names == ("coulomb_friction",)
-    assert said == ["step back: quadratic_drag is no longer needed"]
+    free, start = (*drag.free, *friction.free), {**drag.starts[0], **friction.starts[0]}
+    both = selection.refits.converged((drag, friction), Whitener.of(selection.world, start), free, start)
+    rounds: list[str] = []
+    assert selection.pruning.without_idle(both, rounds).names == ("coulomb_friction",)
+    assert rounds == ["step back: quadratic_drag is no longer needed"]
 
 
-@pytest.mark.slow
-def test_a_special_case_takes_the_place_of_what_it_is_one_of(
-    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
-) -> None:
+def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Stribeck friction chosen first, for what adhesion did: beside adhesion plain friction does as well."""
-    world = fly_ramp({UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}, 6, gammas=tuple(np.linspace(0.35, 1.35, 14)))
-    attributor = StepwiseSelection(world, fitter_of(world))
-    pool = candidates_of(world)
-    stribeck, adhesion = (next(c for c in pool if c.names == (name,)) for name in ("stribeck_friction", "adhesion"))
-    both = attributor.add(attributor.add(_nothing(attributor), stribeck) or _nothing(attributor), adhesion)
-    assert both is not None
-    said: list[str] = []
-    assert attributor._simplified(both, pool, said).names == ("coulomb_friction", "adhesion")
-    assert said == ["step back: a simpler coulomb_friction does as well"]
+    truth = {UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}
+    selection = selection_of(truth, 6, tuple(np.linspace(0.35, 1.35, 14)))
+    both = added(selection, *(named(selection, name) for name in ("stribeck_friction", "adhesion")))
+    rounds: list[str] = []
+    assert selection.pruning.simplified(both, selection.library, rounds).names == ("coulomb_friction", "adhesion")
+    assert rounds == ["step back: a simpler coulomb_friction does as well"]
 
 
-def test_a_richer_form_gives_way_to_its_special_case(
-    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
-) -> None:
+def test_a_richer_form_gives_way_to_its_special_case(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Stribeck friction is chosen although plain friction is all there is: the name is that of plain friction."""
-    world = fly_ramp({UP: 0.15, DOWN: 0.15}, 6, gammas=GAMMAS)
-    attributor = StepwiseSelection(world, fitter_of(world))
-    pool = candidates_of(world)
-    stribeck = attributor.add(_nothing(attributor), next(c for c in pool if c.names == ("stribeck_friction",)))
-    assert stribeck is not None
-    said: list[str] = []
-    assert attributor._simplified(stribeck, pool, said).names == ("coulomb_friction",)
-    assert said == ["step back: a simpler coulomb_friction does as well"]
+    selection = selection_of({UP: 0.15, DOWN: 0.15}, 6)
+    stribeck = added(selection, named(selection, "stribeck_friction"))
+    rounds: list[str] = []
+    assert selection.pruning.simplified(stribeck, selection.library, rounds).names == ("coulomb_friction",)
+    assert rounds == ["step back: a simpler coulomb_friction does as well"]
 
 
-def test_a_fuller_form_of_what_is_named_stays_on_offer(
-    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
-) -> None:
+def test_a_fuller_form_of_what_is_named_stays_on_offer(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Restitution without its slope is named: the slope may follow, what else is named may not again."""
-    world = fly_ramp({}, 2, gammas=GAMMAS)
-    attributor = StepwiseSelection(world, fitter_of(world))
-    pool = candidates_of(world)
-    bare = min((c for c in pool if c.names == ("restitution",)), key=lambda c: len(c.free))
-    drag = next(c for c in pool if c.names == ("quadratic_drag",))
-    named: Any = SimpleNamespace(names=("quadratic_drag", "restitution"), free=(*drag.free, *bare.free))
-    offered = attributor._remaining_candidates(pool, named)
+    selection = selection_of({}, 2)
+    bare = min((c for c in selection.library if c.names == ("restitution",)), key=lambda c: len(c.free))
+    drag = named(selection, "quadratic_drag")
+    best = replace(selection.declared(), candidates=(drag, bare))
+    offered = remaining_candidates(selection.library, best)
     assert any(c.names == ("restitution",) and set(bare.free) < set(c.free) for c in offered)
     assert bare not in offered and drag not in offered
 
 
-def _nothing(attributor: StepwiseSelection) -> selection.Hypothesis:
-    whitener = selection.Whitener.of(attributor.world, {})
-    fitted = attributor.fitter.fit(whitener, (), {})
-    return selection.Hypothesis((), fitted, whitener, fitted.held_out(whitener))
+def named(selection: StepwiseSelection, name: str) -> Candidate:
+    """The first candidate of a name."""
+    return next(c for c in selection.library if c.names == (name,))
+
+
+def added(selection: StepwiseSelection, *candidates: Candidate) -> Hypothesis:
+    """The declared model with candidates added one after the other, where they change anything."""
+    best = selection.declared()
+    for candidate in candidates:
+        best = selection.proposals.add(best, candidate) or best
+    return best
 
 
 def test_a_few_steps_that_gain_much_do_not_hide_the_many_that_gain_little() -> None:
@@ -141,8 +136,8 @@ def test_a_few_steps_that_gain_much_do_not_hide_the_many_that_gain_little() -> N
     gain = LogScoreDifference.of(worse, better, train)
     assert gain.gain == pytest.approx(975.0)
     assert gain.gain < 2.0 * gain.error
-    assert gain.even == pytest.approx(75.0 + MOST_OF_A_STEP)
-    assert gain.beyond(12.0, 2.0)
+    assert gain.clipped == pytest.approx(75.0 + MOST_OF_A_STEP_NATS)
+    assert gain.exceeds(12.0, 2.0)
 
 
 def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
@@ -150,7 +145,7 @@ def test_what_gains_in_one_step_and_loses_in_the_next_is_no_gain() -> None:
     rng = np.random.default_rng(0)
     d = 10.0 * rng.standard_normal(16)
     d += (15.0 - d.sum()) / 16
-    assert not LogScoreDifference.of(d, np.zeros(16), np.ones(16, dtype=bool)).beyond(12.0, 2.0)
+    assert not LogScoreDifference.of(d, np.zeros(16), np.ones(16, dtype=bool)).exceeds(12.0, 2.0)
 
 
 def test_a_lead_in_some_steps_outweighs_a_parameter() -> None:

@@ -16,7 +16,7 @@ from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel, ParameterId
-from analysis.residuals.prediction_errors import held_out_errors, judged_rows, noise_floor_us
+from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 
@@ -60,7 +60,7 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     """Covariate, direction, size, words; held-out landings at the floor; more than any constant pull."""
     world = fly_ramp(latch(), 1)
     fitter = fitter_of(world)
-    found = discover(world, fitter, unexplained(world, fitter), fitter.train)
+    found = discover(world, fitter, unexplained(world, fitter))
     assert found is not None
     assert (found.term, found.of) == ("force", "height")
     assert found.in_words.startswith("a downward pull rises from")
@@ -68,11 +68,11 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     middle = float(np.interp(4e-3, found.knots, found.values))
     assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
     assert found.over_constant.gain > 12.0
-    rows, out = judged_rows(found.world, found.explanation.fitted.values, ~fitter.train)
+    rows, out = scored_rows(found.world, found.explanation.fitted.values, ~fitter.train)
     after = held_out_errors(found.world, found.explanation.fitted.values, rows, out)
-    floor = noise_floor_us(found.world, found.explanation.fitted.values, rows)
+    floor = noise_floors_us(found.world, found.explanation.fitted.values, rows)[0]
     assert after.landing_rms_us < 1.3 * floor
-    before = held_out_errors(world, {}, *judged_rows(world, {}, ~fitter.train))
+    before = held_out_errors(world, {}, *scored_rows(world, {}, ~fitter.train))
     assert before.landing_rms_us > 5.0 * floor
 
 
@@ -83,7 +83,7 @@ def test_nothing_is_discovered_in_noise(
     """A clean run has no missing term, however many covariates are asked."""
     world = fly_ramp({}, 2)
     fitter = fitter_of(world)
-    assert discover(world, fitter, unexplained(world, fitter), fitter.train) is None
+    assert discover(world, fitter, unexplained(world, fitter)) is None
 
 
 def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
@@ -94,10 +94,10 @@ def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
     world = fly_ramp({("adhesion", "a_mps2"): a, ("adhesion", "dwell_s"): tau}, 3)
     search = search_of(world, fitter_of(world))
     x = search.tables["dwell_s"]
-    knots = knots_of(x[world.evidence.judged])
+    knots = knots_of(x[world.evidence.scored])
     start = Curve(event_term("threshold", "dwell_s"), knots, np.full(len(knots), 1.5), basis_of(x, knots))
     found = search.polished(start)
-    at = np.quantile(x[np.isfinite(x) & world.opens], [0.15, 0.5, 0.85])
+    at = np.quantile(x[np.isfinite(x) & world.from_rest], [0.15, 0.5, 0.85])
     true = a * (1.0 - np.exp(-at / tau))
     half = np.interp(at, found.curve.points, found.band)
     assert (np.abs(found.curve.at(at) - true) < np.maximum(2.0 * half, 0.1 * true)).all()
@@ -110,12 +110,12 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
     world = fly_ramp({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
     search = search_of(world, fitter_of(world))
     term = next(t for t in IN_FLIGHT if t.name == "restitution")
-    span = ranges_of(search.tables, world.evidence.judged)[term.of]
+    span = ranges_of(search.tables, world.evidence.scored)[term.of]
     stack = StackedResiduals.of(world, search.values, search.train)
     start = best_start(world, search.values, stack, Curve.even(term, span), search.dwell)
     look = try_in_flight(world, search.values, stack, start, search.dwell, FIRST_TAILS)
     found = search.polished(look.curve)
-    speeds = np.quantile(search.tables["impact_mps"][world.evidence.judged], [0.3, 0.4, 0.5])
+    speeds = np.quantile(search.tables["impact_mps"][world.evidence.scored], [0.3, 0.4, 0.5])
     assert found.curve.at(speeds) == pytest.approx(0.12 - 0.3 * speeds, abs=0.012)
 
 
@@ -129,7 +129,7 @@ def test_the_band_of_a_smooth_force_holds_the_truth(
         world = fly_ramp({("position_force", "spring_per_s2"): spring}, seed)
         search = search_of(world, fitter_of(world))
         term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
-        found = search.polished(Curve.even(term, ranges_of(search.tables, world.evidence.judged)[term.of]))
+        found = search.polished(Curve.even(term, ranges_of(search.tables, world.evidence.scored)[term.of]))
         x, half = found.curve.points, found.band
         inside.append(np.abs(found.curve.at(x) + spring * x) <= half)
         assert np.median(half) < 0.1 * spring * x[-1]  # and it says something

@@ -13,7 +13,7 @@ import pytest
 from analysis.attribution.hypothesis import Rejected, SelectionResult
 from analysis.loop import close_loop
 from analysis.loop.close_loop import verdict_of
-from analysis.residuals.forward_model import DRIFT
+from analysis.residuals.forward_model import TREND
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors
 from analysis.thresholds import FROZEN
@@ -80,7 +80,7 @@ def test_a_run_without_rests_is_judged_by_its_landings() -> None:
 def test_a_drift_is_named_by_what_it_is(middle: float, key: str, size: float) -> None:
     """A trend is a fraction of the parameter's middle value, or a change in its own unit where the middle is zero."""
     rate = ("viscous_damping", "rate_per_s")
-    trend = (rate[0], rate[1] + DRIFT)
+    trend = (rate[0], rate[1] + TREND)
     fitted = SimpleNamespace(values={rate: middle, trend: 0.2}, sigma=lambda key: 0.01)
     best: Any = SimpleNamespace(names=("viscous_damping",), free=(rate, trend), fitted=fitted)
     drift = close_loop._found(best)[1]

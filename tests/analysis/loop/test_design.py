@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.attribution.fit import Fitter, priors_of
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import priors_of
 from analysis.loop.design import Design, designs_for, rehearse
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
@@ -66,7 +67,7 @@ def rehearsed() -> ForwardModel:
 def test_the_rehearsal_holds_what_it_was_made_of(rehearsed: ForwardModel) -> None:
     """Under the effects of which it was made, a rehearsed run leaves nothing; without them, milliseconds."""
     true, ideal = rehearsed.residuals(FRICTION), rehearsed.residuals({})
-    rows = rehearsed.evidence.judged
+    rows = rehearsed.evidence.scored
     assert rows.sum() > 40
     assert np.nanmax(np.abs(true.landing_s[rows])) < 1e-7
     assert np.nanmedian(np.abs(ideal.landing_s[rows])) > 1e-4

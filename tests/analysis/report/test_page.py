@@ -22,7 +22,6 @@ from analysis.loop.verdict import Failed
 from analysis.report.narrative import reasoning
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS, interval, verdict_line
-from analysis.residuals.whitening import Whitener
 from bench.cli import app
 
 KEYS = (
@@ -47,8 +46,8 @@ FRICTION = Candidate(
 
 def one_candidate(self: StepwiseSelection) -> SelectionResult:
     """An attribution that tries friction alone: what the search costs does not matter here."""
-    before = self._judged((), self._settled(self.fitter.fit(Whitener.of(self.world, {}), (), {})))
-    best = self.add(before, FRICTION)
+    before = self.declared()
+    best = self.proposals.add(before, FRICTION)
     assert best is not None
     gain = LogScoreDifference.of(before.per_step, best.per_step, self.train)
     return SelectionResult(
@@ -65,7 +64,7 @@ def closed(make: Callable[..., Any]) -> tuple[ClosedLoop, Path]:
         effects={"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}},
     ).path
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StepwiseSelection, "explain", one_candidate)
+        patch.setattr(StepwiseSelection, "run", one_candidate)
         return analysis.loop.close_loop.close_loop([path]), path
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.prediction_errors import fragile, held_out_errors, judged_rows, noise_floors_us
+from analysis.residuals.prediction_errors import held_out_errors, near_grazing, noise_floors_us, scored_rows
 from model.effects.registry import row
 from model.integrator.one_step import Detection, Measured, PlateSteps, one_ahead, simulate
 from model.integrator.takeoff import RESOLVED_S
@@ -32,10 +32,10 @@ def tones_of(plate: PlateSteps) -> Plate:
     return Plate(plate.omega_radps[0], plate.acceleration_mps2[0])
 
 
-def table(landing_s: np.ndarray, opening_s: np.ndarray, at_once: np.ndarray, wanted: np.ndarray) -> Measured:
+def table(landing_s: np.ndarray, opening_s: np.ndarray, relaunched: np.ndarray, wanted: np.ndarray) -> Measured:
     """Flights of one step, each linked to the one before."""
     linked = np.arange(len(landing_s)) > 0
-    return Measured(opening_s, landing_s, at_once & linked, linked, np.zeros(len(landing_s), np.int64), wanted)
+    return Measured(opening_s, landing_s, relaunched & linked, linked, np.zeros(len(landing_s), np.int64), wanted)
 
 
 def test_the_first_prediction_of_a_step_knows_the_impact_before() -> None:
@@ -98,11 +98,11 @@ def test_an_impact_that_must_have_been_heard_ends_the_flight() -> None:
 
 
 def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Elastic runs of nothing but noise: what is missed by far was fragile, the rest is missed as the floor says."""
+    """Elastic runs of nothing but noise: what is missed by far was near grazing, the rest by the floor."""
     ratios, far, left = [], 0, []
     for seed in range(3):
         world = fly_ramp(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
-        rows, out = judged_rows(world, REBOUNDS, np.ones(len(world.evidence.steps), dtype=bool))
+        rows, out = scored_rows(world, REBOUNDS, np.ones(len(world.evidence.steps), dtype=bool))
         ratios.append(
             held_out_errors(world, REBOUNDS, rows, out).landing_rms_us / noise_floors_us(world, REBOUNDS, rows)[0]
         )
@@ -116,13 +116,13 @@ def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., ForwardModel]) -
 
 
 def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """The last flight of each step, moved by a tenth of a millisecond, is as fragile as before."""
+    """The last flight of each step, moved by a tenth of a millisecond, is as near_grazing as before."""
     world = fly_ramp(REBOUNDS, 0)
     ev = world.evidence
     last = np.append(ev.measured.step[1:] != ev.measured.step[:-1], True)
     landing = ev.measured.landing_s + 1e-4 * last
     moved = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=landing)), {})
-    assert np.array_equal(fragile(world, REBOUNDS)[last], fragile(moved, REBOUNDS)[last])
+    assert np.array_equal(near_grazing(world, REBOUNDS)[last], near_grazing(moved, REBOUNDS)[last])
 
 
 def test_an_impact_passed_over_keeps_the_circuit_closed() -> None:

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import SHARED_S
 from analysis.residuals.whitening import Whitener, step_losses
+from analysis.thresholds import SHARED_S
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 SEEDS = range(4)

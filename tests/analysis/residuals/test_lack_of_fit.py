@@ -4,33 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.covariates import COVARIATES, covariates
-from analysis.residuals.forward_model import ForwardModel, Values
-from analysis.residuals.lack_of_fit import innovations, remainder
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.lack_of_fit import goodness_of_fit, innovations
+from analysis.thresholds import FROZEN
 
 MU = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 
 
-def left_by(world: ForwardModel, values: Values) -> Hypothesis:
-    """As much of an explanation as the tests of the remainder look at."""
-    return cast(Hypothesis, SimpleNamespace(fitted=SimpleNamespace(values=values)))
-
-
-@pytest.mark.slow
 def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Eight runs of noise: none improbable, each test's p spread out, the covariates' like uniform ones."""
     every, scatter, serial = [], [], []
     for seed in range(8):
         world = fly_ramp(MU, seed)
-        left = remainder(world, left_by(world, MU))
+        left = goodness_of_fit(world, MU)
         assert left.p_lack_of_fit > 1e-3
         assert left.covariate is None
         assert left.ratio < 1.15
@@ -60,7 +52,7 @@ def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel
     part = (time - time.mean()) / np.ptp(time)
     late = ev.measured.landing_s + 2.5 * total * part
     slanted = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=late)), {})
-    left = remainder(slanted, left_by(slanted, MU))
+    left = goodness_of_fit(slanted, MU)
     assert left.p_lack_of_fit < 1e-6
     assert left.covariate in ("time_in_run_s", "step_number")
 
@@ -68,7 +60,7 @@ def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel
 def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Friction 0.1 left out: improbable beyond doubt, and many times the floor."""
     world = fly_ramp(MU, 4)
-    left = remainder(world, left_by(world, {}))
+    left = goodness_of_fit(world, {})
     assert left.p_lack_of_fit < 1e-12
     assert left.ratio > 3.0
     assert left.covariate in COVARIATES
@@ -78,10 +70,17 @@ def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Two landings of hundreds that are milliseconds off raise no alarm by themselves."""
     world = fly_ramp(MU, 5)
     ev = world.evidence
-    rows = np.flatnonzero(ev.judged)[[50, 200]]
+    rows = np.flatnonzero(ev.scored)[[50, 200]]
     landing = np.array(ev.measured.landing_s)
     landing[rows] += 3e-3
     # the flights that start from them are not judged: their start is wrong, not their law
-    judged = ev.judged & ~np.isin(np.arange(len(ev)), np.concatenate([rows + 1, rows + 2]))
-    hit = ForwardModel(replace(ev, judged=judged, measured=replace(ev.measured, landing_s=landing, wanted=judged)), {})
-    assert remainder(hit, left_by(hit, MU)).p_lack_of_fit > 1e-4
+    judged = ev.scored & ~np.isin(np.arange(len(ev)), np.concatenate([rows + 1, rows + 2]))
+    hit = ForwardModel(replace(ev, scored=judged, measured=replace(ev.measured, landing_s=landing, wanted=judged)), {})
+    assert goodness_of_fit(hit, MU).p_lack_of_fit > 1e-4
+
+
+def test_the_threshold_of_a_named_covariate_is_the_callers(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A covariate that carries what is left is named at the usual threshold, and not where nothing is improbable."""
+    world = fly_ramp(MU, 4, gammas=(0.5, 0.9, 0.7, 1.2))
+    assert goodness_of_fit(world, {}).covariate is not None
+    assert goodness_of_fit(world, {}, replace(FROZEN, lack_p=0.0)).covariate is None

@@ -13,7 +13,7 @@ from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations, observations_from
-from analysis.residuals.plate_observables import MODULATION
+from analysis.residuals.plate_observables import HUM, MODULATION, PlateData
 from analysis.thresholds import FROZEN
 from model.effects.registry import row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead
@@ -112,13 +112,16 @@ def test_the_modulated_tones_are_the_plate_that_swells() -> None:
 def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
     """The deviation said of each window is the one fitted there, the line beside the second tone and masks included."""
     swells, plate = swells_of((PHASE,), masked=masked)
-    pitch = swells._pitch(HZ)
-    phase, depth = np.full(6, PHASE), np.full(6, DEPTH)
-    true = swells._true(swells._seen(plate), pitch, depth, phase)
+    m, n = len(swells.tones), len(swells.value)
+    kind, step = np.repeat([MODULATION, HUM], [n, m]), np.concatenate([swells.window_step, np.arange(m)])
+    none, omega = np.zeros(n + m), np.repeat([0.0, 2.0 * np.pi * LINE_HZ], [n, m])
+    data = PlateData(kind, step, none, none, omega, none, none, step, step, none.astype(np.complex128))
+    expected, _ = swells.expected(data, plate, np.full(m, DEPTH), HZ)
     assert np.max(np.abs(swells.value)) > 0.8 * DEPTH
-    assert swells._in_windows(swells.seen_mps2, true, pitch, depth, phase) == pytest.approx(swells.value, abs=3e-4)
-    assert np.abs(true[:, -1]) == pytest.approx(np.zeros(6), abs=5e-3)  # the line is the swell's
-    assert np.max(np.abs(swells.seen_mps2[:, -1])) > 0.1
+    assert expected[:n] == pytest.approx(swells.value, abs=3e-4)
+    found = np.abs(swells.seen_mps2[:, -1])
+    assert np.max(found) > 0.1
+    assert np.sqrt(expected[n:]) == pytest.approx(found, abs=5e-3)  # the line is the modulation's
 
 
 def test_each_recording_has_its_own_phase() -> None:
@@ -182,7 +185,7 @@ def recorded(make, effects: dict[str, dict[str, float]]) -> Observations:  # typ
 def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> None:  # type: ignore[no-untyped-def]
     """Slower and faster than a step: what the plate shows of it brings plate data and landings to their noise."""
     evidence = recorded(make, {"amplitude_modulation": {"depth": 0.03, "frequency_hz": hz}})
-    hints = evidence.swells.hints() if evidence.swells is not None else ()
+    hints = evidence.modulation.hints() if evidence.modulation is not None else ()
     world, rows = ForwardModel(evidence, {}), evidence.plate.kind == MODULATION
     found = min(hints, key=lambda hint: abs(hint[0] - hz))
     assert found[0] == pytest.approx(hz, abs=0.02)
@@ -190,7 +193,7 @@ def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> Non
     values = dict(zip(DEEP, (found[1], hz), strict=True))
     before, after, sigma = world.residuals({}), world.residuals(values), world.uncertainty(values).landing_total_s
     assert np.sqrt(np.mean((after.plate[rows] / evidence.plate.sigma[rows]) ** 2)) < 1.25
-    judged = evidence.judged & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
+    judged = evidence.scored & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
     miss = [np.median(np.abs(r.landing_s[judged] / sigma[judged])) for r in (before, after)]
     assert miss[0] > 3.0 * miss[1]
     assert miss[1] < 1.2
@@ -203,9 +206,9 @@ def test_a_steady_plate_swells_by_no_more_than_its_noise(make) -> None:  # type:
     z = evidence.plate.value[rows] / evidence.plate.sigma[rows]
     assert rows.sum() > 60
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
-    assert evidence.swells is not None
+    assert evidence.modulation is not None
     world = ForwardModel(evidence, {})
-    for hz, depth in evidence.swells.hints():
+    for hz, depth in evidence.modulation.hints():
         squares = [
             np.sum((world.residuals(values).plate / evidence.plate.sigma) ** 2)
             for values in ({}, dict(zip(DEEP, (depth, hz), strict=True)))

@@ -5,15 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.noise_model import (
-    LEAST_EXCESS_S,
-    NEVER,
-    excess_noise,
-    log_odds,
-    plate_scale,
-    robust_loss,
-    robust_weight,
-)
+from analysis.residuals.noise_model import NEVER, excess_noise, log_odds, plate_scale, robust_loss, robust_weight
+from analysis.thresholds import LEAST_EXCESS_S
 
 
 @pytest.mark.parametrize("odds", [NEVER, -6.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.observations import _clustered, join
+from analysis.residuals.observations import clustered, join
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 QUIET = (0.22, 0.23, 0.24, 0.25)
@@ -29,5 +29,5 @@ def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardM
 
 def test_a_line_counts_where_several_steps_show_it() -> None:
     """Three steps at 7 Hz make a hint, a lone line at 13 Hz does not."""
-    assert _clustered(np.array([7.0, 13.0, 7.1, 6.9]), 3) == pytest.approx((7.0,))
-    assert _clustered(np.zeros(0), 3) == ()
+    assert clustered(np.array([7.0, 13.0, 7.1, 6.9]), 3) == pytest.approx((7.0,))
+    assert clustered(np.zeros(0), 3) == ()

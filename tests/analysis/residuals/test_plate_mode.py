@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
-from analysis.residuals.plate_mode import Ringing, _driven
+from analysis.residuals.plate_mode import Ringing, driven
 from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from model.integrator.one_step import PlateSteps, Predicted
 
@@ -142,5 +142,5 @@ def test_a_tone_that_is_not_there_is_not_loaded() -> None:
 def test_a_mode_that_leaves_nothing_of_a_tone_is_wrong_by_a_finite_amount() -> None:
     """A search passes points at which the mode would be the whole measured tone: a large number there, not none."""
     z = np.array([3.0 + 1.0j, 2.0 + 0.0j])
-    left = _driven(z, np.array([3.0 + 1.0j, 1.0 + 0.0j]))
+    left = driven(z, np.array([3.0 + 1.0j, 1.0 + 0.0j]))
     assert np.all(np.isfinite(np.log(np.abs(z / left)))) and left[1] == 1.0

@@ -64,7 +64,7 @@ def test_two_tones_bend_with_the_phase_between_them(share: complex) -> None:
 def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
     """A first-order roll-off, a shaker above its resonance, and nothing where nothing is set."""
     transfer = effect("phase_lag").hooks["transfer"]
-    absent = effect("phase_lag").effect.absent
+    absent = effect("phase_lag").effect.null_values
     omega, accel_g = np.array([0.0, 159.4, 318.8]), np.ones(3)
     assert transfer(absent, omega, accel_g) == pytest.approx(np.ones(3))
     low = transfer({**absent, "low_pass_s": 1e-3, "sharpness": 0.0}, omega, accel_g)

@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.noise_model import LEAST_EXCESS_S, excess_noise
-from analysis.residuals.whitening import _Blocks
+from analysis.residuals.noise_model import excess_noise
+from analysis.residuals.whitening import StepBlocks
+from analysis.thresholds import LEAST_EXCESS_S
 
 STEPS, EACH, EDGE_S, TONE_S, PERIOD_S = 20, 30, 3e-7, 3e-6, 0.04
 
 
-def blocks(scatter_s: float, seed: int) -> _Blocks:
+def blocks(scatter_s: float, seed: int) -> StepBlocks:
     """Landings of twenty steps, each with an error of its own, one of its step, and a scatter nobody stated."""
     rng, n = np.random.default_rng(seed), STEPS * EACH
     together = np.repeat(0.5 * TONE_S * rng.standard_normal(STEPS), EACH)
     bare = together + np.hypot(EDGE_S, scatter_s) * rng.standard_normal(n)
     bounds = np.arange(0, n + 1, EACH)
     ones = np.ones(n)
-    return _Blocks(bare, EDGE_S * ones, TONE_S * ones[:, None], ones < 0.0, PERIOD_S * ones, bounds)
+    return StepBlocks(bare, EDGE_S * ones, TONE_S * ones[:, None], ones < 0.0, PERIOD_S * ones, bounds)
 
 
 @pytest.mark.parametrize("seed", range(3))

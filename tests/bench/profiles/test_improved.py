@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from analysis.residuals.forward_model import DRIFT
+from analysis.residuals.forward_model import TREND
 from bench.profiles.find import load
 from bench.profiles.improved import write_improved
 
@@ -39,7 +39,7 @@ def test_what_was_found_is_declared_with_its_pedigree(tmp_path: Path) -> None:
 def test_what_cannot_be_declared_is_said(tmp_path: Path) -> None:
     """A trend of one run and a nameless term stand in comments, and the profile still parses."""
     path = tmp_path / "better.toml"
-    trend = (UP[0], UP[1] + DRIFT)
+    trend = (UP[0], UP[1] + TREND)
     loop = found({UP: 0.1, trend: 0.03}, "a pull that grows above 4 mm")
     _, *left = write_improved(loop, Path("run.h5"), path, SIMULATED)
     assert len(left) == 2 and "0.03" in left[0] and "above 4 mm" in left[1]

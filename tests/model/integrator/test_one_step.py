@@ -8,8 +8,8 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from model.effects.harmonic_distortion import harmonics, powers
-from model.effects.registry import row
+from model.effects.harmonic_distortion import harmonics
+from model.effects.registry import effect, row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead
 
 G_MPS2 = 9.80665
@@ -160,7 +160,7 @@ def test_an_inelastic_ball_leaves_from_rest_whatever_the_contact_looked_like():
     off, land, _ = marched(bare, ratio, om, ze, 1.2, 2e-6, OMEGA_RADPS * np.array([1.0]))
     mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
     seen = events(off, land)
-    brief = replace(seen, at_once=np.ones(len(off), dtype=bool))
+    brief = replace(seen, relaunched=np.ones(len(off), dtype=bool))
     found, hasty = (one_ahead(m, steps_of(complex(bare[0])), mode) for m in (seen, brief))
     assert hasty.impact_mps[2:] == pytest.approx(found.impact_mps[2:], rel=1e-6)
     assert hasty.mode_amplitudes[0, 0] == pytest.approx(found.mode_amplitudes[0, 0], rel=1e-6)
@@ -201,20 +201,24 @@ def test_a_ball_that_never_leaves_moves_with_its_plate():
     stiff = om * om - (1.0 + ratio) * OMEGA_RADPS**2 + 2j * ze * om * OMEGA_RADPS
     loaded = bare * (1.0 + ratio * OMEGA_RADPS**2 / stiff)  # y'' of (1 + r) y'' + 2 z om y' + om^2 y = -r a
     one = events(np.array([0.1]), np.array([0.2]))
-    nowhere = Measured(one.opening_s, one.landing_s, one.at_once, one.linked, one.step + 1, one.wanted)
+    nowhere = Measured(one.opening_s, one.landing_s, one.relaunched, one.linked, one.step + 1, one.wanted)
     two = PlateSteps(np.full((2, 1), OMEGA_RADPS), np.array([[loaded], [G_MPS2]]), np.full(2, PERIOD_S))
     mode = row({"table_resonance": {"mass_ratio": ratio, "frequency_hz": om / 2 / math.pi, "damping": ze}}, G_MPS2)
     assert one_ahead(nowhere, two, mode).mode_amplitudes[0, 0] == pytest.approx(loaded - bare, rel=1e-9)
 
 
+NO_HARMONICS = effect("harmonic_distortion").effect.null_values
+
+
 def test_harmonics_of_a_bent_amplifier_are_those_of_trigonometry():
     """sin^2, sin^3 and the products of two tones give the multiples of the addition theorems."""
-    assert powers(1, 1.0, 2)[0] == pytest.approx(-0.5j)  # sin^2 x = (1 - cos 2x) / 2
-    assert powers(1, 1.0, 1)[1] == pytest.approx(0.75)  # sin^3 x = (3 sin x - sin 3x) / 4
-    assert powers(1, 1.0, 3)[1] == pytest.approx(-0.25)
-    assert powers(2, 1.0, 1)[0] == pytest.approx(1j)  # 2 sin x sin 2x = cos x - cos 3x
-    assert powers(2, 1.0, 3)[0] == pytest.approx(-1j)
-    p = {"second": 0.02, "third": 0.01, "phase_rad": 0.5 * math.pi, "quadratic_per_g": 0.0, "cubic_per_g2": 0.0}
-    k = np.array([1, 2, 3])
+    square, cube = ({**NO_HARMONICS, key: 1.0} for key in ("quadratic_per_g", "cubic_per_g2"))
+    k, one = np.array([1, 2, 3]), np.ones(3)
+    assert harmonics(square, k, np.full(3, 1), one, one)[1] == pytest.approx(-0.5j)  # sin^2 x = (1 - cos 2x) / 2
+    found = harmonics(cube, k, np.full(3, 1), one, one)  # sin^3 x = (3 sin x - sin 3x) / 4
+    assert found[[0, 2]] == pytest.approx([0.75, -0.25])
+    found = harmonics(square, k, np.full(3, 2), one, one)  # 2 sin x sin 2x = cos x - cos 3x
+    assert found[[0, 2]] == pytest.approx([1j, -1j])
+    p = {**NO_HARMONICS, "second": 0.02, "third": 0.01, "phase_rad": 0.5 * math.pi}
     found = harmonics(p, k, np.full(3, 2), np.ones(3), np.ones(3))
     assert found == pytest.approx([0.0, 0.02j, 0.01])

@@ -1,0 +1,72 @@
+"""Priors of calibrations, nuisances and declared effects, and the parameters behind their keys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from analysis.residuals.forward_model import TREND, ParameterId
+from daq.setup.setup import Setup
+from model.effects.registry import Parameter, effect, registry
+
+UNDECLARED_RELATIVE, UNDECLARED_S = 10.0, 1.0  # prior widths of gain and delay of a drive whose scale is not declared
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Mean and standard deviation of a parameter before the run, in the parameter's own unit."""
+
+    mean: float
+    sigma: float
+
+
+def priors_of(setup: Setup) -> dict[ParameterId, Prior]:
+    """Priors of calibrations, nuisances and declared effects, from the profile and from the effects' own files."""
+    stated = dict(_stated(setup))
+    out = {
+        (r.effect.name, q.name): stated.get(q.stated_by, Prior(q.null_value, q.calibration))
+        for r in registry()
+        for q in r.effect.parameters
+        if (q.calibration > 0.0 or q.stated_by in stated) and r.effect.library
+    }
+    for name, table in setup.declared.items():
+        for key, quantity in table.items():
+            if quantity.uncertainty > 0:
+                out[name, key] = Prior(quantity.value, quantity.uncertainty)
+            else:
+                out.pop((name, key), None)
+    return out
+
+
+def _stated(setup: Setup) -> Iterator[tuple[str, Prior]]:
+    """Uncertainties that the profile states, by `Parameter.stated_by`."""
+    drive, sensitivity = setup.drive, setup.channels.accelerometer.sensitivity
+    if drive.g_per_volt is None:
+        yield "drive.g_per_volt", Prior(0.0, UNDECLARED_RELATIVE)
+        yield "drive.phase_deg", Prior(0.0, UNDECLARED_S)
+    else:
+        if drive.g_per_volt.uncertainty > 0:
+            yield "drive.g_per_volt", Prior(0.0, drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value))
+        if drive.phase_deg.uncertainty > 0:
+            seconds = math.radians(drive.phase_deg.uncertainty) / (2 * math.pi * setup.forcing.frequency_hz)
+            yield "drive.phase_deg", Prior(0.0, seconds)
+    if sensitivity.uncertainty > 0:
+        yield "accelerometer.sensitivity", Prior(0.0, sensitivity.uncertainty / abs(sensitivity.value))
+    if setup.g_mps2.uncertainty > 0:
+        yield "g_mps2", Prior(0.0, setup.g_mps2.uncertainty)
+
+
+def parameter_of(key: ParameterId) -> Parameter:
+    """The parameter behind a key; a trend has the size of its parameter and no bound but that."""
+    name, q = key
+    parameter = effect(name).effect.parameter(q.removesuffix(TREND))
+    if not q.endswith(TREND):
+        return parameter
+    span = parameter.high - parameter.low
+    return Parameter(q, parameter.unit, -span, span, parameter.scale, meaning="change over the run")
+
+
+def null_value_of(key: ParameterId) -> float:
+    """The value at which a parameter does nothing."""
+    return parameter_of(key).null_value

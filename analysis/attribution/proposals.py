@@ -1,0 +1,170 @@
+"""Proposals of a round of the selection: every candidate fitted on top of the best hypothesis so far.
+
+Candidates that cannot gain are dropped before their fit. Where landings are lost, the most promising ones are also
+looked for over the whole range of what switches the ball's behaviour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from analysis.attribution.candidates import Candidate, Point, distinct_starts
+from analysis.attribution.coarse_search import CoarseSearch, joint_points, subsample
+from analysis.attribution.fit import Fitted
+from analysis.attribution.hypothesis import Hypothesis, Refits
+from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.parallel import THREADS
+from analysis.residuals.forward_model import ParameterId, plate_effects
+from analysis.residuals.whitening import Whitener
+from analysis.thresholds import Thresholds
+from model.effects.registry import trend_name
+
+Tried = Callable[[Candidate], None]
+
+MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
+PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
+MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
+NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
+
+
+class Proposals:
+    """Fits of candidates on top of the best hypothesis so far.
+
+    Parameters
+    ----------
+    refits
+        How hypotheses are fitted.
+    limits
+        Thresholds of the verdict.
+    """
+
+    def __init__(self, refits: Refits, limits: Thresholds) -> None:
+        self.refits, self.fitter, self.least_nats = refits, refits.fitter, limits.negligible_nats
+
+    def round(
+        self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
+    ) -> list[Hypothesis]:
+        """Fit each option on top of `best` in parallel (the kernel releases the GIL); drop those that cannot gain.
+
+        Parameters
+        ----------
+        best
+            The hypothesis that is added to.
+        options
+            Candidates.
+        progress
+            Called with a candidate's name and the fraction of the round that is done.
+        """
+        flying = [c for c in options if not set(c.names) <= {trend_name(), *plate_effects()}]
+        far = flying if best.whitener.lost else []
+        done, total = 0, max(len(options) + 2 * len(far), 1)
+
+        def tried(candidate: Candidate) -> None:
+            nonlocal done
+            done += 1
+            progress(" + ".join(candidate.names), done / total)
+
+        def one(candidate: Candidate) -> Hypothesis | None:
+            found = self.add(best, candidate)
+            tried(candidate)
+            return found
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            found = [x for x in pool.map(one, options) if x is not None]
+            return found + (self._from_afar(best, far, pool, tried) if far else [])
+
+    def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+        """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here."""
+        taken = set(best.free)
+        free = tuple(k for k in candidate.free if k not in taken)
+        if not free:
+            return None
+        listed = self._starts(best, candidate, free)
+        promised, led = self._linear_gain(best, candidate, free)
+        starts = sorted([*listed, *led], key=lambda pair: pair[0])
+        level = self.refits.profile_loss(best.whitener, best.fitted.values)
+        added = (*best.candidates, Candidate(candidate.names, free))
+        plate_only = set(candidate.names) <= plate_effects()  # cheap: no flight has to be predicted anew
+        if level - starts[0][0] >= self.least_nats:
+            two = (listed[0], starts[0]) if plate_only and led else distinct_starts(starts, free, with_size=plate_only)
+            fits = [self._fitted_from(best, (*best.free, *free), p) for _, p in two]
+            return self.refits.scored(added, min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values)))
+        if not plate_only and promised < self.least_nats:
+            return None
+        fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
+        gained = max(best.fitted.loss - fitted.loss, level - self.refits.profile_loss(best.whitener, fitted.values))
+        if gained < self.least_nats:
+            return Hypothesis(added, fitted, best.whitener, fitted.held_out(best.whitener))
+        return self.refits.scored(added, self.refits.reweighted(fitted))
+
+    def _starts(self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]) -> list[tuple[float, Point]]:
+        """The candidate's starting points with the loss at each, lowest first.
+
+        Where flights have to be predicted and a shape is free, linear steps lead farther: see `_linear_gain`.
+        """
+        values = best.fitted.values
+        starts = candidate.starts or ({},)
+        if any(parameter_of(k).is_shape for k in free) and not set(candidate.names) <= plate_effects():
+            starts = starts[:1]
+        points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in starts]
+        return sorted(((self.refits.profile_loss(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
+
+    def _linear_gain(
+        self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]
+    ) -> tuple[float, list[tuple[float, Point]]]:
+        """Gain of the candidate if residuals were linear in it, and starts on the way there, with their loss.
+
+        An effect with shape parameters is tried in each of its shapes; the most promising ones are followed.
+        """
+        shapes = [k for k in free if parameter_of(k).is_shape]
+        if not shapes:
+            return self.fitter.linear_step(best.fitted, free)[0], []
+        settings = {tuple(p.get(k, null_value_of(k)) for k in shapes) for p in candidate.starts}
+        steps = [self.fitter.linear_step(best.fitted, free, dict(zip(shapes, at, strict=True))) for at in settings]
+        steps.sort(key=lambda pair: -pair[0])
+        if steps[0][0] < self.least_nats:
+            return steps[0][0], []
+        here = {k: best.fitted.values.get(k, null_value_of(k)) for k in steps[0][1]}
+        points = [
+            {k: v if k in shapes else part * v + (1.0 - part) * here[k] for k, v in point.items()}
+            for _, point in steps[:MOST_SHAPES]
+            for part in PARTS
+        ]
+        return steps[0][0], [(self.refits.profile_loss(best.whitener, p), p) for p in points]
+
+    def _fitted_from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
+        """Fit from a start with the weights of ``best``; where that loses, with the sharper ones of the start."""
+        soft = self.fitter.fit(best.whitener, free, start)
+        at_start, after = (self.refits.profile_loss(best.whitener, v) for v in (start, soft.values))
+        if at_start < after:
+            return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.world, start), free, start))
+        return self.refits.reweighted(soft)
+
+    def _from_afar(
+        self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried
+    ) -> list[Hypothesis]:
+        """The most promising options where landings are lost, each from its minimum on a subsample."""
+        values, train = best.fitted.values, self.refits.train
+        search = CoarseSearch(subsample(self.refits.world, train), values, train)
+
+        def on_grid(candidate: Candidate) -> tuple[float, Point, Candidate]:
+            free = tuple(k for k in candidate.free if k not in best.free)
+            loss, point = search.best_of(joint_points(candidate.starts, free, best.free))
+            tried(candidate)
+            return loss, {**{k: values[k] for k in best.free}, **point}, Candidate(candidate.names, free)
+
+        def minimised(seen: tuple[float, Point, Candidate]) -> tuple[float, Point, Candidate]:
+            loss, point = search.minimise(seen[1], (*seen[2].free, *best.free))
+            tried(seen[2])
+            return loss, point, seen[2]
+
+        def fitted(found: tuple[float, Point, Candidate]) -> Hypothesis:
+            start, candidate = {**values, **found[1]}, found[2]
+            weights = Whitener.of(self.refits.world, start)
+            return self.refits.converged((*best.candidates, candidate), weights, (*best.free, *candidate.free), start)
+
+        seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
+        below = sorted(pool.map(minimised, seen), key=lambda x: x[0])
+        enough = below[0][0] + max(NEAR_NATS, NEAR_PART * (search.loss({}) - below[0][0]))
+        return list(pool.map(fitted, [x for x in below if x[0] <= enough][:MOST_FITS]))

@@ -1,0 +1,98 @@
+"""Backward elimination: idle effects left out again, special cases in place of fuller forms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from analysis.attribution.candidates import Candidate, Point
+from analysis.attribution.choice import Judge
+from analysis.attribution.hypothesis import Hypothesis, Refits
+from analysis.attribution.priors import null_value_of
+from analysis.residuals.forward_model import ParameterId
+from analysis.residuals.whitening import Whitener
+from model.effects.registry import effect
+
+
+class Pruning:
+    """Simplifications of a hypothesis that held-out steps do not contradict.
+
+    Parameters
+    ----------
+    refits
+        How hypotheses are fitted.
+    judge
+        Comparison by held-out steps.
+    """
+
+    def __init__(self, refits: Refits, judge: Judge) -> None:
+        self.refits, self.judge, self.limits = refits, judge, judge.limits
+
+    def without_idle(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
+        """The hypothesis without an earlier effect that the later ones have made idle; ``rounds`` gets a line."""
+        for candidate in best.candidates[:-1]:
+            rest = tuple(c for c in best.candidates if c is not candidate)
+            free = tuple(k for c in rest for k in c.free)
+            start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
+            x = self.refits.scored(rest, self.refits.fitter.fit(best.whitener, free, start))
+            if not self.judge.gain(x, best).exceeds(self.limits.tie_nats, self.limits.tie_sigmas):
+                rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
+                return x
+        return best
+
+    def simplified(self, best: Hypothesis, pool: Sequence[Candidate], rounds: list[str]) -> Hypothesis:
+        """The hypothesis with a special case in place of an effect, unless the fuller form is better beyond doubt.
+
+        A fit of the special case may have stopped short when it was tried: it begins where the fuller form stands.
+        """
+        for i, candidate in enumerate(best.candidates):
+            for simpler in pool:
+                if len(simpler.free) >= len(candidate.free) or not set(simpler.names) <= contained_in(candidate.names):
+                    continue
+                x = self._in_place(best, i, simpler)
+                if self._as_good(best, x):
+                    rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
+                    return x
+        return best
+
+    def without_excess(self, x: Hypothesis) -> Hypothesis:
+        """Refit the final hypothesis with zero excess noise; keep it if the profile loss falls by more than 4 nats.
+
+        A fit's own misses count as excess and widen its weights. Only the last fit is made so: while candidates are
+        compared, all are fitted alike.
+        """
+        lean = Whitener.of(self.refits.world, x.fitted.values, lean=True)
+        fitted = self.refits.fitter.fit(lean, x.free, x.fitted.values)
+        before, after = (self.refits.profile_loss(x.whitener, f.values) for f in (x.fitted, fitted))
+        return self.refits.scored(x.candidates, fitted) if after < before - self.limits.negligible_nats else x
+
+    def _in_place(self, best: Hypothesis, i: int, simpler: Candidate) -> Hypothesis:
+        """The hypothesis with its ``i``-th candidate replaced by a special case of it, fitted."""
+        candidate = best.candidates[i]
+        chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
+        known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
+        reduced = _reduced(best.fitted.values, candidate.names, simpler.free)
+        points = [{**point, **known} for point in (*simpler.starts, reduced)]
+        start = min(points, key=lambda point: self.refits.profile_loss(best.whitener, point))
+        return self.refits.converged(chosen, best.whitener, tuple(k for c in chosen for k in c.free), start)
+
+    def _as_good(self, fuller: Hypothesis, x: Hypothesis) -> bool:
+        """Whether a special case may stand in: under the same name where it ties, under another unless beyond doubt."""
+        if x.names == fuller.names:
+            return self.judge.tied(fuller, x)
+        return not self.judge.gain(x, fuller).exceeds(self.limits.gain_nats, self.limits.gain_sigmas)
+
+
+def contained_in(names: Sequence[str]) -> set[str]:
+    """Names of effects, and of those that are special cases of them."""
+    return {*names, *(case for name in names for case in effect(name).effect.special_cases)}
+
+
+def _reduced(values: Mapping[ParameterId, float], fuller: Sequence[str], free: Sequence[ParameterId]) -> Point:
+    """Where the fit of a special case begins: at the fuller form's parameters, or at its own."""
+    begins_from = {
+        (case, own): (name, q)
+        for name in fuller
+        for case, table in effect(name).effect.special_cases.items()
+        for own, q in table.items()
+    }
+    return {k: values.get(begins_from.get(k, k), null_value_of(k)) for k in free}
