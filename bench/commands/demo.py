@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from analysis.loop.close_loop import ClosedLoop
+    from analysis.loop.result import ClosedLoop
     from rig.profile import Profile
     from rig.sim.scenario import Scenario
 
@@ -181,7 +181,8 @@ def _reprocess(recording: Path, folder: Path) -> None:
 
 def _close(recording: Path, folder: Path) -> tuple[ClosedLoop, bool]:
     """Close the loop, show the verdict, then write it; whether everything could be written."""
-    from analysis.loop.close_loop import as_json, close_loop
+    from analysis.loop.close_loop import close_loop
+    from analysis.loop.verdict_json import as_json
     from analysis.report.page import write_report
     from bench.profiles.improved import write_improved
     from bench.terminal.console import write_json
@@ -195,7 +196,7 @@ def _close(recording: Path, folder: Path) -> tuple[ClosedLoop, bool]:
 
     def write_page() -> None:
         with progress_bar() as say:
-            write_report(loop, [recording], folder / "report", progress=say)
+            write_report(loop, folder / "report", progress=say)
 
     def write_profile() -> None:
         for line in write_improved(loop, recording, folder / "improved.toml"):

@@ -10,8 +10,7 @@ import datetime
 from pathlib import Path
 
 from analysis.drop.declare import Measured, declare
-from analysis.loop.close_loop import ClosedLoop
-from analysis.residuals.forward_model import DRIFT
+from analysis.loop.result import ClosedLoop
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 
@@ -46,13 +45,11 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
             text = str(opened.attrs.get("profile_text", ""))
     if not text.strip():
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
-    fitted, on = loop.best.fitted, datetime.date.today()
+    on = datetime.date.today()
     found = [
-        Measured(
-            name, q, float(fitted.values[name, q]), float(fitted.sigma((name, q))), f"closed loop on {recording.name}"
-        )
-        for name, q in loop.best.free
-        if not q.endswith(DRIFT)
+        Measured(p.effect, p.parameter, p.value, p.sigma, f"closed loop on {recording.name}")
+        for p in loop.added
+        if not p.trend
     ]
     believed = loop.verdict != "unexplained"
     edited = declare(text, found if believed else [], on, str(path))
@@ -76,12 +73,12 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
 
 def not_declared(loop: ClosedLoop) -> list[str]:
     """What was found and no profile can hold: a trend during the run, and a term without a name."""
-    left = []
-    for name, q in loop.best.free:
-        if q.endswith(DRIFT):
-            bare, change = q.removesuffix(DRIFT), loop.best.fitted.values[name, q]
-            middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
-            left.append(f"{name}.{bare} changed by {change:.3g} from start to end of this run{middle}")
+    middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
+    left = [
+        f"{p.effect}.{p.parameter} changed by {p.value:.3g} from start to end of this run{middle}"
+        for p in loop.added
+        if p.trend
+    ]
     if loop.discovered is not None:
-        left.append(f"{loop.discovered.in_words} (discovered, without a name)")
+        left.append(f"{loop.discovered.description} (discovered, without a name)")
     return left

@@ -11,8 +11,9 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.loop.close_loop import ClosedLoop
+from analysis.loop.close_loop import FittedLoop
 from analysis.loop.design import Design, Ranked, designs_for, rank
+from analysis.loop.result import ClosedLoop
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
@@ -68,13 +69,13 @@ def _put(lines: list[str], section: str, key: str, value: str) -> None:
         lines[at] = f"{key} = {value}"
 
 
-def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
+def possible_runs(loop: ClosedLoop, fitted: FittedLoop, recording: Path) -> list[Ranked]:
     """Ranked next runs that the rig's limits allow; every design where the recording's profile has no ramp."""
     from bench.commands.plan import planned
 
     text = profile_text(recording)
     allowed = []
-    for design in designs_for(loop.world.evidence):
+    for design in designs_for(loop.steps.gamma, int(loop.steps.ratio[0])):
         try:
             profile = parse_profile(profile_of(text, design), "next run")
         except InputError:
@@ -82,7 +83,7 @@ def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
             continue
         if not planned(profile)[2]:
             allowed.append(design)
-    return rank(loop, allowed)
+    return rank(fitted, allowed)
 
 
 def write_next(ranked: Sequence[Ranked], recording: Path, path: Path) -> None:

@@ -159,7 +159,7 @@ def _clean_bill(r: Row) -> bool:
 
 
 def _covariate(r: Row, plant: str) -> bool:
-    return r["discovered"] is not None and r["discovered"]["of"] == expected_covariate(plant, r["hidden"][0])
+    return r["discovered"] is not None and r["discovered"]["covariate"] == expected_covariate(plant, r["hidden"][0])
 
 
 def _term_good(r: Row) -> bool:

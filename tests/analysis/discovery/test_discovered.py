@@ -10,8 +10,8 @@ import pytest
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.discover import discover
-from analysis.discovery.penalised_fit import StackedResiduals, best_start, try_in_flight
-from analysis.discovery.search import FIRST_TAILS, TermSearch
+from analysis.discovery.penalised_fit import StackedResiduals, best_start, fit_in_flight
+from analysis.discovery.search import SCREENING_TAILS, TermSearch
 from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
 from analysis.residuals.covariates import covariates
@@ -62,8 +62,8 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     found = discover(world, fitter, unexplained(world, fitter), fitter.train)
     assert found is not None
     assert (found.term, found.of) == ("force", "height")
-    assert found.in_words.startswith("a downward pull rises from")
-    assert "height" in found.in_words
+    assert found.describe.startswith("a downward pull rises from")
+    assert "height" in found.describe
     middle = float(np.interp(4e-3, found.knots, found.values))
     assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
     assert found.over_constant.gain > 12.0
@@ -94,7 +94,7 @@ def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
     x = search.tables["dwell_s"]
     knots = knots_of(x[world.evidence.judged])
     start = Curve(event_term("threshold", "dwell_s"), knots, np.full(len(knots), 1.5), basis_of(x, knots))
-    found = search.polished(start)
+    found = search.refine(start)
     at = np.quantile(x[np.isfinite(x) & world.opens], [0.15, 0.5, 0.85])
     true = a * (1.0 - np.exp(-at / tau))
     half = np.interp(at, found.curve.points, found.band)
@@ -111,8 +111,8 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
     span = ranges_of(search.tables, world.evidence.judged)[term.of]
     stack = StackedResiduals.of(world, search.values, search.train)
     start = best_start(world, search.values, stack, Curve.even(term, span), search.dwell)
-    look = try_in_flight(world, search.values, stack, start, search.dwell, FIRST_TAILS)
-    found = search.polished(look.curve)
+    look = fit_in_flight(world, search.values, stack, start, search.dwell, SCREENING_TAILS)
+    found = search.refine(look.curve)
     speeds = np.quantile(search.tables["impact_mps"][world.evidence.judged], [0.3, 0.4, 0.5])
     assert found.curve.at(speeds) == pytest.approx(0.12 - 0.3 * speeds, abs=0.012)
 
@@ -126,7 +126,7 @@ def test_the_band_of_a_smooth_force_holds_the_truth(
         world = fly_ramp({("position_force", "spring_per_s2"): spring}, seed)
         search = search_of(world, fitter_of(world))
         term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
-        found = search.polished(Curve.even(term, ranges_of(search.tables, world.evidence.judged)[term.of]))
+        found = search.refine(Curve.even(term, ranges_of(search.tables, world.evidence.judged)[term.of]))
         x, half = found.curve.points, found.band
         inside.append(np.abs(found.curve.at(x) + spring * x) <= half)
         assert np.median(half) < 0.1 * spring * x[-1]  # and it says something
