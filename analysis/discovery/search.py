@@ -122,7 +122,7 @@ class TermSearch:
     def screen(self) -> list[ScreenedTerm]:
         """All terms on all covariates; those near the best.
 
-        Where openings depend on the contact's gap, terms are screened with and without them: a wrong model bends the gap.
+        Where openings depend on the contact's gap, which a wrong model bends, terms are screened without them as well.
         """
         both = StackedResiduals.of(self.world, self.values, self.train)
         found = self._screened(both)

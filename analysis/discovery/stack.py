@@ -47,7 +47,7 @@ class StackedResiduals:
         return cls(event, np.arange(len(event)) < len(opening), sigma, ev.steps.plate.period_s[step], train[step])
 
     def landings(self) -> StackedResiduals:
-        """The landings alone, which do not depend on the contact's gap: a wrong model bends the gap to late openings."""
+        """The landings alone: unlike openings they do not depend on the contact's gap, which a wrong model bends."""
         rows = ~self.first
         return StackedResiduals(
             self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows]

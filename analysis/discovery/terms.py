@@ -35,7 +35,7 @@ class Term:
     name
         ``force``, ``friction``, ``threshold`` or ``restitution``.
     of
-        Covariate on which it depends: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
+        Covariate: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
     unit, words
         As printed for a person.
     low, high

@@ -112,7 +112,7 @@ def fit_loop(
     train = np.arange(len(observations.steps)) % limits.reserve != limits.reserve // 2
     fitter = Fitter(model, priors_of(observations.setup), train)
     stepwise = StepwiseSelection(model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
-    selection = _confirmed(model, stepwise.explain(), train, limits)
+    selection = withdraw_unconfirmed(model, stepwise.explain(), train, limits)
     say("what remains", 0.87)
     judged = _judge(model, fitter, selection, limits)
     say("detection limits", 0.97)
@@ -175,7 +175,9 @@ def _selected(model: ForwardModel, selection: SelectionResult) -> dict[str, Any]
     }
 
 
-def _confirmed(model: ForwardModel, found: SelectionResult, train: Mask, limits: Thresholds) -> SelectionResult:
+def withdraw_unconfirmed(
+    model: ForwardModel, found: SelectionResult, train: Mask, limits: Thresholds
+) -> SelectionResult:
     """The selection less the last effects whose small gain the reserved steps contradict."""
     if found.best is found.before:
         return found

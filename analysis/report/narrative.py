@@ -51,8 +51,8 @@ def _residual_sentences(loop: ClosedLoop) -> list[str]:
         when = "later" if middle > 0 else "earlier"
         size = 1.4826 * float(np.median(np.abs(known)))
         out.append(
-            f"{event} came {microseconds(abs(middle))} us {when} than the declared model predicts (median); they miss it "
-            f"by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."
+            f"{event} came {microseconds(abs(middle))} us {when} than the declared model predicts (median); "
+            f"they miss it by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."
         )
     plate = loop.plate
     far = {

@@ -295,7 +295,7 @@ def _alternatives(loop: ClosedLoop) -> str:
     if not others:
         return "<p>No other named set of effects predicts the held-out steps as well.</p>"
     hints = "".join(
-        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {html.escape(how)}</li>"
+        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {_html(how)}</li>"
         for f in loop.effects
         for o, how in effect(f.name).effect.confused_with.items()
         if any(plain(o) in x for x in others)

@@ -113,6 +113,8 @@ def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, **style: Any) -> i
     inside = ~above & ~below
     ax.plot(x[inside], y[inside], ".", ms=4.5, mew=0, alpha=0.6, **style)
     for rows, mark, edge in ((above, "^", limit), (below, "v", -limit)):
+        if not rows.any():  # the extent of an unclipped line without points would be the figure's corner
+            continue
         at = np.full(int(rows.sum()), 0.95 * edge)
         ax.plot(x[rows], at, mark, ms=4.5, mfc="none", mew=0.8, clip_on=False, **style)
     return int(above.sum() + below.sum())

@@ -33,7 +33,8 @@ def until_clear(
 
     Returns
     -------
-    The last loop and its fitted model, all recordings, and why a run that was to follow could not be made (empty where nothing failed).
+    The last loop and its fitted model, all recordings, and why a run that was to follow could not be made (empty where
+    nothing failed).
 
     Raises
     ------

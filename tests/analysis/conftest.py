@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter, priors_of
-from analysis.loop.design import Design, rehearse
+from analysis.loop.design import Design, simulate_design
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
@@ -143,7 +142,7 @@ RampFlyer = Callable[..., ForwardModel]
 
 
 def bare_evidence() -> Observations:
-    """A run of a single step: what its instruments are worth, to be copied by `rehearse`."""
+    """A run of a single step: what its instruments are worth, to be copied by `simulate_design`."""
     setup = Setup(
         name="t",
         forcing=Forcing(frequency_hz=25.37, ratio=2),
@@ -197,8 +196,7 @@ def fly_ramp() -> RampFlyer:
         declared: Mapping[str, Mapping[str, float]] | None = None,
     ) -> ForwardModel:
         world = ForwardModel(bare_evidence(), declared or {})
-        best = SimpleNamespace(fitted=SimpleNamespace(values=dict(truth)))
-        exact = rehearse(Design("a ramp", 2, gammas), world, best)  # type: ignore[arg-type]
+        exact = simulate_design(Design("test", "a ramp", 2, gammas), world, dict(truth))
         run = exact.measured.step * 2.0 + exact.measured.landing_s
         read = ForwardModel(exact, {}).per_step(truth, "reading", 1.0)[:, None] * exact.steps.plate.acceleration_mps2
         steps = replace(exact.steps, plate=replace(exact.steps.plate, acceleration_mps2=read))

@@ -45,8 +45,8 @@ def test_the_penalty_is_the_bending_energy_of_the_spline() -> None:
     assert (1.0 + 2.0 * knots) @ cost @ (1.0 + 2.0 * knots) == pytest.approx(0.0, abs=1e-9)
     values = np.array([0.0, 0.3, -0.2, 0.5, 0.5, 0.1])
     x = np.linspace(0.0, 4.0, 40_001)
-    total_curvature = np.gradient(np.gradient(basis_of(x, knots) @ values, x), x)[2:-2]
-    assert values @ cost @ values == pytest.approx(np.trapezoid(total_curvature**2, x[2:-2]), rel=1e-3)
+    second = np.gradient(np.gradient(basis_of(x, knots) @ values, x), x)[2:-2]
+    assert values @ cost @ values == pytest.approx(np.trapezoid(second**2, x[2:-2]), rel=1e-3)
 
 
 def test_knots_of_a_covariate_with_two_values_are_these_two() -> None:

@@ -10,13 +10,14 @@ import pytest
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.discover import discover
-from analysis.discovery.penalised_fit import StackedResiduals, best_start, fit_in_flight
+from analysis.discovery.penalised_fit import best_start, fit_in_flight
 from analysis.discovery.search import SCREENING_TAILS, TermSearch
 from analysis.discovery.spline_basis import basis_of, knots_of
+from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel, ParameterId
-from analysis.residuals.prediction_errors import held_out_errors, judged_rows, noise_floor_us
+from analysis.residuals.prediction_errors import held_out_errors, judged_rows
 from analysis.residuals.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 
@@ -50,7 +51,7 @@ def search_of(world: ForwardModel, fitter: Fitter) -> TermSearch:
     """A search beside nothing."""
     explanation = unexplained(world, fitter)
     tables = covariates(world, explanation.fitted.values)
-    return TermSearch(world, fitter, explanation, (), fitter.train, tables)
+    return TermSearch(world, fitter, explanation, (), tables)
 
 
 def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
@@ -59,20 +60,17 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     """Covariate, direction, size, words; held-out landings at the floor; more than any constant pull."""
     world = fly_ramp(latch(), 1)
     fitter = fitter_of(world)
-    found = discover(world, fitter, unexplained(world, fitter), fitter.train)
+    found = discover(world, fitter, unexplained(world, fitter))
     assert found is not None
-    assert (found.term, found.of) == ("force", "height")
-    assert found.describe.startswith("a downward pull rises from")
-    assert "height" in found.describe
+    assert (found.term, found.covariate) == ("force", "height")
+    assert found.description.startswith("a downward pull rises from")
+    assert "height" in found.description
     middle = float(np.interp(4e-3, found.knots, found.values))
     assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
     assert found.over_constant.gain > 12.0
-    rows, out = judged_rows(found.world, found.explanation.fitted.values, ~fitter.train)
-    after = held_out_errors(found.world, found.explanation.fitted.values, rows, out)
-    floor = noise_floor_us(found.world, found.explanation.fitted.values, rows)
-    assert after.landing_rms_us < 1.3 * floor
+    assert found.after.landing_rms_us < 1.3 * found.noise_floor_us
     before = held_out_errors(world, {}, *judged_rows(world, {}, ~fitter.train))
-    assert before.landing_rms_us > 5.0 * floor
+    assert before.landing_rms_us > 5.0 * found.noise_floor_us
 
 
 def test_nothing_is_discovered_in_noise(
@@ -81,7 +79,7 @@ def test_nothing_is_discovered_in_noise(
     """A clean run has no missing term, however many covariates are asked."""
     world = fly_ramp({}, 2)
     fitter = fitter_of(world)
-    assert discover(world, fitter, unexplained(world, fitter), fitter.train) is None
+    assert discover(world, fitter, unexplained(world, fitter)) is None
 
 
 def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
