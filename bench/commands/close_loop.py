@@ -58,10 +58,7 @@ def command(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
             File("--next-run", next_run, PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
         )  # fmt: skip
-        for path in recordings:
-            if not path.is_file():
-                raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
-        _warn_of_calibrations(recordings)
+        _check_recordings(recordings)
         if until_clear:
             loop, fitted, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
@@ -75,14 +72,7 @@ def command(
     if not quiet:
         show(loop)
     writers = _Writers(loop, fitted, recordings[0], text, say)
-    outputs: list[Output] = [("list of next runs", writers.rank), ("verdict as JSON", lambda: writers.verdict(json))]
-    if report is not None:
-        outputs.append(("report", lambda: writers.report(report, quiet=quiet)))
-    if improved is not None:
-        outputs.append(("improved profile", lambda: writers.improved(improved)))
-    if next_run is not None:
-        outputs.append(("next run's profile", lambda: writers.next_run(next_run)))
-    complete = keep(outputs)
+    complete = keep(writers.outputs(json, report, improved, next_run))
     if failure:
         fail(failure, EXIT_FAILED)
     if not complete:
@@ -99,6 +89,19 @@ class _Writers:
     text: str | None
     say: Callable[[str], None]
     ranked: list[Ranked] = field(default_factory=list)
+
+    def outputs(
+        self, json: str | None, report: Path | None, improved: Path | None, next_run: Path | None
+    ) -> list[Output]:
+        """Name and function of everything that is to be written, in order."""
+        out: list[Output] = [("list of next runs", self.rank), ("verdict as JSON", lambda: self.verdict(json))]
+        if report is not None:
+            out.append(("report", lambda: self.report(report, quiet=json == "-")))
+        if improved is not None:
+            out.append(("improved profile", lambda: self.improved(improved)))
+        if next_run is not None:
+            out.append(("next run's profile", lambda: self.next_run(next_run)))
+        return out
 
     def rank(self) -> None:
         from bench.profiles.next_run import possible_runs
@@ -138,12 +141,16 @@ class _Writers:
             self.say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
 
 
-def _warn_of_calibrations(recordings: list[Path]) -> None:
-    """Warn of scales whose calibration was old when the recordings were made."""
+def _check_recordings(recordings: list[Path]) -> None:
+    """Refuse a file that is missing; warn of scales whose calibration was old when the recordings were made."""
     from bench.terminal.console import warn
     from daq.recording import open_recording
     from daq.setup.calibration_age import recorded_doubts
+    from daq.setup.errors import InputError
 
+    for path in recordings:
+        if not path.is_file():
+            raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
     for path in recordings:
         with open_recording(path) as recording:
             for doubt in recorded_doubts(recording):

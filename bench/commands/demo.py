@@ -64,6 +64,15 @@ def command(
     names = ", ".join(load_scenario(sealed).effects) or "nothing"
     found = ", ".join(f.name for f in loop.effects) or "no effect added"
     typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {loop.verdict} ({found})")
+    _list_outputs(folder, recording, sealed)
+    if not complete:
+        raise SystemExit(EXIT_FAILED)
+    (folder / UNFINISHED).unlink()
+    typer.echo(f"done in {time.perf_counter() - started:.0f} s")
+
+
+def _list_outputs(folder: Path, recording: Path, sealed: Path) -> None:
+    """Print what lies where."""
     for what, path in (
         ("recording", recording),
         ("flights", folder / "flights.csv"),
@@ -74,10 +83,6 @@ def command(
     ):
         if path.exists():
             typer.echo(f"  {what:<17} {path}")
-    if not complete:
-        raise SystemExit(EXIT_FAILED)
-    (folder / UNFINISHED).unlink()
-    typer.echo(f"done in {time.perf_counter() - started:.0f} s")
 
 
 def _simulated(name: str) -> tuple[Profile, str]:

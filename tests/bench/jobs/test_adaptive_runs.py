@@ -28,7 +28,7 @@ def test_a_failed_run_keeps_the_verdict_before_it(closed_loop: ClosedLoop, monke
     """The loop closed before the failing run comes back with the reason, instead of an exception."""
     ranked = Ranked(Design("ratio_2", "c = 2", 2, (0.3, 0.5)), 90.0, ("restitution",))
 
-    def fails(*_: Any, **__: Any) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise InputError("no space left on device")
 
     monkeypatch.setattr("daq.recording.open_recording", lambda path: Simulated())
