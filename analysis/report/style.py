@@ -1,7 +1,7 @@
 """Plot style, colours and the badge of every picture, and how a picture is saved.
 
-Measured values are dark dots, predicted ones the light line or cloud beneath them. A badge on each saved picture tells
-a simulated rig from a real one.
+Measured values are dark dots, predicted ones the light line or cloud beneath them. A badge on each saved picture
+separates a simulated rig from a real one.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def microseconds(value: float) -> str:
 
 
 def probability(p: float) -> str:
-    """A probability as ``p = 0.03``; what is too small to be told from zero as a bound."""
+    """A probability as ``p = 0.03``; below 1e-9 as a bound."""
     return f"p = {p:.2g}" if p >= 1e-9 else "p < 1e-9"
 
 

@@ -1,6 +1,6 @@
 """The profile of the next run: the recording's own, with another ratio, other gammas or another order of steps.
 
-The rule kept here: only lines of ``[forcing]`` and ``[ramp]`` change, the result is parsed and checked against the
+Only lines of ``[forcing]`` and ``[ramp]`` change, the result is parsed and checked against the
 rig's limits, and a design that a limit forbids is passed over.
 """
 

@@ -1,6 +1,6 @@
 """One trial: a sealed recording, the verdict on it, and only then what was hidden.
 
-The rule kept here: everything of a trial is drawn from its seed; the verdict is written down before the truth is read.
+Everything of a trial is drawn from its seed; the verdict is written down before the truth is read.
 """
 
 from __future__ import annotations
