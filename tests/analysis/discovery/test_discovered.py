@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,3 +130,18 @@ def test_the_band_of_a_smooth_force_holds_the_truth(
         inside.append(np.abs(found.curve.at(x) + spring * x) <= half)
         assert np.median(half) < 0.1 * spring * x[-1]  # and it says something
     assert np.mean(inside) > 0.85
+
+
+def test_the_scatter_of_a_term_does_not_use_the_reserved_steps(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """Landings of reserved steps moved by half a millisecond: the scatter by which terms are chosen is the same."""
+    world = fly_ramp({("position_force", "spring_per_s2"): 40.0}, 5)
+    ev, reserved = world.evidence, ~fitter_of(world).train
+    late = np.where(reserved[ev.measured.step], 5e-4, 0.0)
+    moved = replace(ev, measured=replace(ev.measured, landing_s=ev.measured.landing_s + late))
+    term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
+    curve = Curve.even(term, (0.0, DEEPEST_M), 5)
+    found = [search_of(w, fitter_of(w)).refine(curve) for w in (world, ForwardModel(moved, {}))]
+    assert found[0].scatter == pytest.approx(found[1].scatter, rel=1e-9)
+    assert 0.7 < found[0].scatter < 1.3
