@@ -14,9 +14,9 @@ from analysis.flights.compare import Comparison
 from analysis.flights.compare import compare as compare_flights
 from analysis.flights.scan import plate_of
 from analysis.flights.table import COLUMNS, flag_names
-from analysis.loop.close_loop import ClosedLoop
-from analysis.loop.close_loop import as_json as loop_json
 from analysis.loop.close_loop import close_loop as close_loop_of
+from analysis.loop.result import ClosedLoop
+from analysis.loop.verdict_json import as_json as loop_json
 from analysis.plate.motion import PlateMotion
 from analysis.report.gamma import gamma_scale
 from bench.commands.compare import as_json as comparison_json
@@ -150,7 +150,7 @@ class LoopResult:
         """Write the page with its pictures into ``folder``; returns the page's path."""
         from analysis.report.page import write_report
 
-        return write_report(self.loop, list(self.recordings), Path(folder))
+        return write_report(self.loop, Path(folder))
 
     def write_improved(self, path: str | Path) -> list[str]:
         """Write the recording's profile with the found effects declared, in SI units; returns what was written."""

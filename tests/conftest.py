@@ -1,7 +1,8 @@
-"""The plant behind a real audio driver, for every test that needs one."""
+"""The plant behind a real audio driver, and a closed loop made of plain numbers, for every test that needs one."""
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import subprocess
@@ -10,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ import pytest
 from bench.profiles.find import load
 from rig.backends.portaudio import open_stream
 from rig.profile import Profile, parse_profile
+
+if TYPE_CHECKING:
+    from analysis.loop.result import ClosedLoop
 
 Started = tuple[Profile, str, subprocess.Popen[str]]
 
@@ -146,3 +150,99 @@ def card_tap(monkeypatch: pytest.MonkeyPatch) -> CardTap:
 def rehearse(tmp_path: Path) -> Callable[..., object]:
     """`virtual_rig` in this test's own folder."""
     return lambda *changes, **options: virtual_rig(tmp_path, *changes, **options)
+
+
+@pytest.fixture(scope="session")
+def closed_loop() -> ClosedLoop:
+    """A closed loop made of plain numbers: nine steps at c = 1, friction found, take-offs late by 50 us before.
+
+    Tests that need another verdict replace fields of it; nothing is fitted.
+    """
+    from analysis.loop.result import (
+        AddedEffect,
+        Bifurcation,
+        Calibration,
+        ClosedLoop,
+        FirstBifurcations,
+        FittedParameter,
+        FlightTable,
+        PlateTable,
+        Predictions,
+        Source,
+        StepTable,
+        TestedCandidate,
+    )
+    from analysis.residuals.covariates import COVARIATES
+    from analysis.residuals.lack_of_fit import GoodnessOfFit
+    from analysis.residuals.prediction_errors import Errors
+    from analysis.thresholds import FROZEN
+    from daq.setup.setup import Setup
+
+    rng = np.random.default_rng(3)
+    m, n, r = 9, 108, 36
+    setup = Setup.model_validate(
+        {
+            "name": "test",
+            "forcing": {"frequency_hz": 25.37, "ratio": 1},
+            "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g"}},
+            "ball": {"mass_kg": 0.25},
+        }
+    )
+    step, scored, from_rest = np.arange(n) // (n // m), np.arange(n) % 12 > 0, np.arange(n) % 3 == 1
+    takeoff, sigma = 0.05 * np.arange(n), np.full(n, 5e-6)
+    landing = takeoff + 0.03
+
+    def predictions(late_s: float) -> Predictions:
+        a, b = (late_s + sigma * rng.standard_normal(n) for _ in range(2))
+        residuals = np.where(from_rest, a, np.nan), np.where(scored, b, np.nan)
+        return Predictions(takeoff - a, landing - b, *residuals, sigma, sigma)
+
+    values = {name: rng.random(n) for name in COVARIATES}
+    values["previous_flight_s"][0] = np.nan
+    kind, plate_sigma = np.arange(r) % 4, np.full(r, 1e-3)
+    plate = [plate_sigma * rng.standard_normal(r) for _ in range(3)]
+    up = AddedEffect("coulomb_friction", {"mu_up": (0.1, 0.09, 0.11), "mu_down": (0.11, 0.1, 0.12)})
+    return ClosedLoop(
+        verdict="explained",
+        failed=(),
+        effects=(up,),
+        discovered=None,
+        names=("coulomb_friction",),
+        ties=(("coulomb_friction",), ("stribeck_friction",)),
+        parameters=(
+            FittedParameter("coulomb_friction", "mu_up", 0.1, 0.005, True),
+            FittedParameter("coulomb_friction", "mu_down", 0.11, 0.005, True),
+            FittedParameter("contact_latency", "delay_s", 2e-6, 1e-6, False),
+        ),
+        calibrations=(Calibration("accelerometer_gain", "relative", 1e-3, 1e-4, 0.0, 5e-4),),
+        candidates=(TestedCandidate(("adhesion",), 3.0, math.inf), TestedCandidate(("coulomb_friction",), 900.0, 80.0)),
+        rounds=("round 1: coulomb_friction gains 900 +- 80 nats",),
+        rejected=None,
+        before=Errors(52.0, 50.0, 54.0, 74.0, 74.0, 52.0, 2e-3, 24, 0.0),
+        after=Errors(5.0, 4.0, 6.0, 5.1, 5.2, 5.0, 1e-4, 24, 0.0),
+        noise_floor_us=5.0,
+        takeoff_floor_us=5.0,
+        remainder=GoodnessOfFit(0.4, 1.02, 1.01, None, dict.fromkeys(COVARIATES, 0.5), 0.3, 0.5, 0.6),
+        detection={"viscous_damping.rate_per_s": 0.02, "restitution.e0": math.inf},
+        not_identifiable=("table_resonance",),
+        first_bifurcations=FirstBifurcations(
+            Bifurcation("period doubling", 1.1, 1.2),
+            Bifurcation("lock", math.nan, math.nan),
+            Bifurcation("period doubling", 1.15, 1.15, 1.15),
+        ),
+        steps=StepTable(
+            np.zeros(m, np.int64),
+            np.arange(m),
+            np.linspace(0.55, 1.3, m),
+            np.ones(m, np.int64),
+            np.full(m, 1 / 25.37),
+            np.arange(m) % 4 == 2,
+        ),
+        flights=FlightTable(step, takeoff, landing, scored, from_rest, predictions(5e-5), predictions(0.0), values),
+        plate=PlateTable(kind, np.arange(r) % m, plate[0], plate_sigma, plate[1], plate[2]),
+        setup=setup,
+        limits=FROZEN,
+        sources=(Source("run.h5", "test (a rig)", "2026-01-02T03:04:05", "simulated", True, "", "0.1.0", "abc"),),
+        paths=("run.h5",),
+        notes=("a note on the data",),
+    )

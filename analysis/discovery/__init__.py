@@ -1,1 +1,4 @@
-"""TODO what discovery is for."""
+"""Missing terms as smooth curves of one covariate, found where no named effect suffices.
+
+Other rooms take `discover` and, for its sentence, `describe`.
+"""

@@ -1,24 +1,21 @@
-"""What a discovered curve does, in one sentence.
-
-The rule kept here: nothing is said that the curve does not show between the knots where there are data.
-"""
+"""Description of a discovered curve in one sentence, between the outer knots, where there are data."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.discovery.terms import Curve, spoken
+from analysis.discovery.terms import Curve, label
 
 Array = NDArray[np.float64]
 
-POINTS = 61
-MOSTLY = 0.8  # share of the whole change that makes a rise or a fall, and that makes a narrow one
+POINTS = 61  # at which the curve is evaluated
+MOSTLY = 0.8  # share of the range that the ends of a rise or fall must span; share that happens in a narrow part
 
 
-def in_words(curve: Curve) -> str:
+def describe(curve: Curve) -> str:
     """One sentence, as "dry friction rises from 0.01 g to 0.1 g between a height of 0 mm and 4.2 mm"."""
-    words, unit, scale = spoken(curve.term)
+    words, unit, scale = label(curve.term)
     x = np.linspace(curve.knots[0], curve.knots[-1], POINTS)
     y = curve.at(x)
     name = curve.term.words
@@ -50,7 +47,7 @@ def in_words(curve: Curve) -> str:
 
 
 def _middle(y: Array) -> tuple[int, int]:
-    """Between which points the middle `MOSTLY` of a rise or fall happens."""
+    """First and last point of the middle `MOSTLY` of a rise or fall."""
     part = (y - y[0]) / (y[-1] - y[0])
     rest = 0.5 * (1.0 - MOSTLY)
     return int(np.argmax(part >= rest)), int(np.argmax(part >= 1.0 - rest))

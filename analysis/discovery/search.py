@@ -1,6 +1,6 @@
-"""The search for one smooth term beside named effects: first looks at all of them, then joint fits of the best.
+"""Search for one smooth term beside named effects: all terms are screened, the best are fitted jointly.
 
-The rule kept here: a curve is judged on steps that it did not see, everything else being fitted again beside it.
+A curve is judged on steps that it was not fitted to, with everything else refitted beside it.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from analysis.discovery.penalised_fit import (
     SHARP,
     TAILS,
     ScreenedTerm,
-    StackedResiduals,
+    best_constant,
     best_start,
-    constant_of,
     covariance_of,
+    fit_in_flight,
+    jacobian_of,
     newton_step,
-    slopes_of,
-    table_of,
-    try_covariate,
-    try_in_flight,
+    residual_table,
+    screen_covariate,
 )
 from analysis.discovery.spline_basis import basis_of, knots_of
+from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Curve, Term, event_terms, ranges_of
 from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
@@ -40,45 +40,54 @@ from model.effects.registry import effect
 
 Array = NDArray[np.float64]
 
-FINALISTS = 5
-FIRST_TAILS = (
-    0.9,
-    0.7,
-    0.5,
-    0.5,
-    0.5,
-)  # of the first looks within the flight: see `analysis.discovery.penalised_fit.TAILS`
-NEAR = 0.4  # of the best first look's gain: who is nearer is looked at again
-LIKE = {"since_impact_s": "dwell_s", "impact_mps": "previous_impact_mps"}  # nearest covariate of a whole flight
-SOME = 0.01  # from nothing at all no step leads down
-GAP_SIGMAS = 1.0  # by which openings move for the contact's gap to be doubted
-ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # of curves, to choose from
-CURVE_FOLDS = 8  # many, so that a curve is hardly less supported without one
-START_EVENTS, FIRST_EVENTS = 120, 200  # that tell which plain shape to begin with, and lead to a first look
+FINALISTS = 5  # screened terms that are fitted jointly, at most
+SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.penalised_fit.TAILS`, for terms within the flight
+SCREENING_SHARE = 0.4  # of the best screened gain: terms that lose no more than this against the best are kept
+NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
+    "since_impact_s": "dwell_s",
+    "impact_mps": "previous_impact_mps",
+}
+LEAST_START = 0.01  # start of a term that is bounded below by 0, where no step leads down
+GAP_SIGMAS = 1.0  # median shift of openings by the contact's gap beyond which terms are screened without openings too
+ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # candidates of the smoothing parameter
+CURVE_FOLDS = 8  # of the cross-validation over steps
+START_EVENTS, FIRST_EVENTS = 120, 200  # subsamples that choose the starting shape, and that a screened fit uses
+REACH_SIGMAS, LEAST_SIGMA_S = 6.0, 1e-6  # clip of standardised landings, and the smallest uncertainty they count with
 
 
 @dataclass(frozen=True)
 class RefinedTerm:
-    """A curve in its world, with the fit of everything else there and the held-out losses.
+    """A term fitted jointly with everything else.
 
-    ``covariance`` is that of its values from the noise of events; ``folds`` (f, k), its values without some steps.
+    Attributes
+    ----------
+    curve, covariance
+        The term, and the covariance of its values from the noise of events.
+    folds
+        Its values without some of the steps, (f, k).
+    scatter
+        Root mean square of the landings over their uncertainty, each step's with the curve that the others give.
+    world, explanation
+        The forward model with the term, the fit there, and its held-out losses.
     """
 
     curve: Curve
     covariance: Array
     folds: Array
+    scatter: float
     world: AugmentedModel
     explanation: Hypothesis
 
     @property
     def per_step(self) -> Array:
+        """Held-out loss by step, (m,)."""
         return self.explanation.per_step
 
     @property
     def band(self) -> Array:
         """Half the width of the pointwise 95 % band at the curve's points.
 
-        From the noise of events or, where that is more, from the differences between steps (delete-a-group jackknife).
+        From the noise of events, or from a delete-a-group jackknife over steps (Efron and Tibshirani 1993) where wider.
         """
         basis = basis_of(self.curve.points, self.curve.knots)
         noise = np.maximum(np.sum((basis @ self.covariance) * basis, axis=1), 0.0)
@@ -87,11 +96,12 @@ class RefinedTerm:
 
     @property
     def held_out(self) -> float:
+        """Held-out loss of all steps of the fit."""
         return float(self.per_step[self.explanation.fitted.fitter.train].sum())
 
 
 class TermSearch:
-    """The search for a term beside the named effects ``kept``."""
+    """Search for a term beside the named effects ``kept``."""
 
     def __init__(
         self,
@@ -99,56 +109,57 @@ class TermSearch:
         fitter: Fitter,
         explanation: Hypothesis,
         kept: tuple[Candidate, ...],
-        train: NDArray[np.bool_],
         tables: Mapping[str, Array],
     ) -> None:
-        self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, train, tables, kept
+        self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, fitter.train, tables, kept
         self.free: tuple[ParameterId, ...] = tuple(k for c in kept for k in c.free)
-        # calibrations may have been bent to make up for what is missing: all but the contact's own begin anew
+        # calibrations may be biased by the missing term: all but the contact's own start from their priors
         self.values = {
             k: v for k, v in explanation.fitted.values.items() if k in self.free or effect(k[0]).effect.nuisance
         }
         self.dwell = tables["dwell_s"]
 
-    def first_looks(self) -> list[ScreenedTerm]:
+    def screen(self) -> list[ScreenedTerm]:
         """All terms on all covariates; those near the best.
 
-        Where openings hang on the contact's gap they are looked at with and without: a wrong model bends the gap.
+        Where openings depend on the contact's gap, which a wrong model bends, terms are screened without them as well.
         """
         both = StackedResiduals.of(self.world, self.values, self.train)
-        found = self._looked(both)
-        if self._gap_shows(both):
+        found = self._screened(both)
+        if self._gap_matters(both):
             seen = {(t.curve.term.name, t.curve.term.of) for t in found[:FINALISTS]}
-            again = self._looked(both.landings())
+            again = self._screened(both.landings())
             found = found[:FINALISTS] + [t for t in again if (t.curve.term.name, t.curve.term.of) not in seen]
         return found
 
-    def _gap_shows(self, stack: StackedResiduals) -> bool:
+    def _gap_matters(self, stack: StackedResiduals) -> bool:
         """Whether the contact's own imperfections move openings by more than these are known."""
         rest = {k: v for k, v in self.values.items() if not effect(k[0]).effect.nuisance}
         r = stack.residuals(self.world, self.values) - stack.residuals(self.world, rest)
         return bool(stack.first.any() and np.median(np.abs(r / stack.sigma_s)[stack.first]) > GAP_SIGMAS)
 
-    def _looked(self, stack: StackedResiduals) -> list[ScreenedTerm]:
+    def _screened(self, stack: StackedResiduals) -> list[ScreenedTerm]:
         ahead = stack.loss(stack.residuals(self.world, self.values))
         judged = self.world.evidence.scored
         tried: list[ScreenedTerm] = []
         constants: dict[str, float] = {}
         known: dict[tuple[str, str], Curve] = {}
         for name in EVENT_GRIDS:
-            table = table_of(self.world, self.values, stack, name)
-            constants[name] = constant_of(table, stack, name)[0]
+            table = residual_table(self.world, self.values, stack, name)
+            constants[name] = best_constant(table, stack, name)[0]
             for term in event_terms(name):
                 x = self.tables[term.of]
-                tried.append(try_covariate(table, stack, term, x, knots_of(x[judged])))
+                tried.append(screen_covariate(table, stack, term, x, knots_of(x[judged])))
                 known[name, term.of] = tried[-1].curve
         ranges = ranges_of(self.tables, judged)
         with ThreadPoolExecutor(THREADS) as pool:
-            tried += pool.map(lambda t: self._within(stack, t, ranges[t.of], constants[t.name], known), IN_FLIGHT)
+            tried += pool.map(
+                lambda t: self._in_flight_term(stack, t, ranges[t.of], constants[t.name], known), IN_FLIGHT
+            )
         tried.sort(key=lambda t: t.loss)
-        return [t for t in tried if t.loss < tried[0].loss + NEAR * (ahead - tried[0].loss)][:FINALISTS]
+        return [t for t in tried if t.loss < tried[0].loss + SCREENING_SHARE * (ahead - tried[0].loss)][:FINALISTS]
 
-    def _within(
+    def _in_flight_term(
         self,
         stack: StackedResiduals,
         term: Term,
@@ -156,63 +167,71 @@ class TermSearch:
         constant: float,
         known: Mapping[tuple[str, str], Curve],
     ) -> ScreenedTerm:
-        """A term within the flight, begun at what a value for each flight has shown."""
+        """A term within the flight, started from the term with one value for each flight."""
         curve = Curve.even(term, span)
-        start = known.get((term.name, LIKE.get(term.of, "")))
+        start = known.get((term.name, NEAREST_COVARIATE.get(term.of, "")))
         if term.name != "force":
-            values = np.full_like(curve.values, max(constant, SOME)) if start is None else start.at(curve.knots)
+            values = np.full_like(curve.values, max(constant, LEAST_START)) if start is None else start.at(curve.knots)
             curve = curve.moved(values * (self.world.gravity if term.against_motion else 1.0))
-        curve = best_start(*self._few(stack, START_EVENTS), curve, self.dwell)
-        curve = try_in_flight(*self._few(stack, FIRST_EVENTS), curve, self.dwell, FIRST_TAILS).curve
+        curve = best_start(*self._subsampled(stack, START_EVENTS), curve, self.dwell)
+        curve = fit_in_flight(*self._subsampled(stack, FIRST_EVENTS), curve, self.dwell, SCREENING_TAILS).curve
         return ScreenedTerm(
             curve, stack.loss(stack.residuals(AugmentedModel(self.world, [curve], self.dwell), self.values))
         )
 
-    def _few(self, stack: StackedResiduals, most: int) -> tuple[ForwardModel, Values, StackedResiduals]:
-        """World, values and stack with so many events: openings and landings, or landings alone where ``stack`` is."""
+    def _subsampled(self, stack: StackedResiduals, most: int) -> tuple[ForwardModel, Values, StackedResiduals]:
+        """Model, values and stack of at most so many events; landings alone where ``stack`` has no openings."""
         few = subsample(self.world, self.train, most)
         seen = StackedResiduals.of(few, self.values, self.train)
         return few, self.values, seen if stack.first.any() else seen.landings()
 
-    def polished(self, curve: Curve) -> RefinedTerm:
-        """Curve and everything else fitted in turn; how stiff, and how good, is judged on steps unseen by the curve."""
+    def refine(self, curve: Curve) -> RefinedTerm:
+        """Curve and everything else fitted in turn; roughness and score from steps that the curve was not fitted to."""
         values, slopes = dict(self.values), dict[ParameterId, Array]()
         passes = SHARP if not curve.term.columns else SHARP[:2]
         for first in (True, False):
             stack = StackedResiduals.of(AugmentedModel(self.world, [curve], self.dwell), values, self.train)
-            if first and curve.term.name != "threshold" and self._gap_shows(stack):
+            if first and curve.term.name != "threshold" and self._gap_matters(stack):
                 stack = stack.landings()
             tails = (TAILS[-1], *passes) if first else passes
-            curve = try_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
+            curve = fit_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
             if first:
-                curve = self._as_stiff_as_needed(curve, values, stack)
-            spliced = AugmentedModel(self.world, [curve], self.dwell)
-            twin = Fitter(spliced, self.fitter.priors, self.train)
-            fitted = twin.fit(Whitener.of(spliced, values), self.free, values, slopes)
+                curve = self._cross_validated_roughness(curve, values, stack)
+            augmented = AugmentedModel(self.world, [curve], self.dwell)
+            twin = Fitter(augmented, self.fitter.priors, self.train)
+            fitted = twin.fit(Whitener.of(augmented, values), self.free, values, slopes)
             values, slopes = fitted.values, fitted.slopes
-        stack = StackedResiduals.of(spliced, values, self.train)
-        r = stack.residuals(spliced, values)
-        jacobian = slopes_of(self.world, values, stack, curve, self.dwell, r)
+        stack = StackedResiduals.of(augmented, values, self.train)
+        r = stack.residuals(augmented, values)
+        jacobian = jacobian_of(self.world, values, stack, curve, self.dwell, r)
         opening_s, landing_s, folds = self._held_out(curve, values, stack, r, jacobian)
         held = stack.cut(opening_s, landing_s)
-        losses = {"events": self._by_step(stack, held), "plate": plate_loss(spliced, values)}
-        explanation = Hypothesis(self.kept, fitted, Whitener.of(spliced, values), losses)
-        return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, spliced, explanation)
+        losses = {"events": self._by_step(stack, held), "plate": plate_loss(augmented, values)}
+        explanation = Hypothesis(self.kept, fitted, Whitener.of(augmented, values), losses)
+        scatter = self._scatter(augmented, values, landing_s)
+        return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
+
+    def _scatter(self, augmented: AugmentedModel, values: Values, landing_s: Array) -> float:
+        """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
+        ev = self.world.evidence
+        rows = ev.scored & self.train[ev.measured.step]
+        z = (landing_s / np.hypot(augmented.uncertainty(values).landing_total_s, LEAST_SIGMA_S))[rows]
+        return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
 
     def _by_step(self, stack: StackedResiduals, r: Array) -> Array:
         ev = self.world.evidence
         return stack.by_step(r, ev.measured.step, len(ev.steps))
 
     def _folds(self) -> Iterator[NDArray[np.bool_]]:
-        """Flights of the steps that a curve is not to see, some steps at a time, (n,)."""
+        """Folds of the cross-validation over the steps of the fit: masks of flights, (n,)."""
         apart, step = np.flatnonzero(self.train), self.world.evidence.measured.step
         for i in range(CURVE_FOLDS):
             yield np.isin(step, apart[i::CURVE_FOLDS])
 
-    def _as_stiff_as_needed(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:
-        """The curve with the roughness that foretells steps unseen best, residuals taken for linear."""
+    def _cross_validated_roughness(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:
+        """The curve with the smoothing parameter of least loss in 8-fold cross-validation over steps (linearised)."""
         r = stack.residuals(AugmentedModel(self.world, [curve], self.dwell), values)
-        jacobian = slopes_of(self.world, values, stack, curve, self.dwell, r)
+        jacobian = jacobian_of(self.world, values, stack, curve, self.dwell, r)
         folds = [f[stack.event] for f in self._folds()]
 
         def unseen(roughness: float) -> float:
@@ -247,8 +266,8 @@ def plate_loss(world: ForwardModel, values: Values) -> Array:
     return np.asarray(np.bincount(data.step, loss, minlength=len(world.evidence.steps)), dtype=np.float64)
 
 
-def known_loss(world: ForwardModel, explanation: Hypothesis, train: NDArray[np.bool_]) -> Array:
-    """Loss of a named explanation by step, as `TermSearch.polished` reckons it, on the very steps of its fit."""
+def named_loss(world: ForwardModel, explanation: Hypothesis, train: NDArray[np.bool_]) -> Array:
+    """Loss of a named hypothesis by step, computed as in `TermSearch.refine`."""
     values, ev = explanation.fitted.values, world.evidence
     stack = StackedResiduals.of(world, values, train)
     events = stack.by_step(stack.residuals(world, values), ev.measured.step, len(ev.steps))

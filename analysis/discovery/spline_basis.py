@@ -1,6 +1,6 @@
-"""Bases of smooth curves: natural cubic splines by their values at knots, and what it costs to bend them.
+"""Bases of smooth curves: natural cubic splines by their values at knots, and their bending energy.
 
-The rule kept here: a curve is cubic between its knots and constant beyond them; a straight line costs nothing.
+A curve is cubic between its knots and constant beyond them; a straight line has no bending energy.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def knots_of(x: Array, most: int = MOST_KNOTS) -> Array:
     return np.asarray(np.unique(0.5 * (even + dense)))
 
 
-def hats_of(x: Array, knots: Array) -> Array:
-    """How near each ``x`` lies to each knot: hat functions, (n, k); 0 where ``x`` is not known."""
+def hat_functions(x: Array, knots: Array) -> Array:
+    """Hat functions of the knots at ``x``, (n, k); 0 where ``x`` is not known."""
     if len(knots) == 1:
         return np.isfinite(x).astype(np.float64)[:, None]
     out = np.column_stack([np.interp(np.nan_to_num(x), knots, row) for row in np.eye(len(knots))])
@@ -40,7 +40,7 @@ def hats_of(x: Array, knots: Array) -> Array:
 def basis_of(x: Array, knots: Array) -> Array:
     """Natural cubic splines that are 1 at one knot and 0 at the others, (n, k); 0 where ``x`` is not known."""
     if len(knots) < 3:
-        return hats_of(x, knots)
+        return hat_functions(x, knots)
     inside = np.clip(np.nan_to_num(x), knots[0], knots[-1])
     out = np.asarray(CubicSpline(knots, np.eye(len(knots)), bc_type="natural")(inside))
     return out * np.isfinite(x)[:, None]

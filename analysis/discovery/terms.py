@@ -1,7 +1,7 @@
-"""Missing terms as splines: what they act on, what they may depend on, and the world with one of them in it.
+"""Missing terms as splines of one covariate, and the forward model augmented with them.
 
-The rule kept here: a term is a smooth curve between its knots and constant beyond them; it enters the same
-one-event-ahead prediction as any named effect, either as a number of each flight or as a force within it.
+A term enters the same one-step-ahead prediction as any named effect: as one value for each flight, or as a force or a
+restitution within it.
 """
 
 from __future__ import annotations
@@ -15,27 +15,28 @@ from numpy.typing import NDArray
 from analysis.discovery.spline_basis import basis_of, penalty_of
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
+from daq.setup.setup import STANDARD_GRAVITY_MPS2
 from model.effects.registry import offsets, registry
 from model.effects.smooth_force import KNOTS
 
 Array = NDArray[np.float64]
 
-USUAL = 0.05  # roughness: how far second differences may go, relative to the spread of the curve
-FIRST_KNOTS, MOST_INSIDE = 12, 23  # of a term within the flight, at first and at most
-POINTS = 45  # at which a curve is told
-FIRST_VALUE = "c0"  # of the values at the knots, in the effects that carry a curve
+USUAL_ROUGHNESS = 0.05  # standard deviation of second differences, relative to the spread of the curve
+FIRST_KNOTS, MOST_INSIDE = 12, 23  # knots of a term within the flight, at first and at most
+POINTS = 45  # at which a curve is reported
+FIRST_VALUE = "c0"  # first of the values at the knots, in the effects that carry a curve
 
 
 @dataclass(frozen=True)
 class Term:
-    """Something that may be missing.
+    """A term that may be missing.
 
     Attributes
     ----------
     name
         ``force``, ``friction``, ``threshold`` or ``restitution``.
     of
-        Covariate it depends on: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
+        Covariate: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
     unit, words
         As printed for a person.
     low, high
@@ -61,7 +62,7 @@ class Term:
 
     @property
     def against_motion(self) -> bool:
-        """Whether it is carried by a force that follows the motion's sign, in m/s^2."""
+        """Whether it is carried by a force against the motion, in m/s^2."""
         return ("against", 1.0) in self.fixed
 
 
@@ -140,7 +141,7 @@ class Curve:
     knots: Array
     values: Array
     basis: Array
-    roughness: float = USUAL
+    roughness: float = USUAL_ROUGHNESS
 
     @classmethod
     def even(cls, term: Term, span: tuple[float, float], k: int = FIRST_KNOTS) -> Curve:
@@ -153,8 +154,8 @@ class Curve:
         return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis, self.roughness)
 
     @property
-    def bend(self) -> float:
-        """How much the curve turns, over its mean slope: 0 for a straight line, 4 for a hump."""
+    def total_curvature(self) -> float:
+        """Total change of slope over the mean slope: 0 for a straight line, 4 for a hump."""
         span = float(np.ptp(self.values))
         if len(self.values) < 3 or span == 0.0:
             return 0.0
@@ -163,16 +164,16 @@ class Curve:
         return float(turns / span)
 
     def finer(self) -> Curve:
-        """The same within the flight with a knot more between any two, as many as can be: a bend may be sharp."""
+        """The same term within the flight with one knot more between any two, up to `MOST_INSIDE`."""
         k = 2 * len(self.knots) - 1
         if self.term.columns or k > MOST_INSIDE:
             return self
         finer = Curve.even(self.term, (float(self.knots[0]), float(self.knots[-1])), k)
         return finer.moved(self.at(finer.knots))
 
-    def flat(self, n: int) -> Curve:
-        """The same term without its covariate, at its middle, for ``n`` flights."""
-        middle = float(np.median(self.values)) / (9.81 if self.term.against_motion else 1.0)
+    def without_covariate(self, n: int) -> Curve:
+        """The same term at its median value for all ``n`` flights."""
+        middle = float(np.median(self.values)) / (STANDARD_GRAVITY_MPS2 if self.term.against_motion else 1.0)
         sign = -1.0 if self.term.name == "force" and not self.term.columns else 1.0
         term = event_term(self.term.name, self.term.of)
         return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((n, 1)))
@@ -188,17 +189,17 @@ class Curve:
 
     @property
     def penalty(self) -> Array:
-        """What bending costs, (k, k)."""
+        """Bending energy as a quadratic form of the values, (k, k)."""
         return penalty_of(self.knots)
 
     @property
     def points(self) -> Array:
-        """Where the curve is told: its knots where they are few values of the covariate, else evenly between them."""
+        """Where the curve is reported: its knots where these are few, else evenly between the outer ones."""
         return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], POINTS)
 
 
-def spoken(term: Term) -> tuple[str, str, float]:
-    """Words for what a term depends on, the unit in which a person reads it, and the factor to it from SI."""
+def label(term: Term) -> tuple[str, str, float]:
+    """Name of the covariate of a term, the unit in which it is printed, and the factor to it from SI."""
     if not term.columns:
         return IN_FLIGHT_WORDS[term.of]
     known = COVARIATES[term.of]
@@ -207,14 +208,14 @@ def spoken(term: Term) -> tuple[str, str, float]:
 
 
 def event_terms(name: str) -> tuple[Term, ...]:
-    """The terms of one kind, one for each covariate that is known in time; a rebound knows nothing of the take-off."""
+    """Terms of one kind, one for each covariate known when the flight begins; of a rebound, known at the impact."""
     late = ("dwell_s", "takeoff_phase_rad", "plate_speed_at_takeoff_mps", "flights_since_rest")
     names = [k for k, c in COVARIATES.items() if c.ahead and not (name == "restitution" and k in late)]
     return tuple(event_term(name, k) for k in names)
 
 
 def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[str, tuple[float, float]]:
-    """Where the quantities within a flight lie, by name."""
+    """Ranges of the quantities within a flight, by name."""
 
     def most(name: str) -> float:
         return float(np.nanquantile(tables[name][judged], 0.99))
@@ -233,12 +234,12 @@ def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[st
 
 
 class AugmentedModel(ForwardModel):
-    """A world whose predictions hold a term more.
+    """A forward model with further terms.
 
     Parameters
     ----------
     world
-        The world without it.
+        The forward model without them.
     curves
         The terms.
     dwell_s
@@ -246,15 +247,12 @@ class AugmentedModel(ForwardModel):
 
     Attributes
     ----------
-    without : World
-        The world without the terms.
+    without : ForwardModel
+        The forward model without the terms.
     """
 
     def __init__(self, world: ForwardModel, curves: Sequence[Curve], dwell_s: Array) -> None:
-        base: dict[str, dict[str, float]] = {}
-        for (name, key), value in world.base.items():
-            base.setdefault(name, {})[key] = value
-        super().__init__(world.evidence, base)
+        super().__init__(world.evidence, world.declared)
         self.without = world
         self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
 

@@ -1,7 +1,7 @@
-"""Which run would separate explanations that the data cannot tell apart.
+"""Discrimination design: the run that would separate hypotheses which the data cannot tell apart.
 
-The rule kept here: every candidate run is rehearsed in the model under the best explanation, its rivals are fitted to
-that rehearsal, and the run is worth what the best-fitting rival still loses, in nats.
+Every candidate run is simulated under the best hypothesis, and its rivals are fitted to that simulation. The value of
+a run is the loss of the best-fitting rival, in nats (Box and Hill, Technometrics 9, 57, 1967).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.priors import Prior, priors_of
-from analysis.loop.close_loop import ClosedLoop
-from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.loop.close_loop import FittedLoop
+from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId, Values
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
 from analysis.residuals.whitening import Whitener
-from daq.setup.setup import Setup
+from daq.setup.setup import STANDARD_GRAVITY_MPS2, Setup
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, registry
 from model.integrator.one_step import Measured, PlateSteps, simulate
@@ -29,9 +29,9 @@ from model.tones import Plate
 
 Array = NDArray[np.float64]
 
-STEPS = 14
-SETTLE_CYCLES, HOLD_CYCLES = 20, 30
-RIVALS = 3
+STEPS = 14  # of a designed ramp
+SETTLE_CYCLES, HOLD_CYCLES = 20, 30  # of each simulated step
+RIVALS = 3  # tied hypotheses that a design is to separate from the best, at most
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,16 @@ class Design:
 
     Attributes
     ----------
-    words
-        For a person.
+    id, description
+        A short name, and a sentence.
     ratio, gammas, order
         Of the ramp; ``gammas`` rise from start to stop.
     priors
-        What a calibration beside the run would tell (flip test, drop test), by parameter: standard deviations.
+        Standard deviations from a calibration beside the run (flip test, drop test), by parameter.
     """
 
-    words: str
+    id: str
+    description: str
     ratio: int
     gammas: tuple[float, ...]
     order: str = "up"
@@ -57,16 +58,21 @@ class Design:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A design and what it would tell: the least loss of any rival, in nats, and the rival that survives longest."""
+    """A design with the least loss of any rival, in nats, and that rival."""
 
     design: Design
     nats: float
     closest_rival: tuple[str, ...]
 
 
-def designs_for(evidence: Observations) -> list[Design]:
-    """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations beside."""
-    gamma, ratio = evidence.steps.gamma, int(evidence.steps.ratio[0])
+def designs_for(gamma: Array, ratio: int) -> list[Design]:
+    """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations beside.
+
+    Parameters
+    ----------
+    gamma, ratio
+        Of the steps of the run that was made, (m,), and its c.
+    """
     low, high = float(np.min(gamma)), float(np.max(gamma))
 
     def over(stop: float, c: int) -> tuple[float, ...]:
@@ -75,12 +81,17 @@ def designs_for(evidence: Observations) -> list[Design]:
         return tuple(float(g) for g in np.linspace(1.05 * low * scale, stop * scale, STEPS))
 
     same = tuple(float(g) for g in np.linspace(low, high, STEPS))
-    out = [Design(f"c = {c}, the same range over the threshold", c, over(high, c)) for c in (1, 2, 3) if c != ratio]
-    out.append(Design("farther into the irregular range", ratio, over(2.0 * high, ratio)))
-    out.append(Design("c = 2, farther into the irregular range", 2, over(2.0 * high, 2)))
-    out.append(Design("the same steps, shuffled", ratio, same, "shuffled"))
+    out = [
+        Design(f"ratio_{c}", f"c = {c}, the same range over the threshold", c, over(high, c))
+        for c in (1, 2, 3)
+        if c != ratio
+    ]
+    out.append(Design("farther", "farther into the irregular range", ratio, over(2.0 * high, ratio)))
+    out.append(Design("farther_ratio_2", "c = 2, farther into the irregular range", 2, over(2.0 * high, 2)))
+    out.append(Design("shuffled", "the same steps, shuffled", ratio, same, "shuffled"))
     for test, words in (("flip test", "flip test of the accelerometer"), ("drop test", "drop test along the rod")):
-        out.append(Design(f"the same ramp after a {words}", ratio, same, priors=_calibrated_by(test)))
+        name, beside = test.replace(" ", "_"), f"the same ramp after a {words}"
+        out.append(Design(name, beside, ratio, same, priors=_calibrated_by(test)))
     return out
 
 
@@ -90,17 +101,21 @@ def _calibrated_by(test: str) -> dict[ParameterId, float]:
     return {(name, q.name): q.calibrated_by[test] for name, q in every if test in q.calibrated_by}
 
 
-def rank(loop: ClosedLoop, designs: Sequence[Design] | None = None) -> list[Ranked]:
-    """Designs by what they would tell, best first; empty when there is nothing to separate."""
-    best, rivals = loop.best, loop.attribution.ties[1 : 1 + RIVALS]
+def rank(fitted: FittedLoop, designs: Sequence[Design]) -> list[Ranked]:
+    """Designs by how well they separate the ties, best first; empty where nothing ties.
+
+    Every design is simulated under the best hypothesis, and its rivals are fitted to that simulation.
+    """
+    model, best = fitted.model, fitted.selection.best
+    rivals = fitted.selection.ties[1 : 1 + RIVALS]
     if not rivals:
         return []
     out = []
-    for design in designs or designs_for(loop.world.evidence):
-        world = ForwardModel(rehearse(design, loop.world, best), _base(loop.world))
-        priors = _priors(loop.world.evidence.setup, design, best)
-        fitter = Fitter(world, priors, np.ones(len(world.evidence.steps), dtype=bool))
-        whitener = Whitener.of(world, best.fitted.values)
+    for design in designs:
+        made = ForwardModel(simulate_design(design, model, best.fitted.values), model.declared)
+        priors = _priors(model.evidence.setup, design, best)
+        fitter = Fitter(made, priors, np.ones(len(made.evidence.steps), dtype=bool))
+        whitener = Whitener.of(made, best.fitted.values)
         losses = [(_loss(fitter, whitener, rival), rival.names) for rival in rivals]
         nats, names = min(losses)
         out.append(Ranked(design, nats, names))
@@ -108,29 +123,22 @@ def rank(loop: ClosedLoop, designs: Sequence[Design] | None = None) -> list[Rank
 
 
 def _loss(fitter: Fitter, whitener: Whitener, rival: Hypothesis) -> float:
-    """Loss that the rival cannot get rid of on the rehearsed run."""
+    """Loss of the rival fitted to the simulated run."""
     return float(fitter.fit(whitener, rival.free, rival.fitted.values).loss)
 
 
-def _base(world: ForwardModel) -> dict[str, dict[str, float]]:
-    out: dict[str, dict[str, float]] = {}
-    for (name, q), value in world.base.items():
-        out.setdefault(name, {})[q] = value
-    return out
-
-
 def _priors(setup: Setup, design: Design, best: Hypothesis) -> dict[ParameterId, Prior]:
-    """Priors of the next run: the profile's, and what the calibration beside it would find if the best one is true."""
+    """Priors of the next run: the profile's, and those of the calibration beside it if the best hypothesis is true."""
     priors = priors_of(setup)
     for key, sigma in design.priors.items():
         priors[key] = Prior(best.fitted.values.get(key, effect(key[0]).effect.parameter(key[1]).null_value), sigma)
     return priors
 
 
-def rehearse(design: Design, world: ForwardModel, best: Hypothesis) -> Observations:
-    """The evidence that the design would give, without noise, if the best explanation were true."""
+def simulate_design(design: Design, world: ForwardModel, fitted: Values) -> Observations:
+    """Noise-free observations of the design under the parameters ``fitted``, with the uncertainties of ``world``."""
     ev = world.evidence
-    values = world.start(best.fitted.values)
+    values = world.start(fitted)
     setup = ev.setup
     omega = 2 * math.pi * setup.forcing.frequency_hz
     tones = replace_ratio(setup, design.ratio).forcing.displacement_tones()
@@ -169,8 +177,8 @@ def rehearse(design: Design, world: ForwardModel, best: Hypothesis) -> Observati
         plate=data,
         modulation=None,
     )
-    truth = ForwardModel(made, _base(world))
-    return replace(made, plate=replace(data, value=expected(data, truth.by_step(best.fitted.values))))
+    truth = ForwardModel(made, world.declared)
+    return replace(made, plate=replace(data, value=expected(data, truth.by_step(fitted))))
 
 
 def replace_ratio(setup: Setup, ratio: int) -> Setup:
@@ -179,7 +187,7 @@ def replace_ratio(setup: Setup, ratio: int) -> Setup:
 
 
 def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array, g_mps2: float) -> Measured:
-    """Flights of every step, flown by the model with drifting parameters at their value in the step."""
+    """Flights of every step by the integrator, with drifting parameters at their value in the step."""
     columns: list[list[Array]] = [[], [], [], [], [], []]
     for i in range(len(part)):
         effects: dict[str, dict[str, float]] = {}
@@ -213,7 +221,7 @@ def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array
 
 
 def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
-    """The kinds of plate data that the present run gave, with their typical uncertainty, for each step of a new one."""
+    """Plate data of a new run: the kinds that the present run gave, with their median uncertainty, in each step."""
     m = len(steps)
     rows: list[tuple[float, ...]] = []
     for kind in np.unique(seen.kind):
@@ -223,7 +231,7 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
             scale = float(np.abs(steps.plate.acceleration_mps2[i, 0]))
             for j in range(tones if kind in (GAIN, PHASE) else 1):
                 tone = steps.plate.omega_radps[i, j] if kind in (GAIN, PHASE) else omega
-                rows.append((kind, i, 0.0, sigma, tone, scale / 9.80665, scale))
+                rows.append((kind, i, 0.0, sigma, tone, scale / STANDARD_GRAVITY_MPS2, scale))
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
@@ -232,14 +240,24 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
     return PlateData(kind, step, value, error, omega_radps, asked, first, multiple, ratio, share)
 
 
-def as_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:
-    """The ranking for a machine, or None where there is nothing to separate."""
+def ranking_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:
+    """The ranking for programs, or None where there is nothing to separate."""
     if not ranked:
         return None
+    best = ranked[0].design
     return {
-        "best": ranked[0].design.words,
-        "ratio": ranked[0].design.ratio,
-        "gammas": list(ranked[0].design.gammas),
-        "order": ranked[0].design.order,
-        "ranked": [{"run": r.design.words, "nats": r.nats, "hardest_rival": list(r.closest_rival)} for r in ranked],
+        "id": best.id,
+        "description": best.description,
+        "tone_ratio": best.ratio,
+        "gammas": list(best.gammas),
+        "order": best.order,
+        "ranked": [
+            {
+                "id": r.design.id,
+                "description": r.design.description,
+                "nats": r.nats,
+                "closest_rival": list(r.closest_rival),
+            }
+            for r in ranked
+        ],
     }

@@ -9,6 +9,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.comparison import LogScoreDifference
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors
 from analysis.thresholds import SHARED_S, Thresholds
@@ -94,3 +98,33 @@ def verdict_of(
     if failed_tests(named, left, after, floors_us, limits, chance_us):
         return "unexplained"
     return "explained" if named else "nothing_missing"
+
+
+def confirmed_on_reserve(
+    worse: NDArray[np.float64],
+    better: NDArray[np.float64],
+    train: NDArray[np.bool_],
+    limits: Thresholds,
+    *,
+    further: bool,
+) -> tuple[bool, LogScoreDifference]:
+    """Whether an added effect stands on steps that its fit had not seen, and its gain on all of them.
+
+    A gain that is small over all steps stands only if the reserved steps gain as well.
+
+    Parameters
+    ----------
+    worse, better
+        Losses by step without and with the effect, nats, (m,).
+    train
+        False for the reserved steps.
+    limits
+        Thresholds of the verdict.
+    further
+        True for an effect beside another: twice the gain is asked, as it is the largest of many by chance.
+    """
+    gain = LogScoreDifference.of(worse, better, np.ones_like(train))
+    stands = gain.exceeds(limits.next_effect_nats, limits.next_effect_sigmas)
+    if further:
+        stands = stands and gain.gain > limits.reserve_factor * limits.next_effect_nats
+    return stands or LogScoreDifference.of(worse, better, ~train).clipped > 0.0, gain

@@ -1,13 +1,11 @@
-"""Pictures of the flights: bifurcation diagram (Figs. 4-6, 10-12), return maps (Figs. 7-9), trajectory (Fig. 1).
+"""Figures of the flights: bifurcation diagram (Figs. 4-6, 10-12), return maps (Figs. 7-9), trajectory (Fig. 1).
 
-The rule kept here: the model lies under the measurement, over the plate as measured; doubtful flights keep their place
-and wear another mark.
+The model lies under the measurement and uses the plate's motion as measured; flagged flights are shown by another mark.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,15 +22,18 @@ from model.orbits.attractor import attractor
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import diagram
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Floats = npt.NDArray[np.float64]
 
-GAMMAS = 500  # of the model's diagram
-ZONE_GAMMAS = 150
-MAPS = 6  # return maps on one page
-CYCLES = 4.0  # of the trajectory
+GAMMAS = 500  # points of the model's diagram
+ZONE_GAMMAS = 150  # points of the forbidden zones
+MAPS = 6  # return maps in one figure
+CYCLES = 4.0  # of the forcing, in the trajectory
 
 
-def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> None:
+def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure) -> None:
     """Measured flight times against gamma over the model's diagram, forbidden zones shaded."""
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
@@ -40,30 +41,31 @@ def draw_bifurcations(recording: Recording, flights: Flights, folder: Path) -> N
     shown = gamma_scale(recording.setup.forcing, plates[-1].ratio)
     scale = shown.factor
     values = scale * np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
-    with style.figure(folder, "bifurcation", style.badge_of(recording), figsize=(8.0, 5.2)) as (_, ax):
-        low, high = 0.97 * min(p.gamma for p in plates), 1.03 * max(p.gamma for p in plates)
-        top = _draw_model(ax, plates[-1], recording.setup, low, high, scale)
-        poor = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.SETTLING | FlightFlag.GAP
-        true = ~flights.has(poor) & (flights.step >= 0)
-        marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
-        x, y = values[np.maximum(flights.step, 0)], 1e3 * flights.duration_s
-        plain = true & ~marked
-        ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=style.MEASURED, alpha=0.75, label="measured")
-        if np.any(true & marked):
-            ax.plot(
-                x[true & marked],
-                y[true & marked],
-                "x",
-                ms=4.0,
-                mew=0.9,
-                color=style.DOUBTFUL,
-                label="measured: double hit, or unsure",
-            )
-        ax.set_xlabel(shown.label)
-        ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
-        top = max(top, float(y[true].max()) if true.any() else 0.0)
-        ax.set(xlim=(low * scale, high * scale), ylim=(0.0, 1.06 * top))
-        ax.legend(loc="upper left", frameon=True, framealpha=0.9, fontsize=8)
+    figure.set_size_inches(8.0, 5.2)
+    ax = figure.subplots()
+    low, high = 0.97 * min(p.gamma for p in plates), 1.03 * max(p.gamma for p in plates)
+    top = _draw_model(ax, plates[-1], recording.setup, low, high, scale)
+    poor = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.SETTLING | FlightFlag.GAP
+    true = ~flights.has(poor) & (flights.step >= 0)
+    marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
+    x, y = values[np.maximum(flights.step, 0)], 1e3 * flights.duration_s
+    plain = true & ~marked
+    ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=style.MEASURED, alpha=0.75, label="measured")
+    if np.any(true & marked):
+        ax.plot(
+            x[true & marked],
+            y[true & marked],
+            "x",
+            ms=4.0,
+            mew=0.9,
+            color=style.DOUBTFUL,
+            label="measured: double hit, or unsure",
+        )
+    ax.set_xlabel(shown.label)
+    ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
+    top = max(top, float(y[true].max()) if true.any() else 0.0)
+    ax.set(xlim=(low * scale, high * scale), ylim=(0.0, 1.06 * top))
+    ax.legend(loc="upper left", frameon=True, framealpha=0.9, fontsize=8)
 
 
 def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float, scale: float) -> float:
@@ -87,8 +89,8 @@ def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float
     return float(np.nanmax(y)) if np.isfinite(y).any() else 0.0
 
 
-def draw_return_maps(recording: Recording, flights: Flights, comparison: Comparison, folder: Path) -> None:
-    """Each flight time against the one before, for the steps where most happens, with the model's."""
+def draw_return_maps(recording: Recording, flights: Flights, comparison: Comparison, figure: Figure) -> None:
+    """Return map of each of the steps with most modes and flights, measured and predicted."""
     ranked = sorted(
         (s for s in comparison.steps if s.measured.flights >= 3),
         key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights),
@@ -100,37 +102,30 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
     scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
-    with style.figure(
-        folder,
-        "return_maps",
-        style.badge_of(recording),
-        nrows=rows,
-        ncols=columns,
-        squeeze=False,
-        figsize=(3.1 * columns + 0.4, 3.2 * rows + 0.4),
-    ) as (drawn, axes):
-        for ax in axes.ravel()[len(chosen) :]:
-            ax.axis("off")
-        for ax, own in zip(axes.ravel(), chosen, strict=False):
-            good = (flights.step == own.step) & ~flights.has(FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT)
-            tau = 1e3 * flights.duration_s[good]
-            model = 1e3 * own.predicted_s
-            pairs = np.append(model, model[:1]) if own.periodic else model
-            ax.plot(pairs[:-1], pairs[1:], "s", ms=9, mew=1.4, mfc="none", color=style.MODEL, label="model")
-            ax.plot(tau[:-1], tau[1:], "o", ms=3.5, mew=0, color=style.MEASURED, label="measured")
-            span = np.concatenate([tau, model])
-            pad = 0.08 * (np.ptp(span) if np.ptp(span) > 0 else 1.0) + 0.5
-            limits = (span.min() - pad, span.max() + pad)
-            ax.plot(limits, limits, "-", lw=0.6, color="0.7", zorder=0)
-            ax.set(xlim=limits, ylim=limits, aspect="equal")
-            ax.set_title(rf"${scale.symbol}$ = {scale.factor * own.gamma:.3f}: {own.measured.label}", fontsize=9)
-        axes[0, 0].legend(fontsize=8, frameon=False)
-        drawn.supxlabel("flight time (ms)", fontsize=10)
-        drawn.supylabel("next flight time (ms)", fontsize=10)
+    figure.set_size_inches(3.1 * columns + 0.4, 3.2 * rows + 0.4)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.ravel()[len(chosen) :]:
+        ax.axis("off")
+    for ax, own in zip(axes.ravel(), chosen, strict=False):
+        good = (flights.step == own.step) & ~flights.has(FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT)
+        tau = 1e3 * flights.duration_s[good]
+        model = 1e3 * own.predicted_s
+        pairs = np.append(model, model[:1]) if own.periodic else model
+        ax.plot(pairs[:-1], pairs[1:], "s", ms=9, mew=1.4, mfc="none", color=style.MODEL, label="model")
+        ax.plot(tau[:-1], tau[1:], "o", ms=3.5, mew=0, color=style.MEASURED, label="measured")
+        span = np.concatenate([tau, model])
+        pad = 0.08 * (np.ptp(span) if np.ptp(span) > 0 else 1.0) + 0.5
+        limits = (span.min() - pad, span.max() + pad)
+        ax.plot(limits, limits, "-", lw=0.6, color="0.7", zorder=0)
+        ax.set(xlim=limits, ylim=limits, aspect="equal")
+        ax.set_title(rf"${scale.symbol}$ = {scale.factor * own.gamma:.3f}: {own.measured.label}", fontsize=9)
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    figure.supxlabel("flight time (ms)", fontsize=10)
+    figure.supylabel("next flight time (ms)", fontsize=10)
 
 
-def draw_trajectory(recording: Recording, flights: Flights, folder: Path, step: int | None = None) -> None:
-    """Plate and ball over a few cycles of one step, measured and as the model would have it from the first take-off."""
+def draw_trajectory(recording: Recording, flights: Flights, figure: Figure, step: int | None = None) -> None:
+    """Plate and ball over a few cycles of one step, measured and predicted from the first take-off."""
     good = flights.good()
     counts = np.bincount(flights.step[good & (flights.step >= 0)], minlength=len(flights.plate.steps))
     step = int(np.flatnonzero(counts == counts.max())[-1]) if step is None and counts.size else step
@@ -140,33 +135,26 @@ def draw_trajectory(recording: Recording, flights: Flights, folder: Path, step: 
     index = np.flatnonzero(good & (flights.step == plate.step))
     begin = flights.takeoff_s[index[0]] - 0.3 / plate.frequency_hz
     end = begin + CYCLES / plate.frequency_hz
-    with style.figure(
-        folder,
-        "trajectory",
-        style.badge_of(recording),
-        nrows=2,
-        sharex=True,
-        figsize=(8.0, 5.0),
-        height_ratios=(3.2, 1.0),
-    ) as (_, (ax, low)):
-        t = np.linspace(begin, end, 1200)
-        motion = plate.plate()
-        at = flights.plate.true_time_s
-        height = 1e3 * motion.position_at(at(t))
-        ax.plot(1e3 * (t - begin), height, "-", lw=1.6, color=style.PLATE, label="plate, measured")
-        for n, i in enumerate(index[flights.takeoff_s[index] < end]):
-            _draw_flight(ax, flights, int(i), begin, motion, recording.setup.g_mps2.value, first=n == 0)
-        _draw_predicted(ax, flights, plate, recording.setup, begin, end, float(flights.takeoff_s[index[0]]))
-        first, last = int(begin * recording.rate_hz), min(int(end * recording.rate_hz), recording.n_samples)
-        volts = recording.read_v("continuity", first, last)
-        low.plot(1e3 * (np.arange(first, last) / recording.rate_hz - begin), volts, lw=0.8, color=style.MEASURED)
-        low.set(xlabel="time (ms)", ylabel="continuity (V)")
-        ax.set(ylabel="height (mm)", xlim=(0.0, 1e3 * (end - begin)))
-        scale = gamma_scale(recording.setup.forcing, plate.ratio)
-        name = rf"${scale.symbol}$ = {scale.factor * plate.gamma:.3f}"
-        ax.set_title(f"{name}, c = {plate.ratio}, {plate.frequency_hz:.2f} Hz", fontsize=10, loc="left")
-        ax.set_ylim(top=ax.get_ylim()[1] + 0.3 * np.ptp(ax.get_ylim()))
-        ax.legend(loc="upper right", fontsize=8, framealpha=0.9)
+    figure.set_size_inches(8.0, 5.0)
+    ax, low = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
+    t = np.linspace(begin, end, 1200)
+    motion = plate.plate()
+    at = flights.plate.true_time_s
+    height = 1e3 * motion.position_at(at(t))
+    ax.plot(1e3 * (t - begin), height, "-", lw=1.6, color=style.PLATE, label="plate, measured")
+    for n, i in enumerate(index[flights.takeoff_s[index] < end]):
+        _draw_flight(ax, flights, int(i), begin, motion, recording.setup.g_mps2.value, first=n == 0)
+    _draw_predicted(ax, flights, plate, recording.setup, begin, end, float(flights.takeoff_s[index[0]]))
+    first, last = int(begin * recording.rate_hz), min(int(end * recording.rate_hz), recording.n_samples)
+    volts = recording.read_v("continuity", first, last)
+    low.plot(1e3 * (np.arange(first, last) / recording.rate_hz - begin), volts, lw=0.8, color=style.MEASURED)
+    low.set(xlabel="time (ms)", ylabel="continuity (V)")
+    ax.set(ylabel="height (mm)", xlim=(0.0, 1e3 * (end - begin)))
+    scale = gamma_scale(recording.setup.forcing, plate.ratio)
+    name = rf"${scale.symbol}$ = {scale.factor * plate.gamma:.3f}"
+    ax.set_title(f"{name}, c = {plate.ratio}, {plate.frequency_hz:.2f} Hz", fontsize=10, loc="left")
+    ax.set_ylim(top=ax.get_ylim()[1] + 0.3 * np.ptp(ax.get_ylim()))
+    ax.legend(loc="upper right", fontsize=8, framealpha=0.9)
 
 
 def _draw_flight(ax: Any, flights: Flights, i: int, begin: float, motion: Any, g: float, *, first: bool) -> None:

@@ -1,13 +1,12 @@
-"""Drive against accelerometer: what was asked of the plate and what it did, step by step, and one period of it.
+"""Figure of the plate: its transfer function, lag and harmonics step by step, and one period of its acceleration.
 
-The rule kept here: the drive's version needs ``g_per_volt``; where nobody measured it, only the shapes are compared.
+The transfer function is shown relative to its median, so that ``g_per_volt`` need not be known.
 """
 
 from __future__ import annotations
 
 from itertools import cycle
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,30 +17,30 @@ from analysis.report import style
 from analysis.report.gamma import gamma_scale
 from daq.recording import Recording
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Floats = npt.NDArray[np.float64]
 
-LONGEST = 400_000  # samples folded into one period
-TONES = (  # colour (Okabe and Ito's, which the colour-blind tell apart), mark and line of each harmonic
-    ("#0072b2", "o", "-"), ("#d55e00", "s", "--"), ("#000000", "^", ":"), ("#cc79a7", "D", "-."), ("#009e73", "v", "-"),
-    ("#e69f00", "P", "--"), ("#56b4e9", "X", ":"),
-)  # fmt: skip
+MOST_SAMPLES = 400_000  # folded into one period
 
 
-def draw_plate(recording: Recording, flights: Flights, folder: Path) -> None:
+def draw_plate(recording: Recording, flights: Flights, figure: Figure) -> None:
     """Gain and lag of the plate against the drive at each step, and one period of the largest step."""
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
         return
     scale = gamma_scale(recording.setup.forcing, plates[-1].ratio)
     x = scale.factor * np.array([p.gamma for p in plates])
-    with style.figure(folder, "plate", style.badge_of(recording), nrows=2, ncols=2, figsize=(9.0, 6.0)) as (_, axes):
-        _gain(axes[0, 0], plates, x)
-        _lag(axes[1, 0], plates, x)
-        axes[1, 0].set_xlabel(scale.label)
-        _period(axes[0, 1], recording, plates[-1])
-        axes[0, 1].set_title(rf"${scale.symbol}$ = {x[-1]:.3f}", fontsize=9)
-        _harmonics(axes[1, 1], plates, x)
-        axes[1, 1].set_xlabel(scale.label)
+    figure.set_size_inches(9.0, 6.0)
+    axes = figure.subplots(2, 2)
+    _gain(axes[0, 0], plates, x)
+    _lag(axes[1, 0], plates, x)
+    axes[1, 0].set_xlabel(scale.label)
+    _period(axes[0, 1], recording, plates[-1])
+    axes[0, 1].set_title(rf"${scale.symbol}$ = {x[-1]:.3f}", fontsize=9)
+    _harmonics(axes[1, 1], plates, x)
+    axes[1, 1].set_xlabel(scale.label)
 
 
 def _transfer(plates: list[StepPlate]) -> tuple[Floats, Floats, npt.NDArray[np.complex128]]:
@@ -80,7 +79,7 @@ def _lag(ax: Any, plates: list[StepPlate], x: Floats) -> None:
 
 def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
     """One period of the step, all its samples folded, with the fitted tones."""
-    first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + LONGEST)
+    first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + MOST_SAMPLES)
     channel = recording.setup.channels.accelerometer
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
     a = (recording.read_v("accelerometer", first, last) - zero_v) / channel.volts_per_mps2 - plate.acceleration.offset
@@ -98,7 +97,7 @@ def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
 def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     """Harmonics and slow lines, relative to the forcing."""
     tones = [m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples]
-    for m, (colour, mark, dashes) in zip(tones, cycle(TONES)):
+    for m, (colour, mark, dashes) in zip(tones, cycle(style.HARMONICS)):
         own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
         whole = np.array([np.abs(p.acceleration.amplitudes).max() for p in plates])
         ax.plot(

@@ -1,23 +1,26 @@
-"""Residuals of each channel against what might cause them, as a person would look for the cause.
+"""Figures of the residuals against covariates: landings, take-offs and plate data, before and after.
 
-The rule kept here: before and after stand one above the other on one horizontal axis, each on the linear scale that its
-own size asks for; the noise floor is a grey band, and a line through the medians shows what the eye should follow.
+Before and after stand one above the other on one horizontal axis, each on a linear scale of its own. The noise floor
+is a grey band; a line connects the medians of bins.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.loop.close_loop import ClosedLoop
+from analysis.loop.result import ClosedLoop, Predictions
+from analysis.report.figures_loop import sides
 from analysis.report.gamma import gamma_scale
-from analysis.report.style import AFTER, BEFORE, FLOOR, clipped_dots, figure
-from analysis.residuals.covariates import COVARIATES, covariates
-from analysis.residuals.forward_model import Values
+from analysis.report.style import AFTER, BEFORE, FLOOR, clipped_dots
+from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import GAIN, KINDS, PHASE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -26,82 +29,66 @@ LANDINGS = (
     "impact_mps", "previous_flight_s", "time_in_run_s",
 )  # fmt: skip
 TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
-COLUMNS = 3
-BINS, LEAST_IN_BIN = 12, 4
-SHOWN = 95.0  # per cent of the residuals within the axes; the rest stands at their edge, as triangles
-AT_LEAST_FLOORS = 4.0
+COLUMNS = 3  # of panels
+BINS, LEAST_IN_BIN = 12, 4  # of the medians, and flights in a bin
+SHOWN = 95.0  # per cent of the residuals within the axes; the others are triangles at the edge
+AT_LEAST_FLOORS = 4.0  # half height of an axis, at least, over the noise floor
 PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
-STILL = 1e-6  # relative spread of a covariate below which it has nothing to say
+STILL = 1e-6  # relative spread of a covariate below which it counts as constant
 TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
 
 
-def draw_landings(loop: ClosedLoop, folder: Path, badge: str) -> None:
+def draw_landings(loop: ClosedLoop, figure: Figure) -> None:
     """Landing residuals, before and after, against nine covariates."""
-    ev = loop.world.evidence
-    before, after = (_of(loop, v, "landing_s") for v in _points(loop))
-    _draw(loop, folder, badge, "residuals", "landing", LANDINGS, ev.scored, before, after, loop.noise_floor_us)
+    rows, floor = loop.flights.scored, loop.noise_floor_us
+    _draw(loop, figure, "landing", LANDINGS, rows, lambda p: p.landing_residual_s, floor)
 
 
-def draw_takeoffs(loop: ClosedLoop, folder: Path, badge: str) -> None:
+def draw_takeoffs(loop: ClosedLoop, figure: Figure) -> None:
     """Take-off residuals, before and after, against six covariates; nothing where no take-off was seen."""
-    before, after = (_of(loop, v, "opening_s") for v in _points(loop))
-    rows, floor = loop.world.from_rest, loop.takeoff_floor_us
-    _draw(loop, folder, badge, "takeoffs", "take-off", TAKEOFFS, rows, before, after, floor)
-
-
-def _points(loop: ClosedLoop) -> tuple[Values, Values]:
-    return loop.attribution.before.fitted.values, loop.best.fitted.values
-
-
-def _of(loop: ClosedLoop, values: Values, which: str) -> Array:
-    return np.asarray(1e6 * getattr(loop.world.residuals(values), which))
+    rows, floor = loop.flights.from_rest, loop.takeoff_floor_us
+    _draw(loop, figure, "take-off", TAKEOFFS, rows, lambda p: p.takeoff_residual_s, floor)
 
 
 def _draw(
     loop: ClosedLoop,
-    folder: Path,
-    badge: str,
-    name: str,
+    figure: Figure,
     event: str,
     against: tuple[str, ...],
     rows: NDArray[np.bool_],
-    before: Array,
-    after: Array,
+    residual_of: Callable[[Predictions], Array],
     floor_us: float,
 ) -> None:
     """Blocks of three covariates: the row of residuals before over the row after (alone where nothing was added)."""
-    if not rows.any():
+    x = loop.flights.covariates
+    shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
+    if rows.any():
+        against = tuple(
+            c for c in against if np.nanstd(x[c][rows]) > STILL * np.nanmax(np.abs(x[c][rows]), initial=0.0)
+        )
+    if not rows.any() or not against:
         return
-    x = covariates(loop.world, loop.best.fitted.values)
-    shown = gamma_scale(loop.world.evidence.setup.forcing, loop.world.evidence.steps.ratio)
-    against = tuple(c for c in against if np.nanstd(x[c][rows]) > STILL * np.nanmax(np.abs(x[c][rows]), initial=0.0))
-    if not against:
-        return
-    sides = [("declared model", after, AFTER)]
-    if loop.best is not loop.attribution.before:
-        sides = [("before", before, BEFORE), ("after", after, AFTER)]
+    shown_sides = sides(loop)
     blocks = -(-len(against) // COLUMNS)
-    size = (9.6, 1.75 * blocks * len(sides) + 0.9)
-    with figure(
-        folder, name, badge, nrows=blocks * len(sides), ncols=COLUMNS, figsize=size, sharey="row", squeeze=False
-    ) as (_, axes):
-        for i, covariate in enumerate(against):
-            about = COVARIATES[covariate]
-            values = (shown.factor if covariate == "gamma" else about.scale) * x[covariate][rows]
-            column = axes[len(sides) * (i // COLUMNS) : len(sides) * (i // COLUMNS + 1), i % COLUMNS]
-            for ax, (side, residual, colour) in zip(column, sides, strict=True):
-                _panel(ax, values, residual[rows], colour, floor_us)
-                if i % COLUMNS == 0:
-                    ax.set_ylabel(f"{side}, $\\mu$s", color=colour)
-            for ax in column[:-1]:
-                ax.sharex(column[-1])
-                ax.tick_params(labelbottom=False)
-            words = rf"${shown.symbol}$" if covariate == "gamma" else about.words
-            column[-1].set_xlabel(f"{words}, {about.unit}" if about.unit else words)
-        for i in range(len(against), COLUMNS * blocks):
-            for ax in axes[len(sides) * (i // COLUMNS) : len(sides) * (i // COLUMNS + 1), i % COLUMNS]:
-                ax.set_axis_off()
-        axes[0, 0].set_title(f"{event}: measured minus predicted", loc="left", fontsize=10)
+    figure.set_size_inches(9.6, 1.75 * blocks * len(shown_sides) + 0.9)
+    axes = figure.subplots(blocks * len(shown_sides), COLUMNS, sharey="row", squeeze=False)
+    for i, covariate in enumerate(against):
+        about = COVARIATES[covariate]
+        values = (shown.factor if covariate == "gamma" else about.scale) * x[covariate][rows]
+        column = axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]
+        for ax, (side, predicted, colour) in zip(column, shown_sides, strict=True):
+            _panel(ax, values, 1e6 * residual_of(predicted)[rows], colour, floor_us)
+            if i % COLUMNS == 0:
+                ax.set_ylabel(f"{side}, $\\mu$s", color=colour)
+        for ax in column[:-1]:
+            ax.sharex(column[-1])
+            ax.tick_params(labelbottom=False)
+        name = rf"${shown.symbol}$" if covariate == "gamma" else about.words
+        column[-1].set_xlabel(f"{name}, {about.unit}" if about.unit else name)
+    for i in range(len(against), COLUMNS * blocks):
+        for ax in axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]:
+            ax.set_axis_off()
+    axes[0, 0].set_title(f"{event}: measured minus predicted", loc="left", fontsize=10)
 
 
 def _panel(ax: Any, x: Array, residual_us: Array, colour: str, floor_us: float) -> None:
@@ -132,49 +119,45 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
     return middle, np.array([np.median(y[c]) for c in chosen])
 
 
-def draw_plate(loop: ClosedLoop, folder: Path, badge: str) -> None:
+def draw_plate(loop: ClosedLoop, figure: Figure) -> None:
     """The plate against the drive: gain and phase over gamma, and every datum in standard deviations."""
-    ev = loop.world.evidence
-    data = ev.plate
+    data = loop.plate
     if not len(data):
         return
-    scale = gamma_scale(ev.setup.forcing, ev.steps.ratio)
-    gamma = scale.factor * ev.steps.gamma[data.step]
-    before, after = (loop.world.residuals(v).plate for v in _points(loop))
-    sides = [(before, BEFORE, "o", "before"), (after, AFTER, ".", "after")]
-    if loop.best is loop.attribution.before:
-        sides = [(after, AFTER, ".", "declared model")]
-    with figure(folder, "plate", badge, ncols=3, figsize=(9.6, 3.2), width_ratios=(1, 1, 1.25)) as (_, axes):
-        shown = ((GAIN, 100.0, "plate over drive, gain, %"), (PHASE, 180.0 / np.pi, "phase, degrees"))
-        for ax, (kind, per, words) in zip(axes, shown, strict=False):
-            rows = data.kind == kind
-            for residual, colour, mark, side in sides:
-                ax.errorbar(
-                    gamma[rows],
-                    per * residual[rows],
-                    per * data.sigma[rows],
-                    fmt=mark,
-                    ms=4,
-                    mfc="none",
-                    lw=0.8,
-                    color=colour,
-                    label=side,
-                )
-            ax.axhline(0.0, color=FLOOR, lw=0.6)
-            ax.set(xlabel=rf"${scale.symbol}$", ylabel=words)
-            if not rows.any():
-                ax.text(0.5, 0.5, "the drive's scale is not known", ha="center", transform=ax.transAxes, fontsize=8)
-        present = [k for k in range(len(KINDS)) if np.any(data.kind == k)]
-        for residual, colour, *_ in sides:
-            for at, kind in enumerate(present):
-                z = (residual / data.sigma)[data.kind == kind]
-                spread = at if len(sides) == 1 else at + (0.16 if colour == AFTER else -0.16)
-                axes[2].plot(z, np.full(len(z), spread), "|", ms=7, color=colour)
-        axes[2].axvspan(-2.0, 2.0, color=FLOOR, alpha=0.35, lw=0)
-        largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, *_ in sides)
-        axes[2].set_xscale("symlog", linthresh=4.0)
-        ticks = [t for t in TICKS if abs(t) <= max(largest, 2.0)]
-        axes[2].set_xticks(ticks, [str(t) for t in ticks])
-        axes[2].set_yticks(range(len(present)), [KINDS[k] for k in present])
-        axes[2].set_xlabel("each datum, in sigmas")
-        axes[0].legend(frameon=False, fontsize=8)
+    figure.set_size_inches(9.6, 3.2)
+    axes = figure.subplots(1, 3, width_ratios=(1, 1, 1.25))
+    scale = gamma_scale(loop.setup.forcing, loop.steps.ratio)
+    gamma = scale.factor * loop.steps.gamma[data.step]
+    models = [(data.before, BEFORE, "o", "before"), (data.after, AFTER, ".", "after")]
+    if not loop.names:
+        models = [(data.after, AFTER, ".", "declared model")]
+    shown = ((GAIN, 100.0, "plate over drive, gain, %"), (PHASE, 180.0 / np.pi, "phase, degrees"))
+    for ax, (kind, per, quantity) in zip(axes, shown, strict=False):
+        rows = data.kind == kind
+        for residual, colour, mark, side in models:
+            y, error = per * residual[rows], per * data.sigma[rows]
+            ax.errorbar(gamma[rows], y, error, fmt=mark, ms=4, mfc="none", lw=0.8, color=colour, label=side)
+        ax.axhline(0.0, color=FLOOR, lw=0.6)
+        ax.set(xlabel=rf"${scale.symbol}$", ylabel=quantity)
+        if not rows.any():
+            ax.text(0.5, 0.5, "the drive's scale is not known", ha="center", transform=ax.transAxes, fontsize=8)
+    _plate_in_sigmas(axes[2], loop, [(residual, colour) for residual, colour, *_ in models])
+    axes[0].legend(frameon=False, fontsize=8)
+
+
+def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Array, str]]) -> None:
+    """Every plate datum in standard deviations, one row for each kind."""
+    data = loop.plate
+    present = [k for k in range(len(KINDS)) if np.any(data.kind == k)]
+    for residual, colour in models:
+        for at, kind in enumerate(present):
+            z = (residual / data.sigma)[data.kind == kind]
+            height = at if len(models) == 1 else at + (0.16 if colour == AFTER else -0.16)
+            ax.plot(z, np.full(len(z), height), "|", ms=7, color=colour)
+    ax.axvspan(-2.0, 2.0, color=FLOOR, alpha=0.35, lw=0)
+    largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, _ in models)
+    ax.set_xscale("symlog", linthresh=4.0)
+    ticks = [t for t in TICKS if abs(t) <= max(largest, 2.0)]
+    ax.set_xticks(ticks, [str(t) for t in ticks])
+    ax.set_yticks(range(len(present)), [KINDS[k] for k in present])
+    ax.set_xlabel("each datum, in sigmas")

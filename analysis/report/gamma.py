@@ -1,4 +1,4 @@
-"""The one measure of forcing that a reader is shown: gamma, or at c = 1 gamma_peak, with its definition.
+"""The measure of forcing on every axis and page: gamma, or at c = 1 gamma_peak, with its definition.
 
 Everything is computed in ``gamma = A w^2 / g`` of one tone. At c = 1 both tones are one sine, and the paper's
 experimental axis is its peak acceleration, ``gamma_peak``: a constant multiple of gamma.
@@ -51,8 +51,8 @@ def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:
             f"{PEAK_TEX}   (c = 1)",
             f"{sense}: the greatest downward acceleration of the plate's sine over gravity (c = 1).",
         )  # fmt: skip
-    told = f"   (c = {own[0]})" if len(own) == 1 else ""
+    at = f"   (c = {own[0]})" if len(own) == 1 else ""
     return GammaScale(
-        1.0, "gamma", r"\Gamma", f"{GAMMA_TEX}{told}",
+        1.0, "gamma", r"\Gamma", f"{GAMMA_TEX}{at}",
         "gamma = A w^2/g: the acceleration amplitude of the first tone over gravity, before the second is added.",
     )  # fmt: skip

@@ -1,6 +1,6 @@
-"""The chain of reasoning in words: which residual, of what size, which candidates, why this one, and why this verdict.
+"""The argument in sentences: the residuals, the candidates, the one chosen, and the tests behind the verdict.
 
-Every sentence is made of numbers that are in the verdict's JSON or its pictures; none is a guess.
+Every number in them is in the verdict's JSON or its figures.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.loop.close_loop import ClosedLoop
+from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.wording import microseconds, plain, probability, rejected_in_words
 from analysis.residuals.covariates import COVARIATES
@@ -17,35 +17,33 @@ from analysis.residuals.plate_observables import KINDS
 from analysis.statistics import mad_sigma
 from model.effects.registry import effect
 
-LISTED = 3
+LISTED = 3  # candidates and kinds of plate data named in a sentence
 
 
 def reasoning(loop: ClosedLoop) -> list[str]:
     """Sentences in the order of the argument."""
-    return [*_what_was_off(loop), *_what_was_tried(loop), *why_this_verdict(loop)]
+    return [*_residual_sentences(loop), *_candidate_sentences(loop), *why_this_verdict(loop)]
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
     """Held-out gain and standard error of every candidate added alone, in nats: of each set its best, largest first."""
     best: dict[str, tuple[float, float]] = {}
-    for names, compared in loop.attribution.tried:
-        name = " + ".join(plain(n) for n in names)
-        if name not in best or compared.gain > best[name][0]:
-            best[name] = (compared.gain, compared.error)
+    for c in loop.candidates:
+        name = " + ".join(plain(n) for n in c.names)
+        if name not in best or c.gain > best[name][0]:
+            best[name] = (c.gain, c.error)
     return dict(sorted(best.items(), key=lambda item: -item[1][0]))
 
 
-def _what_was_off(loop: ClosedLoop) -> list[str]:
+def _residual_sentences(loop: ClosedLoop) -> list[str]:
     """The residuals of the declared model, channel by channel."""
-    values = loop.attribution.before.fitted.values
-    world = loop.world
-    residuals = world.residuals(values)
-    out = []
-    landing = residuals.landing_s[world.evidence.scored]
-    opening = residuals.opening_s[world.from_rest]
+    flights, out = loop.flights, []
+    landing = flights.before.landing_residual_s[flights.scored]
+    opening = flights.before.takeoff_residual_s[flights.from_rest]
     for event, found, floor in (
-        ("landings", landing, loop.noise_floor_us), ("take-offs", opening, loop.takeoff_floor_us)
-    ):  # fmt: skip
+        ("landings", landing, loop.noise_floor_us),
+        ("take-offs", opening, loop.takeoff_floor_us),
+    ):
         known = 1e6 * found[np.isfinite(found)]
         if not len(known):
             out.append(f"no {event} were seen.")
@@ -54,32 +52,34 @@ def _what_was_off(loop: ClosedLoop) -> list[str]:
         when = "later" if middle > 0 else "earlier"
         size = mad_sigma(known)
         out.append(
-            f"{event} came {microseconds(abs(middle))} us {when} than the declared model says (median); they miss it "
-            f"by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."
+            f"{event} came {microseconds(abs(middle))} us {when} than the declared model predicts (median); "
+            f"they miss it by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."
         )
-    data = world.evidence.plate
-    far = {KINDS[k]: float(np.sqrt(np.mean(z**2))) for k in np.unique(data.kind)
-           if len(z := (residuals.plate / data.sigma)[data.kind == k])}  # fmt: skip
+    plate = loop.plate
+    far = {
+        KINDS[k]: float(np.sqrt(np.mean((plate.before / plate.sigma)[plate.kind == k] ** 2)))
+        for k in np.unique(plate.kind)
+    }
     odd = sorted((n for n, z in far.items() if z > loop.limits.plate_rms_z), key=lambda n: -far[n])
     if odd:
-        out.append("the plate differs from what the drive asks: " + ", ".join(
-            f"{n} by {far[n]:.1f} standard deviations (rms)" for n in odd[:LISTED]) + ".")  # fmt: skip
+        listed = ", ".join(f"{n} by {far[n]:.1f} standard deviations (rms)" for n in odd[:LISTED])
+        out.append(f"the plate differs from what the drive asks: {listed}.")
     elif far:
         out.append("the plate moves as the drive asks, within its uncertainty.")
     return out
 
 
-def _what_was_tried(loop: ClosedLoop) -> list[str]:
+def _candidate_sentences(loop: ClosedLoop) -> list[str]:
     """The candidates of the first round, and what each further one brought."""
     ranked = gains(loop)
     out = []
     if ranked:
         listed = ", ".join(f"{n} {round(g)} +- {e:.0f}" for n, (g, e) in list(ranked.items())[:LISTED])
         out.append(f"of {len(ranked)} candidates added alone, these gain most on steps not fitted (nats): {listed}.")
-    out += [f"{words}." for words in loop.attribution.rounds]
+    out += [f"{words}." for words in loop.rounds]
     if loop.rejected is not None:
         out.append(f"{rejected_in_words(loop)}.")
-    for name in map(plain, loop.best.names):
+    for name in map(plain, loop.names):
         rivals = [plain(o) for o in effect(name.replace(" ", "_")).effect.confused_with]
         behind = [
             f"{o} by {ranked[name][0] - ranked[o][0]:.0f} nats"

@@ -1,7 +1,6 @@
-"""The report of a closed loop: one page with its pictures, and the same as JSON.
+"""Report of a closed loop: one HTML page with its figures, and the same numbers as JSON.
 
-The page says what was added, on what evidence, what else it could be, and what is left; every number on it is also in
-the JSON.
+The page is a function of the result alone; no recording is read for it.
 """
 
 from __future__ import annotations
@@ -10,23 +9,22 @@ import base64
 import datetime
 import html
 import json
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from analysis.flights.assemble import flights_of
-from analysis.flights.classify import Change
-from analysis.flights.compare import FirstBifurcation, compare
-from analysis.loop.close_loop import ClosedLoop, as_json, declared_after
+from analysis.loop.result import Bifurcation, ClosedLoop, FirstBifurcations
+from analysis.loop.verdict_json import as_json
 from analysis.report.figures_loop import draw_candidates, draw_errors
 from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
 from analysis.report.figures_terms import draw_discovery
 from analysis.report.gamma import GammaScale, gamma_scale
 from analysis.report.narrative import reasoning
-from analysis.report.style import badge_of
+from analysis.report.style import badge_text, save_picture
 from analysis.report.wording import (
     interval,
     microseconds,
@@ -39,11 +37,12 @@ from analysis.report.wording import (
     verdict_line,
 )
 from analysis.residuals.covariates import COVARIATES
-from daq.recording import Recording, open_recording
 from daq.recording.provenance import software_commit, software_version
-from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
-from model.effects.registry import effect, resolve
+from model.effects.registry import effect
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STYLE = """
 body{font:16px/1.5 Georgia,serif;max-width:52rem;margin:2rem auto;padding:0 1rem;color:#1d2630}
@@ -61,15 +60,13 @@ COLOURS = {"explained": "#2d6a4f", "unexplained": "#a4161a", "nothing_missing": 
 Progress = Callable[[str, float], None]
 
 
-def write_report(
-    loop: ClosedLoop, recordings: Sequence[Path], folder: Path, *, progress: Progress | None = None
-) -> Path:
-    """Write ``report.html``, ``report.json`` and the pictures into ``folder``; returns the page's path.
+def write_report(loop: ClosedLoop, folder: Path, *, progress: Progress | None = None) -> Path:
+    """Write ``report.html``, ``report.json`` and the figures into ``folder``; returns the page's path.
 
     Parameters
     ----------
-    loop, recordings
-        The closed loop, and what it was closed on.
+    loop
+        The closed loop, as computed or as loaded from a file.
     folder
         Made where it does not exist.
     progress
@@ -81,84 +78,59 @@ def write_report(
         When the folder cannot be written.
     """
     say = progress or (lambda what, part: None)
+    first = loop.sources[0]
+    badge = badge_text(first.file, simulated=first.simulated)
+    software = {
+        "date": datetime.date.today().isoformat(),
+        "software_version": software_version(),
+        "software_commit": software_commit(),
+    }
+    pictures: dict[str, Callable[[Figure], None]] = {
+        "errors": partial(draw_errors, loop),
+        "residuals": partial(draw_landings, loop),
+        "takeoffs": partial(draw_takeoffs, loop),
+        "plate": partial(draw_plate, loop),
+        "candidates": partial(draw_candidates, loop),
+    }
+    if loop.discovered is not None:
+        pictures["discovered"] = partial(draw_discovery, loop.discovered)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with open_recording(recordings[0]) as opened:
-            badge = badge_of(opened)
-        say("report: first bifurcations", 0.0)
-        payload = as_json(loop)
-        payload["first_bifurcation"] = first = _bifurcations(loop, recordings[0])
-        payload["recordings"] = made = [_provenance(path) for path in recordings]
-        payload["report"] = {
-            "date": datetime.date.today().isoformat(),
-            "software_version": software_version(),
-            "software_commit": software_commit(),
-        }
-        write_whole(folder / "report.json", json.dumps(payload, indent=1) + "\n")
-        pictures: list[tuple[str, Callable[[], None]]] = [
-            ("errors", lambda: draw_errors(loop, folder, badge)),
-            ("landings", lambda: draw_landings(loop, folder, badge)),
-            ("take-offs", lambda: draw_takeoffs(loop, folder, badge)),
-            ("plate", lambda: draw_plate(loop, folder, badge)),
-            ("candidates", lambda: draw_candidates(loop, folder, badge)),
-        ]
-        for i, (name, draw) in enumerate(pictures):
-            say(f"report: picture of {name}", 0.4 + 0.6 * i / len(pictures))
-            draw()
-        if loop.discovered is not None:
-            draw_discovery(loop.discovered, folder, badge)
+        (folder / "report.json").write_text(json.dumps(_payload(loop, software), indent=1) + "\n", encoding="utf-8")
+        for i, (name, draw) in enumerate(pictures.items()):
+            say(f"report: figure of {name}", i / len(pictures))
+            save_picture(folder, name, badge, draw)
         page = folder / "report.html"
-        write_whole(page, _page(loop, made, payload["report"], folder, first))
+        page.write_text(_page(loop, software, folder), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page
 
 
-def _provenance(path: Path) -> dict[str, Any]:
-    """Where a recording comes from: date, rig, note and software."""
-    with open_recording(path) as opened:
-        return {"file": path.name, "rig": _rig(opened)} | {
-            key: opened.attrs.get(key, "")
-            for key in ("started", "backend", "simulated", "note", "software_version", "software_commit")
-        }
+def _payload(loop: ClosedLoop, software: dict[str, str]) -> dict[str, Any]:
+    """The verdict with the first bifurcation and the provenance."""
+    return as_json(loop) | {
+        "first_bifurcation": _bifurcations_json(loop.first_bifurcations),
+        "recordings": [asdict(source) for source in loop.sources],
+        "report": software,
+    }
 
 
-def _rig(opened: Recording) -> str:
-    """Name and description of the rig's profile."""
-    setup = opened.setup
-    return f"{setup.name} ({setup.description})" if setup.description else setup.name
-
-
-def _bifurcations(loop: ClosedLoop, recording: Path) -> dict[str, object] | None:
-    """First bifurcation in the data, by the declared model and by the improved one; None without enough flights."""
-    setup = loop.world.evidence.setup
-    with open_recording(recording) as opened:
-        opened.measure_with(setup)
-        flights, table = flights_of(opened), opened.steps
-    declared, improved = resolve(setup.declared_values()), declared_after(loop)
-    try:
-        before = compare(flights, setup, effects=declared, steps_table=table).first
-        after = before if improved == declared else compare(flights, setup, effects=improved, steps_table=table).first
-    except (ValueError, InputError):
+def _bifurcations_json(first: FirstBifurcations | None) -> dict[str, object] | None:
+    """First bifurcation in the data, by the declared model and by the improved one."""
+    if first is None:
         return None
-    return {"measured": _bracket(before.measured), "before": _predicted(before), "after": _predicted(after)}
+    measured = first.measured
 
-
-def _bracket(change: Change | None) -> dict[str, object] | None:
-    if change is None:
-        return None
-    low, high = sorted((change.gamma_before, change.gamma_after))
-    return {"type": change.type, "gamma_low": low, "gamma_high": high}
-
-
-def _predicted(first: FirstBifurcation) -> dict[str, object]:
-    def plain(x: float) -> float | None:
-        return float(x) if np.isfinite(x) else None
+    def predicted(b: Bifurcation) -> dict[str, object]:
+        gammas = {"gamma": b.gamma_low, "same_type_gamma": b.same_type_gamma}
+        return {"type": b.type} | {k: x if math.isfinite(x) else None for k, x in gammas.items()}
 
     return {
-        "type": first.predicted_type,
-        "gamma": plain(first.predicted_gamma),
-        "same_type_gamma": plain(first.same_type_gamma),
+        "measured": measured
+        and {"type": measured.type, "gamma_low": measured.gamma_low, "gamma_high": measured.gamma_high},
+        "before": predicted(first.before),
+        "after": predicted(first.after),
     }
 
 
@@ -169,33 +141,28 @@ def _picture(folder: Path, name: str) -> str:
     return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
 
 
-def _page(
-    loop: ClosedLoop,
-    made: Sequence[dict[str, Any]],
-    report: dict[str, str],
-    folder: Path,
-    first: dict[str, object] | None,
-) -> str:
-    scale = gamma_scale(loop.world.evidence.setup.forcing, loop.world.evidence.steps.ratio)
-    simulated = any(m["simulated"] for m in made)
+def _page(loop: ClosedLoop, software: dict[str, str], folder: Path) -> str:
+    """The page, with the figures in ``folder`` put in."""
+    scale = gamma_scale(loop.setup.forcing, loop.steps.ratio)
+    simulated = any(m.simulated for m in loop.sources)
     mark = (
         '<span class="badge simulated">simulated rig</span>'
         if simulated
         else '<span class="badge">measured on a rig</span>'
     )
-    names = html.escape(", ".join(m["file"] for m in made))
+    names = html.escape(", ".join(m.file for m in loop.sources))
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'>",
         f"<title>Closed loop: {names}</title>",
         f"<style>{STYLE}</style><h1>Closed loop</h1><p>{mark} {names}</p>",
         f"<p class='verdict' style='--c:{COLOURS[loop.verdict]}'><b>{html.escape(verdict_line(loop))}</b></p>",
         f"<p>{_html(_capital(rejected_in_words(loop)))}.</p>" if loop.rejected is not None else "",
-        _provenance_table(made, report),
+        _provenance_table(loop, software),
         f"<p>{_html(_definition(loop, scale))}</p>",
         _errors_table(loop),
         _picture(folder, "errors"),
         _effects_table(loop),
-        _bifurcation_words(first, scale),
+        _bifurcation_sentence(loop.first_bifurcations, scale),
         "<h2>Why</h2>",
         _reasoning(loop),
         _picture(folder, "candidates"),
@@ -218,9 +185,14 @@ def _page(
 
 
 def _html(text: str) -> str:
-    """Plain text as HTML, with the signs that the pictures have for microseconds, gamma and plus or minus."""
-    signs = {r" us\b": " &micro;s", r"w\^2": "&omega;&sup2;", r"\+-": "&plusmn;",
-             r"\bgamma_peak\b": "&Gamma;<sub>peak</sub>", r"\bgamma\b": "&Gamma;"}  # fmt: skip
+    """Plain text as HTML, with the figures' signs for microseconds, gamma and plus or minus."""
+    signs = {
+        r" us\b": " &micro;s",
+        r"w\^2": "&omega;&sup2;",
+        r"\+-": "&plusmn;",
+        r"\bgamma_peak\b": "&Gamma;<sub>peak</sub>",
+        r"\bgamma\b": "&Gamma;",
+    }
     text = html.escape(text)
     for plain_sign, sign in signs.items():
         text = re.sub(plain_sign, sign, text)
@@ -232,27 +204,29 @@ def _capital(text: str) -> str:
 
 
 def _definition(loop: ClosedLoop, scale: GammaScale) -> str:
-    """What the page means by gamma, once."""
-    also = loop.discovered is not None and loop.discovered.of == "gamma" and scale.factor != 1.0
+    """Definition of gamma on the page."""
+    also = loop.discovered is not None and loop.discovered.covariate == "gamma" and scale.factor != 1.0
     return scale.definition + (" The discovered curve alone is over gamma = A w^2/g." if also else "")
 
 
-def _provenance_table(made: Sequence[dict[str, Any]], report: dict[str, str]) -> str:
+def _provenance_table(loop: ClosedLoop, software: dict[str, str]) -> str:
     """Date, rig, note and versions of each recording, and of this page."""
-
-    def software(of: dict[str, Any]) -> str:
-        commit = str(of["software_commit"])
-        return f"shakerbench {of['software_version']}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
-
     rows = []
-    for m in made:
-        note = f"; note: {m['note']}" if m["note"] else ""
-        when = str(m["started"])[:19].replace("T", " ")
-        told = f"{m['rig']}, back end {m['backend']}; {when + ' UTC' if when else 'date unknown'}; {software(m)}{note}"
-        rows.append((m["file"], told))
-    rows.append(("this page", f"{report['date']}; {software(report)}"))
+    for m in loop.sources:
+        note = f"; note: {m.note}" if m.note else ""
+        when = m.started[:19].replace("T", " ")
+        version = _software(m.software_version, m.software_commit)
+        rows.append(
+            (m.file, f"{m.rig}, back end {m.backend}; {when + ' UTC' if when else 'date unknown'}; {version}{note}")
+        )
+    own = _software(software["software_version"], software["software_commit"])
+    rows.append(("this page", f"{software['date']}; {own}"))
     body = "".join(f"<tr><td>{html.escape(a)}</td><td>{html.escape(b)}</td></tr>" for a, b in rows)
     return f"<table class='meta'>{body}</table>"
+
+
+def _software(version: str, commit: str) -> str:
+    return f"shakerbench {version}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
 
 
 def _errors_table(loop: ClosedLoop) -> str:
@@ -292,20 +266,20 @@ def _effects_table(loop: ClosedLoop) -> str:
     return f"<table><tr><th>added</th><th>parameter</th><th>value (95 % interval)</th></tr>{rows}</table>"
 
 
-def _bifurcation_words(first: dict[str, object] | None, scale: GammaScale) -> str:
+def _bifurcation_sentence(first: FirstBifurcations | None, scale: GammaScale) -> str:
+    """First bifurcation, measured and predicted before and after."""
     if first is None:
         return ""
 
-    def say(x: object) -> str:
-        if not isinstance(x, dict):
-            return "none found"
-        if "gamma_low" in x:
-            low, high = (scale.factor * x[k] for k in ("gamma_low", "gamma_high"))
-            return f"{x['type']} between {scale.name} {low:.4f} and {high:.4f}"
-        found = x["gamma"]
-        return "none in the range" if found is None else f"{x['type']} at {scale.name} {scale.factor * found:.4f}"
+    def predicted(b: Bifurcation) -> str:
+        known = math.isfinite(b.gamma_low)
+        return f"{b.type} at {scale.name} {scale.factor * b.gamma_low:.4f}" if known else "none in the range"
 
-    measured, before, after = (say(first[k]) for k in ("measured", "before", "after"))
+    measured = "none found"
+    if first.measured is not None:
+        low, high = scale.factor * first.measured.gamma_low, scale.factor * first.measured.gamma_high
+        measured = f"{first.measured.type} between {scale.name} {low:.4f} and {high:.4f}"
+    before, after = predicted(first.before), predicted(first.after)
     return _html(f"First bifurcation: in the data {measured}; before: {before}; after: {after}.").join(("<p>", "</p>"))
 
 
@@ -322,7 +296,7 @@ def _alternatives(loop: ClosedLoop) -> str:
     if not others:
         return "<p>No other named set of effects predicts the held-out steps as well.</p>"
     hints = "".join(
-        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {html.escape(how)}</li>"
+        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {_html(how)}</li>"
         for f in loop.effects
         for o, how in effect(f.name).effect.confused_with.items()
         if any(plain(o) in x for x in others)
@@ -342,7 +316,7 @@ def _remains(loop: ClosedLoop) -> str:
     if left.covariate:
         words += f"<p>What is left goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
     if loop.discovered is not None:
-        words += f"<p>Discovered: {html.escape(loop.discovered.in_words)}.</p>"
+        words += f"<p>Discovered: {html.escape(loop.discovered.description)}.</p>"
     notes = "".join(f"<li>{_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))
     return words + (f"<ul>{notes}</ul>" if notes else "")
 

@@ -1,15 +1,14 @@
-"""What every picture of a recording shares: colours for measured and predicted, the badge, saving.
+"""Plot style, colours and the badge of every picture, and how a picture is saved.
 
-The rule kept here: measured is always dark dots, predicted always the light line or cloud beneath them, and a badge on
-each picture says whether the rig was simulated.
+Measured values are dark dots, predicted ones the light line or cloud beneath them. A badge on each saved picture
+separates a simulated rig from a real one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,15 +17,30 @@ from daq.recording import Recording
 from daq.recording.whole_file import whole
 from daq.setup.errors import InputError
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Floats = npt.NDArray[np.float64]
 
-MEASURED = "#12355b"
-BEFORE, AFTER, FLOOR = "#e07a5f", "#12355b", "#8d99ae"  # of the closed loop: declared model, improved model, noise
+INK = "#12355b"
+MEASURED, MODEL = INK, "#e07a5f"
+BEFORE, AFTER, FLOOR = MODEL, INK, "#8d99ae"  # declared model, improved model, noise
 DOUBTFUL = "#b5651d"
-MODEL = "#e07a5f"
-ZONE = "#f2d0a4"
+ZONE = "#f2d0a4"  # forbidden zones of the ideal ball
+EVENT = "#9b2226"  # bifurcations
 PLATE = "#5c677d"
-CONTACT = "#dfe7ef"
+BAND = "#c9d6e3"  # 95 % bands
+NEUTRAL, ERROR_BAR = "#adb5bd", "#495057"
+SIMULATED_BADGE, REAL_BADGE = "#a4161a", "#2d6a4f"
+HARMONICS = (  # colour (Okabe and Ito's, which the colour-blind tell apart), mark and line of each harmonic
+    ("#0072b2", "o", "-"),
+    ("#d55e00", "s", "--"),
+    ("#000000", "^", ":"),
+    ("#cc79a7", "D", "-."),
+    ("#009e73", "v", "-"),
+    ("#e69f00", "P", "--"),
+    ("#56b4e9", "X", ":"),
+)
 STYLE: dict[Any, Any] = {
     "font.family": "serif",
     "mathtext.fontset": "cm",
@@ -37,19 +51,23 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "savefig.dpi": 160,
     "svg.fonttype": "none",
+    "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
-FORMATS = ("png", "svg")
+FORMATS: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}}  # and their metadata
+
+
+def badge_text(name: str, *, simulated: bool) -> str:
+    """Text of the badge: simulated or real, and which recording."""
+    return f"{'SIMULATED RIG' if simulated else 'measured on a rig'}: {name}"
 
 
 def badge_of(recording: Recording) -> str:
-    """What the badge says: simulated or real, and which recording."""
-    rig = "SIMULATED RIG" if recording.attrs.get("simulated") else "measured on a rig"
-    return f"{rig}: {recording.path.name}"
+    """Badge of an open recording."""
+    return badge_text(recording.path.name, simulated=bool(recording.attrs.get("simulated")))
 
 
-@contextmanager
-def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tuple[Any, Any]]:
-    """A figure and its axes; saved as PNG and SVG in ``folder`` at the end.
+def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], None]) -> None:
+    """Save what ``draw`` draws on a new figure as PNG and SVG, with the badge; nothing where it draws no axes.
 
     Raises
     ------
@@ -59,46 +77,46 @@ def figure(folder: Path, name: str, badge: str, **options: Any) -> Iterator[tupl
     import matplotlib
     from matplotlib.figure import Figure
 
-    size = options.pop("figsize", None)
     with matplotlib.rc_context(STYLE):
-        drawn = Figure(figsize=size)
-        axes = drawn.subplots(**options)
+        figure = Figure()
+        draw(figure)
+        if not figure.axes:
+            return
+        _add_badge(figure, badge)
         try:
-            yield drawn, axes
-            colour = "#a4161a" if badge.startswith("SIMULATED") else "#2d6a4f"
-            drawn.text(
-                0.993,
-                1.0 - 0.07 / drawn.get_figheight(),
-                badge,
-                ha="right",
-                va="top",
-                fontsize=8,
-                color="white",
-                weight="bold",
-                bbox={"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"},
-            )
-            layout: Any = drawn.get_layout_engine()
-            layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / drawn.get_figheight()))
             folder.mkdir(parents=True, exist_ok=True)
-            for form in FORMATS:
+            for form, metadata in FORMATS.items():
                 with whole(folder / f"{name}.{form}") as part:
-                    drawn.savefig(part, format=form)
+                    figure.savefig(part, format=form, metadata=metadata)
         except OSError as error:
             raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
 
 
+def _add_badge(figure: Figure, badge: str) -> None:
+    """The badge in the upper right corner, and room for it."""
+    height = figure.get_figheight()
+    colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE
+    box = {"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"}
+    at: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 8, "color": "white", "weight": "bold"}
+    figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, **at)
+    layout: Any = figure.get_layout_engine()
+    layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / height))
+
+
 def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, **style: Any) -> int:
-    """Dots within ``+-limit``; what lies beyond stands at the edge as a triangle that points outwards.
+    """Dots within ``+-limit``; points beyond are triangles at the edge that point outwards.
 
     Returns
     -------
     int
-        How many lie beyond.
+        Number of points beyond.
     """
     above, below = y > limit, y < -limit
     inside = ~above & ~below
     ax.plot(x[inside], y[inside], ".", ms=4.5, mew=0, alpha=0.6, **style)
     for rows, mark, edge in ((above, "^", limit), (below, "v", -limit)):
+        if not rows.any():  # the extent of an unclipped line without points would be the figure's corner
+            continue
         at = np.full(int(rows.sum()), 0.95 * edge)
         ax.plot(x[rows], at, mark, ms=4.5, mfc="none", mew=0.8, clip_on=False, **style)
     return int(above.sum() + below.sum())

@@ -1,11 +1,10 @@
-"""The verdict in words, and one form for every kind of number, for the page, the pictures and the terminal."""
+"""The verdict in words, and one form for every kind of number, for page, figures and terminal."""
 
 from __future__ import annotations
 
 import math
 
-from analysis.loop.calibrations import fitted_calibrations
-from analysis.loop.close_loop import ClosedLoop, Found
+from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.residuals.forward_model import TREND
 from model.effects.registry import effect, trend_name
 
@@ -41,7 +40,7 @@ def microseconds(value: float) -> str:
 
 
 def probability(p: float) -> str:
-    """A probability as ``p = 0.03``; what is too small to be told from zero as a bound."""
+    """A probability as ``p = 0.03``; below 1e-9 as a bound."""
     return f"p = {p:.2g}" if p >= 1e-9 else "p < 1e-9"
 
 
@@ -58,7 +57,7 @@ def unit_of(name: str, parameter: str) -> str:
     return "" if unit == "1" else unit
 
 
-def size_of(found: Found) -> str:
+def size_of(found: AddedEffect) -> str:
     """Every parameter of an added effect with its 95 % interval and unit."""
     return ", ".join(
         f"{k} = {interval(v, lo, hi)} {unit_of(found.name, k)}".rstrip() for k, (v, lo, hi) in found.parameters.items()
@@ -76,7 +75,7 @@ def verdict_line(loop: ClosedLoop) -> str:
 
 def others_in_words(loop: ClosedLoop) -> list[str]:
     """Sets of effects that the data cannot tell from the best one."""
-    return [" + ".join(plain(n) for n in x.names) for x in loop.attribution.ties[1:]]
+    return [" + ".join(plain(n) for n in names) for names in loop.ties[1:]]
 
 
 def rejected_in_words(loop: ClosedLoop) -> str:
@@ -93,7 +92,7 @@ def moved_calibrations(loop: ClosedLoop) -> list[str]:
     return [
         f"calibration {plain(c.effect)}, {c.parameter}: fitted {plus_minus(c.value, c.sigma)}, stated "
         f"{plus_minus(c.stated, c.stated_sigma)} {unit_of(c.effect, c.parameter)}".rstrip()
-        for c in fitted_calibrations(loop.best)
+        for c in loop.calibrations
         if c.moved
     ]
 

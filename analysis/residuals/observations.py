@@ -131,7 +131,11 @@ class Observations:
 
 
 def observations_from(
-    paths: Sequence[Path], *, setup: Setup | None = None, progress: Callable[[str, float], None] | None = None
+    paths: Sequence[Path],
+    *,
+    setup: Setup | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    on_flights: Callable[[Recording, Flights], None] | None = None,
 ) -> Observations:
     """Reduce recordings to observations.
 
@@ -143,6 +147,8 @@ def observations_from(
         Replaces the setup stored in the recordings (a corrected or completed profile).
     progress
         Called with the file's name and the fraction done.
+    on_flights
+        Called with each recording and its flights, so that nobody reads it a second time for them.
 
     Raises
     ------
@@ -157,6 +163,8 @@ def observations_from(
             if setup is not None:
                 recording.measure_with(setup)
             flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
+            if on_flights is not None:
+                on_flights(recording, flights)
             parts.append(_part(recording, flights, recording.setup))
     return parts[0] if len(parts) == 1 else join(parts)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,11 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from analysis.loop.close_loop import ClosedLoop
+    from analysis.loop.close_loop import FittedLoop
     from analysis.loop.design import Ranked
+    from analysis.loop.result import ClosedLoop
+
+Output = tuple[str, Callable[[], None]]
 
 
 def command(
@@ -36,7 +40,7 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from analysis.loop.close_loop import close_loop
+    from analysis.loop.close_loop import fit_loop
     from bench.jobs.adaptive_runs import until_clear as repeat
     from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
@@ -54,97 +58,99 @@ def command(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
             File("--next-run", next_run, PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
         )  # fmt: skip
-        for path in recordings:
-            if not path.is_file():
-                raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
-        _warn_of_calibrations(recordings)
+        _check_recordings(recordings)
         if until_clear:
-            loop, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
+            loop, fitted, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
             setup, text = (None, None) if profile is None else load_measuring(profile)
             with progress_bar(quiet) as bar:
-                loop = close_loop(recordings, setup=setup, progress=bar)
+                loop, fitted = fit_loop(recordings, setup=setup, progress=bar)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; name a file that can be read", EXIT_USAGE)
     if not quiet:
         show(loop)
-    outputs = _outputs(loop, recordings, json, report, improved, next_run, text=text, say=say)
-    complete = keep(outputs)
+    writers = _Writers(loop, fitted, recordings[0], text, say)
+    complete = keep(writers.outputs(json, report, improved, next_run))
     if failure:
         fail(failure, EXIT_FAILED)
     if not complete:
         raise SystemExit(EXIT_FAILED)
 
 
-def _outputs(
-    loop: ClosedLoop,
-    recordings: list[Path],
-    json: str | None,
-    report: Path | None,
-    improved: Path | None,
-    next_run: Path | None,
-    *,
-    text: str | None,
-    say: Callable[[str], None],
-) -> list[tuple[str, Callable[[], None]]]:
-    """Name and function of everything that is to be written, in order."""
-    ranked: list[Ranked] = []
+@dataclass
+class _Writers:
+    """Writers of the outputs of one closed loop; ``text`` is the profile by which it was closed, if not its own."""
 
-    def rank() -> None:
+    loop: ClosedLoop
+    fitted: FittedLoop
+    recording: Path
+    text: str | None
+    say: Callable[[str], None]
+    ranked: list[Ranked] = field(default_factory=list)
+
+    def outputs(
+        self, json: str | None, report: Path | None, improved: Path | None, next_run: Path | None
+    ) -> list[Output]:
+        """Name and function of everything that is to be written, in order."""
+        out: list[Output] = [("list of next runs", self.rank), ("verdict as JSON", lambda: self.verdict(json))]
+        if report is not None:
+            out.append(("report", lambda: self.report(report, quiet=json == "-")))
+        if improved is not None:
+            out.append(("improved profile", lambda: self.improved(improved)))
+        if next_run is not None:
+            out.append(("next run's profile", lambda: self.next_run(next_run)))
+        return out
+
+    def rank(self) -> None:
         from bench.profiles.next_run import possible_runs
 
-        ranked.extend(possible_runs(loop, recordings[0]))
-        for run in ranked[:3]:
-            say(f"  a next run worth {run.nats:.0f} nats: {run.design.words}")
+        self.ranked = possible_runs(self.loop, self.fitted, self.recording)
+        for run in self.ranked[:3]:
+            self.say(f"  a next run worth {run.nats:.0f} nats: {run.design.description}")
 
-    def write_verdict() -> None:
-        from analysis.loop.close_loop import as_json
-        from analysis.loop.design import as_json as runs_as_json
+    def verdict(self, json: str | None) -> None:
+        from analysis.loop.design import ranking_json
+        from analysis.loop.verdict_json import as_json
         from bench.terminal.console import write_json
 
-        write_json(as_json(loop, runs_as_json(ranked)), json)
+        write_json(as_json(self.loop, ranking_json(self.ranked)), json)
 
-    def write_page(folder: Path) -> None:
+    def report(self, folder: Path, *, quiet: bool) -> None:
         from analysis.report.page import write_report
         from bench.terminal.progress import progress_bar
 
-        with progress_bar(json == "-") as bar:
-            page = write_report(loop, recordings, folder, progress=bar)
-        say(f"report: {page}")
+        with progress_bar(quiet) as bar:
+            page = write_report(self.loop, folder, progress=bar)
+        self.say(f"report: {page}")
 
-    def write_profile(path: Path) -> None:
+    def improved(self, path: Path) -> None:
         from bench.profiles.improved import write_improved
 
-        for line in write_improved(loop, recordings[0], path, text):
-            say(line)
+        for line in write_improved(self.loop, self.recording, path, self.text):
+            self.say(line)
 
-    def write_next_run(path: Path) -> None:
+    def next_run(self, path: Path) -> None:
         from bench.profiles.next_run import write_next
 
-        if ranked:
-            write_next(ranked, recordings[0], path)
-            say(f"next run: {path} ({ranked[0].design.words})")
+        if self.ranked:
+            write_next(self.ranked, self.recording, path)
+            self.say(f"next run: {path} ({self.ranked[0].design.description})")
         else:
-            say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
-
-    outputs: list[tuple[str, Callable[[], None]]] = [("list of next runs", rank), ("verdict as JSON", write_verdict)]
-    if report is not None:
-        outputs.append(("report", lambda: write_page(report)))
-    if improved is not None:
-        outputs.append(("improved profile", lambda: write_profile(improved)))
-    if next_run is not None:
-        outputs.append(("next run's profile", lambda: write_next_run(next_run)))
-    return outputs
+            self.say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
 
 
-def _warn_of_calibrations(recordings: list[Path]) -> None:
-    """Say which scales nobody had measured lately when the recordings were made."""
+def _check_recordings(recordings: list[Path]) -> None:
+    """Refuse a file that is missing; warn of scales whose calibration was old when the recordings were made."""
     from bench.terminal.console import warn
     from daq.recording import open_recording
     from daq.setup.calibration_age import warnings_at_start
+    from daq.setup.errors import InputError
 
+    for path in recordings:
+        if not path.is_file():
+            raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
     for path in recordings:
         with open_recording(path) as recording:
             for doubt in warnings_at_start(recording.setup, str(recording.attrs.get("started", ""))):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from analysis.loop.close_loop import ClosedLoop
+    from analysis.loop.result import ClosedLoop
     from rig.profile import Profile
     from rig.sim.scenario import Scenario
 
@@ -64,6 +64,15 @@ def command(
     names = ", ".join(load_scenario(sealed).effects) or "nothing"
     found = ", ".join(f.name for f in loop.effects) or "no effect added"
     typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {loop.verdict} ({found})")
+    _list_outputs(folder, recording, sealed)
+    if not complete:
+        raise SystemExit(EXIT_FAILED)
+    (folder / UNFINISHED).unlink()
+    typer.echo(f"done in {time.perf_counter() - started:.0f} s")
+
+
+def _list_outputs(folder: Path, recording: Path, sealed: Path) -> None:
+    """Print what lies where."""
     for what, path in (
         ("recording", recording),
         ("flights", folder / "flights.csv"),
@@ -74,10 +83,6 @@ def command(
     ):
         if path.exists():
             typer.echo(f"  {what:<17} {path}")
-    if not complete:
-        raise SystemExit(EXIT_FAILED)
-    (folder / UNFINISHED).unlink()
-    typer.echo(f"done in {time.perf_counter() - started:.0f} s")
 
 
 def _simulated(name: str) -> tuple[Profile, str]:
@@ -181,7 +186,8 @@ def _reprocess(recording: Path, folder: Path) -> None:
 
 def _close(recording: Path, folder: Path) -> tuple[ClosedLoop, bool]:
     """Close the loop, show the verdict, then write it; whether everything could be written."""
-    from analysis.loop.close_loop import as_json, close_loop
+    from analysis.loop.close_loop import close_loop
+    from analysis.loop.verdict_json import as_json
     from analysis.report.page import write_report
     from bench.profiles.improved import write_improved
     from bench.terminal.console import write_json
@@ -195,7 +201,7 @@ def _close(recording: Path, folder: Path) -> tuple[ClosedLoop, bool]:
 
     def write_page() -> None:
         with progress_bar() as say:
-            write_report(loop, [recording], folder / "report", progress=say)
+            write_report(loop, folder / "report", progress=say)
 
     def write_profile() -> None:
         for line in write_improved(loop, recording, folder / "improved.toml"):

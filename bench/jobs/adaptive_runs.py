@@ -1,4 +1,4 @@
-"""Run, analyse, choose the next run, run again on the simulated rig, until one explanation stands.
+"""Sequential design on the simulated rig: run, analyse, choose the next run, until one hypothesis stands.
 
 The analysis sees recordings alone; what the rig hides stays in the scenario file that only the back end reads.
 """
@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from analysis.loop.close_loop import ClosedLoop, close_loop
+from analysis.loop.close_loop import FittedLoop, fit_loop
+from analysis.loop.result import ClosedLoop
 from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
 
-MOST_RUNS = 4
+MOST_RUNS = 4  # made at most
 
 
 def until_clear(
@@ -23,7 +24,7 @@ def until_clear(
     say: Callable[[str], None],
     quiet: bool,
     limits: Thresholds = FROZEN,
-) -> tuple[ClosedLoop, list[Path], str]:
+) -> tuple[ClosedLoop, FittedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would tell them apart.
 
     Parameters
@@ -43,7 +44,8 @@ def until_clear(
 
     Returns
     -------
-    The last loop, all recordings, and why a run that was to follow could not be made (empty where nothing failed).
+    The last loop and its fitted model, all recordings, and why a run that was to follow could not be made (empty where
+    nothing failed).
 
     Raises
     ------
@@ -63,15 +65,15 @@ def until_clear(
     text = profile_text(made[0])
     while True:
         with progress_bar(quiet) as bar:
-            loop = close_loop(made, limits=limits, progress=bar)
-        if len(loop.attribution.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
-            return loop, made, ""
-        tied = "; ".join(" + ".join(x.names) for x in loop.attribution.ties)
-        ranked = [r for r in possible_runs(loop, made[0]) if not r.design.priors]
-        if not ranked or ranked[0].nats < limits.gain_nats:
+            loop, fitted = fit_loop(made, limits=limits, progress=bar)
+        if len(loop.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
+            return loop, fitted, made, ""
+        tied = "; ".join(" + ".join(names) for names in loop.ties)
+        ranked = [r for r in possible_runs(loop, fitted, made[0]) if not r.design.priors]
+        if not ranked or ranked[0].nats < loop.limits.gain_nats:
             say(f"still tied: {tied}; no run that this rig can make would tell them apart")
-            return loop, made, ""
-        say(f"tied: {tied}; next run: {ranked[0].design.words} (worth {ranked[0].nats:.0f} nats)")
+            return loop, fitted, made, ""
+        say(f"tied: {tied}; next run: {ranked[0].design.description} (worth {ranked[0].nats:.0f} nats)")
         out = made[0].with_name(f"{made[0].stem}-next{len(made) - len(recordings) + 1}.h5")
         try:
             profile = profile_of(text, ranked[0].design)
@@ -79,7 +81,7 @@ def until_clear(
             backend = make_backend(checked, scenario=scenario, seed=seed + len(made))
             summary = record(checked, profile, backend, out, quiet=quiet)
         except (InputError, OSError) as error:
-            return loop, made, str(error)
+            return loop, fitted, made, str(error)
         if summary.how != "complete":
-            return loop, made, f"{out}: the run was {summary.how}: {summary.why}"
+            return loop, fitted, made, f"{out}: the run was {summary.how}: {summary.why}"
         made.append(out)

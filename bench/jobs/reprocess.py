@@ -23,9 +23,12 @@ def draw(opened: Recording, table: Flights, folder: Path) -> None:
     """Every picture of a recording, into ``folder``."""
     from analysis.report.figures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
     from analysis.report.figures_plate import draw_plate  # matplotlib is slow to import
+    from analysis.report.style import badge_of, save_picture
 
-    draw_plate(opened, table, folder)
+    badge = badge_of(opened)
+    save_picture(folder, "plate", badge, lambda figure: draw_plate(opened, table, figure))
     if len(table):
-        draw_bifurcations(opened, table, folder)
-        draw_trajectory(opened, table, folder)
-        draw_return_maps(opened, table, compare(table, opened.setup, steps_table=opened.steps), folder)
+        held = compare(table, opened.setup, steps_table=opened.steps)
+        save_picture(folder, "bifurcation", badge, lambda figure: draw_bifurcations(opened, table, figure))
+        save_picture(folder, "trajectory", badge, lambda figure: draw_trajectory(opened, table, figure))
+        save_picture(folder, "return_maps", badge, lambda figure: draw_return_maps(opened, table, held, figure))

@@ -27,9 +27,6 @@ from model.tones import Forcing
 
 Floats = NDArray[np.float64]
 
-INK = "#16324f"
-ZONE = "#e8a33d"
-LINE = "#9b2226"
 PAPER_HZ = 20.0  # the paper's "omega = 20"
 ZONE_GAMMAS = 400
 PAPER_FIGURES: dict[int, tuple[tuple[int, float, float], ...]] = {  # figure: (c, from, to) of each panel, in gamma
@@ -101,8 +98,8 @@ def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: floa
     if ideal:
         _zones(ax, forcing, low, high, scale, unit)
         _marks(ax, forcing, low, high, scale)
-    ax.plot(x[shown & crowd], y[shown & crowd], ".", ms=0.6, mew=0, color=INK, alpha=0.5, rasterized=True)
-    ax.plot(x[shown & ~crowd], y[shown & ~crowd], ".", ms=1.8, mew=0, color=INK, rasterized=True)
+    ax.plot(x[shown & crowd], y[shown & crowd], ".", ms=0.6, mew=0, color=style.INK, alpha=0.5, rasterized=True)
+    ax.plot(x[shown & ~crowd], y[shown & ~crowd], ".", ms=1.8, mew=0, color=style.INK, rasterized=True)
     top = float(np.nanmax(y)) if shown.any() else 1.0
     ax.set_xlim(low * scale, high * scale)
     ax.set_ylim(0.0, 1.05 * top)
@@ -136,9 +133,7 @@ def _zones(ax: Any, forcing: Forcing, low: float, high: float, scale: float, uni
     seen = [zone for zone in done + growing if len(zone) > 3]
     for i, zone in enumerate(seen):
         g, a, b = np.array(zone).T
-        ax.fill_between(
-            g * scale, a * unit, b * unit, color=ZONE, alpha=0.35, lw=0, label="forbidden" if i == 0 else None
-        )
+        ax.fill_between(g * scale, a * unit, b * unit, color=style.ZONE, lw=0, label="forbidden" if i == 0 else None)
     if seen:
         ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
 
@@ -150,7 +145,7 @@ def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> 
     last = -math.inf
     for event in bifurcations(IdealBall(forcing), low, high, narrowest=wide):
         if event.type in kinds and (event.before.flights or 0) <= 1:
-            ax.axvline(event.gamma * scale, color=LINE, lw=0.6, ls=(0, (4, 3)), zorder=0)
+            ax.axvline(event.gamma * scale, color=style.EVENT, lw=0.6, ls=(0, (4, 3)), zorder=0)
             if event.gamma - last > (high - low) / 40.0:
                 ax.text(
                     event.gamma * scale,
@@ -160,7 +155,7 @@ def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> 
                     va="top",
                     ha="left",
                     fontsize=7,
-                    color=LINE,
+                    color=style.EVENT,
                     transform=ax.get_xaxis_transform(),
                 )
             last = event.gamma

@@ -9,8 +9,7 @@ from __future__ import annotations
 import datetime
 from pathlib import Path
 
-from analysis.loop.close_loop import ClosedLoop
-from analysis.residuals.forward_model import TREND
+from analysis.loop.result import ClosedLoop
 from bench.profiles.edit import Measured, declare
 from daq.recording import open_recording
 from daq.recording.whole_file import write_whole
@@ -47,12 +46,9 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
             text = str(opened.attrs.get("profile_text", ""))
     if not text.strip():
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
-    fitted, on = loop.best.fitted, datetime.date.today()
-    source = f"closed loop on {recording.name}"
+    on, source = datetime.date.today(), f"closed loop on {recording.name}"
     found = [
-        Measured(f"declared.{name}.{q}", float(fitted.values[name, q]), float(fitted.sigma((name, q))), source)
-        for name, q in loop.best.free
-        if not q.endswith(TREND)
+        Measured(f"declared.{p.effect}.{p.parameter}", p.value, p.sigma, source) for p in loop.added if not p.trend
     ]
     believed = loop.verdict != "unexplained"
     edited = declare(text, found if believed else [], on, str(path))
@@ -75,13 +71,13 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
 
 
 def not_declared(loop: ClosedLoop) -> list[str]:
-    """Findings that no profile can hold: a trend during the run, and a term without a name."""
-    left = []
-    for name, q in loop.best.free:
-        if q.endswith(TREND):
-            bare, change = q.removesuffix(TREND), loop.best.fitted.values[name, q]
-            middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
-            left.append(f"{name}.{bare} changed by {change:.3g} from start to end of this run{middle}")
+    """What was found and no profile can hold: a trend during the run, and a term without a name."""
+    middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
+    left = [
+        f"{p.effect}.{p.parameter} changed by {p.value:.3g} from start to end of this run{middle}"
+        for p in loop.added
+        if p.trend
+    ]
     if loop.discovered is not None:
-        left.append(f"{loop.discovered.in_words} (discovered, without a name)")
+        left.append(f"{loop.discovered.description} (discovered, without a name)")
     return left

@@ -9,8 +9,9 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.loop.close_loop import ClosedLoop
+from analysis.loop.close_loop import FittedLoop
 from analysis.loop.design import Design, Ranked, designs_for, rank
+from analysis.loop.result import ClosedLoop
 from bench.profiles.edit import with_values
 from bench.profiles.plan import planned
 from daq.recording import open_recording
@@ -40,11 +41,11 @@ def profile_of(text: str, design: Design) -> str:
     return with_values(text, values, WHERE)
 
 
-def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
+def possible_runs(loop: ClosedLoop, fitted: FittedLoop, recording: Path) -> list[Ranked]:
     """Ranked next runs that the rig's limits allow; every design where the recording's profile has no ramp."""
     text = profile_text(recording)
     allowed = []
-    for design in designs_for(loop.world.evidence):
+    for design in designs_for(loop.steps.gamma, int(loop.steps.ratio[0])):
         try:
             profile = parse_profile(profile_of(text, design), "next run")
         except InputError:
@@ -52,7 +53,7 @@ def possible_runs(loop: ClosedLoop, recording: Path) -> list[Ranked]:
             continue
         if not planned(profile)[2]:
             allowed.append(design)
-    return rank(loop, allowed)
+    return rank(fitted, allowed)
 
 
 def write_next(ranked: Sequence[Ranked], recording: Path, path: Path) -> None:

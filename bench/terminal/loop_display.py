@@ -1,11 +1,11 @@
-"""What a person at the terminal is shown of a closed loop, and the keeping of its outputs one by one."""
+"""Terminal display of a closed loop, and the writing of its outputs one by one."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
 
-from analysis.loop.close_loop import ClosedLoop
+from analysis.loop.result import ClosedLoop
 from analysis.report.narrative import why_this_verdict
 from analysis.report.wording import microseconds, moved_calibrations, others_in_words, rejected_in_words, verdict_line
 from daq.setup.errors import InputError
@@ -21,7 +21,7 @@ def show(loop: ClosedLoop) -> None:
     for line in why_this_verdict(loop):
         out.print(f"  {line}", soft_wrap=True)
     if loop.discovered is not None:
-        out.print(f"  discovered: {loop.discovered.in_words}", soft_wrap=True)
+        out.print(f"  discovered: {loop.discovered.description}", soft_wrap=True)
     if loop.rejected is not None:
         out.print(f"  {rejected_in_words(loop)}", soft_wrap=True)
     others = others_in_words(loop)
@@ -37,7 +37,7 @@ def show(loop: ClosedLoop) -> None:
         table.add_row(name, microseconds(before), microseconds(after), floor)
     table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
     out.print(table)
-    for line in (*loop.attribution.rounds, *moved_calibrations(loop), *loop.notes):
+    for line in (*loop.rounds, *moved_calibrations(loop), *loop.notes):
         out.print(f"  {line}", soft_wrap=True)
 
 

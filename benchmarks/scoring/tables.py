@@ -1,8 +1,8 @@
 """Rates with Wilson intervals, the confusion matrix, and the coverage of intervals, from the rows of trials.
 
-The rule kept here: strength is what was measured, not what was asked: the largest residual of the declared model over
-its uncertainty, of landings, take-offs or any kind of plate datum, noise taken out; the profile's own scales may be off
-by what it states of them. Strong is 5 and more, weak 1 to 3.
+Strength is measured, not asked for: the largest residual of the declared model over its uncertainty, of landings,
+take-offs or any kind of plate datum, noise taken out. The profile's own scales may be off by their stated uncertainty.
+Strong is 5 and more, weak 1 to 3.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def _clean_bill(r: Row) -> bool:
 
 
 def _covariate(r: Row, plant: str) -> bool:
-    return r["discovered"] is not None and r["discovered"]["of"] == expected_covariate(plant, r["hidden"][0])
+    return r["discovered"] is not None and r["discovered"]["covariate"] == expected_covariate(plant, r["hidden"][0])
 
 
 def _term_good(r: Row) -> bool:

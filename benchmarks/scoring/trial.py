@@ -1,6 +1,6 @@
 """One trial: a sealed recording, the verdict on it, and only then what was hidden.
 
-The rule kept here: everything of a trial is drawn from its seed; the verdict is written down before the truth is read.
+Everything of a trial is drawn from its seed; the verdict is written down before the truth is read.
 """
 
 from __future__ import annotations
@@ -10,12 +10,15 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.plants import other_plant as plant
+
+if TYPE_CHECKING:
+    from analysis.loop.result import Predictions
 
 STRONG_BELOW, WEAK_ABOVE = 0.35, 1.6  # sizes are drawn from the medium to the strong one, and about the weak one
 DECLARED = ("coulomb_friction", "restitution", "viscous_damping")
@@ -39,37 +42,35 @@ class Job:
 
 def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
-    from analysis.loop.close_loop import as_json, close_loop
-    from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
+    from analysis.loop.close_loop import fit_loop
+    from analysis.loop.verdict_json import as_json
+    from analysis.residuals.prediction_errors import scored_rows
     from model.effects.registry import effect
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         recording = (_other if job.plant == "other" else _own)(job, folder)
         start = time.perf_counter()
-        loop = close_loop([recording])
+        loop, fitted = fit_loop([recording])
         seconds = time.perf_counter() - start
         found = json.loads(json.dumps(as_json(loop)))
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    world, steps = loop.world, ~loop.best.fitted.fitter.train
-    rows, _ = scored_rows(world, loop.best.fitted.values, steps)
+    world, best = fitted.model, fitted.selection.best.fitted.values
+    rows, _ = scored_rows(world, best, loop.steps.held_out)
     discovered = None
     if loop.discovered is not None:
         d = loop.discovered
-        values = d.explanation.fitted.values
-        seen, out = scored_rows(d.world, values, steps)
-        after = held_out_errors(d.world, values, seen, out)
         discovered = {
-            "term": d.term, "of": d.of, "in_words": d.in_words, "rivals": list(d.rivals),
-            "rms_us": after.landing_rms_us, "robust_us": after.landing_nmad_us,
-            "floor_us": noise_floors_us(d.world, values, seen)[0],
+            "term": d.term, "covariate": d.covariate, "description": d.description, "tied": list(d.tied_covariates),
+            "rms_us": d.after.landing_rms_us, "robust_us": d.after.landing_nmad_us, "floor_us": d.noise_floor_us,
         }  # fmt: skip
-    declared = loop.attribution.before.fitted.values
+    declared = fitted.selection.before.fitted.values
     kept = ("verdict", "effects", "tie_set", "before", "after", "noise_floor_us", "remainder", "rounds")
-    floor_z = float(np.sqrt(np.mean(_unit_landings(world, loop.best.fitted.values)[rows] ** 2))) if len(rows) else None
+    z = _unit_landings(loop.flights.after)[rows]
+    floor_z = float(np.sqrt(np.mean(z**2))) if len(rows) else None
     return {
         "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": job.c,
-        "seconds": seconds, "flights": len(world.evidence), "steps": len(world.evidence.steps),
+        "seconds": seconds, "flights": len(loop.flights), "steps": len(loop.steps),
         "size": size_of(world, {k: x for k, x in declared.items() if effect(k[0]).effect.nuisance}),
         "size_left": size_of(world, declared),
         "truth": truth, "discovered": discovered, "after_z": floor_z,
@@ -77,9 +78,10 @@ def run(job: Job) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _unit_landings(world: Any, values: Any) -> NDArray[np.float64]:
-    u, r = world.uncertainty(values), world.residuals(values)
-    return np.asarray(np.clip(np.where(np.isfinite(r.landing_s), r.landing_s / u.landing_total_s, 6.0), -6.0, 6.0))
+def _unit_landings(p: Predictions) -> NDArray[np.float64]:
+    """Landing residuals over their uncertainty, clipped at 6, (n,)."""
+    z = p.landing_residual_s / p.landing_sigma_s
+    return np.asarray(np.clip(np.where(np.isfinite(p.landing_residual_s), z, 6.0), -6.0, 6.0))
 
 
 def size_of(world: Any, values: Any) -> dict[str, float]:

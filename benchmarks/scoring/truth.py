@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-G = 9.80665
+from daq.setup.setup import STANDARD_GRAVITY_MPS2
+
+G = STANDARD_GRAVITY_MPS2
 
 OTHER_NAMED = {
     "coulomb_friction": "coulomb_friction",

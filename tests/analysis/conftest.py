@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
 from analysis.attribution.priors import priors_of
-from analysis.loop.design import Design, rehearse
+from analysis.loop.design import Design, simulate_design
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
@@ -144,7 +143,7 @@ RampFlyer = Callable[..., ForwardModel]
 
 
 def bare_evidence() -> Observations:
-    """A run of a single step: what its instruments are worth, to be copied by `rehearse`."""
+    """A run of a single step: what its instruments are worth, to be copied by `simulate_design`."""
     setup = Setup(
         name="t",
         forcing=Forcing(frequency_hz=25.37, ratio=2),
@@ -198,8 +197,7 @@ def fly_ramp() -> RampFlyer:
         declared: Mapping[str, Mapping[str, float]] | None = None,
     ) -> ForwardModel:
         world = ForwardModel(bare_evidence(), declared or {})
-        best = SimpleNamespace(fitted=SimpleNamespace(values=dict(truth)))
-        exact = rehearse(Design("a ramp", 2, gammas), world, best)  # type: ignore[arg-type]
+        exact = simulate_design(Design("test", "a ramp", 2, gammas), world, dict(truth))
         run = exact.measured.step * 2.0 + exact.measured.landing_s
         factor = ForwardModel(exact, {}).per_step(truth, "accelerometer_factor", 1.0)
         read = factor[:, None] * exact.steps.plate.acceleration_mps2

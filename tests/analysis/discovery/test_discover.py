@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.discovery.describe import in_words
-from analysis.discovery.spline_basis import basis_of, hats_of, knots_of, penalty_of
+from analysis.discovery.describe import describe
+from analysis.discovery.spline_basis import basis_of, hat_functions, knots_of, penalty_of
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, Curve, event_term
 
 Array = NDArray[np.float64]
 
 
-@pytest.mark.parametrize("basis", [hats_of, basis_of])
+@pytest.mark.parametrize("basis", [hat_functions, basis_of])
 def test_a_basis_reproduces_every_straight_line_between_its_knots(basis: Callable[[Array, Array], Array]) -> None:
     """Interpolation of whatever kind: a line's values at the knots give the line, constant beyond them."""
     knots = np.array([0.0, 0.3, 1.0, 2.0])
@@ -28,7 +28,7 @@ def test_a_smooth_curve_is_met_far_better_by_cubics_than_by_straight_pieces() ->
     """A hump on twelve knots: the reason for cubic pieces is a factor of ten and more."""
     knots, x = np.linspace(-2.0, 2.0, 12), np.linspace(-1.5, 1.5, 301)
     hump = np.exp(-(knots**2))
-    straight, cubic = (np.abs(b(x, knots) @ hump - np.exp(-(x**2))).max() for b in (hats_of, basis_of))
+    straight, cubic = (np.abs(b(x, knots) @ hump - np.exp(-(x**2))).max() for b in (hat_functions, basis_of))
     assert cubic < 0.1 * straight
 
 
@@ -45,8 +45,8 @@ def test_the_penalty_is_the_bending_energy_of_the_spline() -> None:
     assert (1.0 + 2.0 * knots) @ cost @ (1.0 + 2.0 * knots) == pytest.approx(0.0, abs=1e-9)
     values = np.array([0.0, 0.3, -0.2, 0.5, 0.5, 0.1])
     x = np.linspace(0.0, 4.0, 40_001)
-    bend = np.gradient(np.gradient(basis_of(x, knots) @ values, x), x)[2:-2]
-    assert values @ cost @ values == pytest.approx(np.trapezoid(bend**2, x[2:-2]), rel=1e-3)
+    second = np.gradient(np.gradient(basis_of(x, knots) @ values, x), x)[2:-2]
+    assert values @ cost @ values == pytest.approx(np.trapezoid(second**2, x[2:-2]), rel=1e-3)
 
 
 def test_knots_of_a_covariate_with_two_values_are_these_two() -> None:
@@ -72,7 +72,7 @@ def test_words_follow_the_curve() -> None:
     """A rise is called one between its ends, and a bump is placed at its top."""
     knots = np.linspace(0.0, 2e-3, 5)
     friction = next(t for t in IN_FLIGHT if t.name == "friction" and t.of == "height_m")
-    rise = in_words(Curve(friction, knots, np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.zeros((1, 5))))
+    rise = describe(Curve(friction, knots, np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.zeros((1, 5))))
     assert rise.startswith("dry friction rises from 0.1 g to 0.5 g as height goes from 0 mm to 2 mm")
-    bump = in_words(Curve(friction, knots, np.array([0.1, 0.1, 0.4, 0.1, 0.1]), np.zeros((1, 5))))
+    bump = describe(Curve(friction, knots, np.array([0.1, 0.1, 0.4, 0.1, 0.1]), np.zeros((1, 5))))
     assert "greatest, 0.4 g, where height is about 1 mm" in bump

@@ -1,15 +1,11 @@
-"""Which run would separate what ties: the rehearsal behind the ranking."""
-
-from dataclasses import replace
-from types import SimpleNamespace
+"""Which run would separate what ties: the simulation behind the ranking."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.attribution.fit import Fitter
-from analysis.attribution.priors import priors_of
-from analysis.loop.design import Design, designs_for, rehearse
+from analysis.attribution.fit import Fitter, priors_of
+from analysis.loop.design import Design, designs_for, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import PlateData
@@ -21,7 +17,7 @@ FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"):
 
 
 def seen_evidence() -> Observations:
-    """As little evidence as a rehearsal needs of the run that was made: one step, its uncertainties, no plate data."""
+    """As little evidence as a simulation needs of the run that was made: one step, its uncertainties, no plate data."""
     setup = Setup(
         name="t",
         forcing=Forcing(frequency_hz=25.37),
@@ -57,26 +53,25 @@ def seen_evidence() -> Observations:
 
 
 @pytest.fixture(scope="module")
-def rehearsed() -> ForwardModel:
-    """A rehearsal of a c = 2 ramp under friction 0.2."""
+def simulated() -> ForwardModel:
+    """A simulation of a c = 2 ramp under friction 0.2."""
     world = ForwardModel(seen_evidence(), {})
-    truth = SimpleNamespace(fitted=SimpleNamespace(values=FRICTION))
-    return ForwardModel(rehearse(Design("c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, truth), {})  # type: ignore[arg-type]
+    return ForwardModel(simulate_design(Design("test", "c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, FRICTION), {})
 
 
-def test_the_rehearsal_holds_what_it_was_made_of(rehearsed: ForwardModel) -> None:
-    """Under the effects of which it was made, a rehearsed run leaves nothing; without them, milliseconds."""
-    true, ideal = rehearsed.residuals(FRICTION), rehearsed.residuals({})
-    rows = rehearsed.evidence.scored
+def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> None:
+    """Under the effects of which it was made, a simulated run leaves nothing; without them, milliseconds."""
+    true, ideal = simulated.residuals(FRICTION), simulated.residuals({})
+    rows = simulated.evidence.scored
     assert rows.sum() > 40
     assert np.nanmax(np.abs(true.landing_s[rows])) < 1e-7
     assert np.nanmedian(np.abs(ideal.landing_s[rows])) > 1e-4
 
 
-def test_a_rival_loses_on_the_rehearsal(rehearsed: ForwardModel) -> None:
-    """Viscous damping, fitted to a run rehearsed under friction, keeps a loss that friction does not have."""
-    fitter = Fitter(rehearsed, priors_of(rehearsed.evidence.setup), np.ones(4, dtype=bool))
-    whitener = Whitener.of(rehearsed, FRICTION)
+def test_a_rival_loses_on_the_simulation(simulated: ForwardModel) -> None:
+    """Viscous damping, fitted to a run simulated under friction, keeps a loss that friction does not have."""
+    fitter = Fitter(simulated, priors_of(simulated.evidence.setup), np.ones(4, dtype=bool))
+    whitener = Whitener.of(simulated, FRICTION)
     right = fitter.fit(whitener, tuple(FRICTION), FRICTION).loss
     wrong = fitter.fit(whitener, (("viscous_damping", "rate_per_s"),), {("viscous_damping", "rate_per_s"): 1.0}).loss
     assert wrong > right + 100.0
@@ -84,8 +79,8 @@ def test_a_rival_loses_on_the_rehearsal(rehearsed: ForwardModel) -> None:
 
 def test_designs_go_beyond_the_run_that_was_made() -> None:
     """The candidate runs offer another ratio, a farther range, another order and a calibration."""
-    evidence = seen_evidence()
-    designs = designs_for(replace(evidence, steps=replace(evidence.steps, gamma=np.array([1.0]))))
+    designs = designs_for(np.array([0.8, 1.0]), 1)
+    assert len({d.id for d in designs}) == len(designs)
     assert {d.ratio for d in designs} == {1, 2, 3}
     assert any(max(d.gammas) > 1.5 and d.ratio == 1 for d in designs)
     assert any(d.order == "shuffled" for d in designs)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from analysis.report.figures_plate import TONES
+from analysis.loop.result import ClosedLoop
+from analysis.report.figures_loop import draw_candidates, draw_errors
+from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
 from analysis.report.gamma import gamma_scale
-from analysis.report.style import clipped_dots
+from analysis.report.style import HARMONICS, clipped_dots
 from daq.setup.setup import Forcing
 
 
@@ -38,11 +40,21 @@ def test_what_lies_beyond_the_axis_is_marked() -> None:
     np.testing.assert_array_equal(drawn["."].get_ydata(), [0.5, -0.2])
     np.testing.assert_array_equal(drawn["^"].get_xdata(), [1.0, 4.0])
     np.testing.assert_array_equal(drawn["v"].get_xdata(), [3.0])
+    assert len(ax.lines) == 3
     assert np.all(np.abs(np.concatenate([drawn["^"].get_ydata(), drawn["v"].get_ydata()])) <= 10.0)
 
 
 def test_harmonics_differ_in_more_than_colour() -> None:
     """No two harmonics share a mark, and neighbours differ in their line as well."""
-    marks, lines = [mark for _, mark, _ in TONES], [line for *_, line in TONES]
-    assert len(set(marks)) == len(TONES)
+    marks, lines = [mark for _, mark, _ in HARMONICS], [line for *_, line in HARMONICS]
+    assert len(set(marks)) == len(HARMONICS)
     assert all(a != b for a, b in itertools.pairwise(lines))
+
+
+def test_figures_are_laid_out_around_their_labels(closed_loop: ClosedLoop) -> None:
+    """Each figure draws on the one passed in, and the layout finds room: no empty artist reaches for a corner."""
+    for draw in (draw_errors, draw_candidates, draw_landings, draw_takeoffs, draw_plate):
+        figure = Figure(layout="constrained")
+        draw(closed_loop, figure)
+        figure.draw_without_rendering()  # a layout that finds no room is a warning, and so an error here
+        assert figure.axes

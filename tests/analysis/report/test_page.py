@@ -1,4 +1,4 @@
-"""The report and the JSON of a closed loop: the agreed keys, every verdict, what a person finds on the page."""
+"""The report of a closed loop: every verdict, and what a person finds on the page and at the terminal."""
 
 import dataclasses
 import json
@@ -13,120 +13,67 @@ from typer.testing import CliRunner
 
 import analysis.loop.close_loop
 import analysis.report.page
-from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import LogScoreDifference
-from analysis.attribution.hypothesis import Rejected, SelectionResult
-from analysis.attribution.selection import StepwiseSelection
-from analysis.loop.close_loop import ClosedLoop, as_json
+from analysis.attribution.hypothesis import Rejected
+from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import reasoning
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS, interval, verdict_line
 from bench.cli import app
 
-KEYS = (
-    "verdict",
-    "effects",
-    "discovered",
-    "tie_set",
-    "before",
-    "after",
-    "noise_floor_us",
-    "held_out_steps",
-    "remainder",
-    "next_run",
-)
-ERRORS = ("landing_rms_us", "landing_nmad_us", "takeoff_nmad_us", "flight_time_relative")
-FRICTION = Candidate(
-    ("coulomb_friction",),
-    (("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")),
-    ({("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1},),
-)
-
-
-def one_candidate(self: StepwiseSelection) -> SelectionResult:
-    """An attribution that tries friction alone: what the search costs does not matter here."""
-    before = self.declared()
-    best = self.proposals.add(before, FRICTION)
-    assert best is not None
-    gain = LogScoreDifference.of(before.per_step, best.per_step, self.train)
-    return SelectionResult(
-        before, best, (best, before), ((FRICTION.names, gain),), ("round 1: coulomb_friction gains",)
-    )
-
 
 @pytest.fixture(scope="module")
-def closed(make: Callable[..., Any]) -> tuple[ClosedLoop, Path]:
-    """The loop closed on a short ramp with friction 0.1, and its recording."""
-    path = make(
-        np.array([0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 0.62, 0.92, 1.07]),
-        hold=12,
-        effects={"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}},
-    ).path
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StepwiseSelection, "run", one_candidate)
-        return analysis.loop.close_loop.close_loop([path]), path
+def recording(make: Callable[..., Any]) -> Path:
+    """A short recording without a profile, for the command to find."""
+    path: Path = make(np.array([0.8]), settle=2, hold=3).path
+    return path
 
 
-def test_the_agreed_keys(closed: tuple[ClosedLoop, Path]) -> None:
-    """The JSON has every key agreed upon, each with its kind of value, and survives a parser that knows no NaN."""
-    found = json.loads(json.dumps(as_json(closed[0]), allow_nan=False))
-    assert set(KEYS) <= set(found)
-    assert found["verdict"] in VERDICTS
-    assert [set(e) for e in found["effects"]] == [{"name", "parameters"}]
-    for parameter in found["effects"][0]["parameters"].values():
-        assert list(parameter) == ["value", "low", "high"]
-        assert parameter["low"] <= parameter["value"] <= parameter["high"]
-    assert found["tie_set"][0] == ["coulomb_friction"]
-    for side in ("before", "after"):
-        assert all(isinstance(found[side][k], float) for k in ERRORS)
-    assert found["before"]["landing_nmad_us"] > 10 * found["after"]["landing_nmad_us"]
-    assert set(found["remainder"]) >= {"p_lack_of_fit", "covariate"}
-    assert found["held_out_steps"] == [2, 6]
-    assert found["next_run"] is None
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are not drawn: what is looked at is the text."""
+    monkeypatch.setattr(analysis.report.page, "save_picture", lambda *a: None)
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_exit_status_is_zero_whatever_the_verdict(
-    closed: tuple[ClosedLoop, Path], verdict: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closed_loop: ClosedLoop, recording: Path, verdict: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command leaves with 0 for each verdict, and standard output carries the JSON and nothing else."""
-    loop = dataclasses.replace(closed[0], verdict=verdict)
-    monkeypatch.setattr(analysis.loop.close_loop, "close_loop", lambda *a, **k: loop)
+    loop = dataclasses.replace(closed_loop, verdict=verdict)
+    monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: (loop, None))
     monkeypatch.setattr("bench.profiles.next_run.possible_runs", lambda *a: [])
-    result = CliRunner().invoke(app, ["close-loop", str(closed[1]), "--json", "-"])
+    result = CliRunner().invoke(app, ["close-loop", str(recording), "--json", "-"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["verdict"] == verdict
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_the_report_says_the_verdict(closed: tuple[ClosedLoop, Path], verdict: Any, tmp_path: Path) -> None:
-    """For each verdict one page with the verdict in words, its pictures inside, and the JSON beside it."""
-    page = write_report(dataclasses.replace(closed[0], verdict=verdict), [closed[1]], tmp_path / "report")
+@pytest.mark.usefixtures("no_figures")
+def test_the_report_says_the_verdict(closed_loop: ClosedLoop, verdict: Any, tmp_path: Path) -> None:
+    """For each verdict one page with the verdict in words, and the JSON beside it."""
+    page = write_report(dataclasses.replace(closed_loop, verdict=verdict), tmp_path / "report")
     text = page.read_text(encoding="utf-8")
     assert VERDICTS[verdict] in text
-    assert len(re.findall(r"data:image/png;base64,", text)) >= 3
     assert "simulated rig" in text and not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", text))
     assert json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))["verdict"] == verdict
 
 
-def test_nothing_missing_names_nothing(closed: tuple[ClosedLoop, Path], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("no_figures")
+def test_nothing_missing_names_nothing(closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Where the declared model suffices, the page adds no effect and says so."""
-    loop, path = closed
-    before = loop.attribution.before
-    bare = dataclasses.replace(loop.attribution, best=before, ties=())
     clean = dataclasses.replace(
-        loop, verdict="nothing_missing", effects=(), attribution=bare, after=loop.before, discovered=None
+        closed_loop, verdict="nothing_missing", effects=(), names=(), ties=(), parameters=(), after=closed_loop.before
     )
-    page = write_report(clean, [path], tmp_path / "report")
+    page = write_report(clean, tmp_path / "report")
     text = page.read_text(encoding="utf-8")
     assert VERDICTS["nothing_missing"] in text
     assert "<th>added</th>" not in text
 
 
-def test_the_verdict_line_has_size_and_interval(closed: tuple[ClosedLoop, Path]) -> None:
+def test_the_verdict_line_has_size_and_interval(closed_loop: ClosedLoop) -> None:
     """Each parameter with its 95 % interval and unit, on the page and the terminal alike."""
-    loop = closed[0]
+    loop = closed_loop
     value, low, high = loop.effects[0].parameters["mu_up"]
     line = verdict_line(dataclasses.replace(loop, verdict="explained"))
     assert line.startswith("Explained by coulomb friction, ") and f"mu_up = {interval(value, low, high)}" in line
@@ -148,44 +95,45 @@ def test_value_and_interval_have_one_form(numbers: tuple[float, float, float], t
     assert interval(*numbers) == text
 
 
-def test_the_page_tells_where_it_comes_from(closed: tuple[ClosedLoop, Path], tmp_path: Path) -> None:
+def test_the_page_tells_where_it_comes_from(closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Date, rig, back end and versions stand on the page; gamma is defined once; microseconds have one form."""
-    page = write_report(closed[0], [closed[1]], tmp_path / "report")
+    page = write_report(closed_loop, tmp_path / "report")
     text = re.sub(r"base64,[^\"]*", "", page.read_text(encoding="utf-8"))
-    setup = closed[0].world.evidence.setup
+    setup = closed_loop.setup
     said = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert said["recordings"][0]["rig"].startswith(setup.name) and setup.name in text
+    assert len(re.findall(r"data:image/png;base64,", page.read_text(encoding="utf-8"))) == 5
     assert said["report"]["date"] in text and text.count("shakerbench") == 2
     assert text.count("&Gamma;<sub>peak</sub> = max(-a)/g") == 1 and "gamma" not in text
     assert not re.search(r"\d[.\d]*e[+-]?\d+ (&micro;s|us)", text)
 
 
-def test_every_failed_test_is_a_reason(closed: tuple[ClosedLoop, Path]) -> None:
+def test_every_failed_test_is_a_reason(closed_loop: ClosedLoop) -> None:
     """The sentence on an unexplained recording names each test that failed, with what was found and allowed."""
     tests = ("flights", "plate", "landings", "takeoffs")
     failed = tuple(Failed(t, 10.0 + n, 1.6) for n, t in enumerate(tests))  # type: ignore[arg-type]
-    said = reasoning(dataclasses.replace(closed[0], verdict="unexplained", failed=failed))[-1]
+    said = reasoning(dataclasses.replace(closed_loop, verdict="unexplained", failed=failed))[-1]
     assert said.count(";") == 3
     assert all(f"{10 + n}." in said for n in range(4)) and "1.6" in said
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_the_best_rejected_candidate_is_shown(
-    closed: tuple[ClosedLoop, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    closed_loop: ClosedLoop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Page and terminal name the refused candidate of the greatest gain, its gain and the reason."""
     from bench.terminal.loop_display import show
 
     refused = Rejected(("restitution",), 1729.0, 480.0, "the steps do not agree on its gain")
-    attribution = dataclasses.replace(closed[0].attribution, rejected=refused)
-    loop = dataclasses.replace(closed[0], attribution=attribution)
+    loop = dataclasses.replace(closed_loop, rejected=refused)
     show(loop)
-    page = write_report(loop, [closed[1]], tmp_path / "report").read_text(encoding="utf-8")
+    page = write_report(loop, tmp_path / "report").read_text(encoding="utf-8")
     for text in (capsys.readouterr().out, page.replace("&plusmn;", "+-")):
         assert "restitution, 1729 +- 480 nats" in text and "the steps do not agree on its gain" in text
 
 
 def test_the_verdict_survives_a_failing_output(
-    closed: tuple[ClosedLoop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closed_loop: ClosedLoop, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The verdict is shown before anything is written; each failure is told under its name, and the rest is written."""
     from daq.setup.errors import InputError
@@ -193,25 +141,25 @@ def test_the_verdict_survives_a_failing_output(
     def fails(*_: Any, **__: Any) -> None:
         raise InputError("the disk is full")
 
-    monkeypatch.setattr(analysis.loop.close_loop, "close_loop", lambda *a, **k: closed[0])
+    monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: (closed_loop, None))
     monkeypatch.setattr("bench.profiles.next_run.possible_runs", lambda *a: [])
     monkeypatch.setattr(analysis.report.page, "write_report", fails)
     verdict, better = tmp_path / "verdict.json", tmp_path / "better.toml"
-    call = ["close-loop", str(closed[1]), "--report", str(tmp_path / "report"), "--json", str(verdict)]
+    call = ["close-loop", str(recording), "--report", str(tmp_path / "report"), "--json", str(verdict)]
     result = CliRunner().invoke(app, [*call, "--improved", str(better)])
     assert result.exit_code == 1
     assert "verdict: " in result.stdout
     assert "the report could not be written: the disk is full" in result.stderr
-    assert json.loads(verdict.read_text(encoding="utf-8"))["verdict"] == closed[0].verdict
+    assert json.loads(verdict.read_text(encoding="utf-8"))["verdict"] == closed_loop.verdict
     assert result.stderr.count("error: ") == 2 and "improved profile" in result.stderr  # the recording has no profile
 
 
 def test_an_improved_profile_that_exists_is_refused_before_any_work(
-    closed: tuple[ClosedLoop, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closed_loop: ClosedLoop, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is computed for a name that is taken."""
     better = tmp_path / "better.toml"
     better.write_text("mine", encoding="utf-8")
-    monkeypatch.setattr(analysis.loop.close_loop, "close_loop", lambda *a, **k: pytest.fail("computed first"))
-    result = CliRunner().invoke(app, ["close-loop", str(closed[1]), "--improved", str(better)])
+    monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: pytest.fail("computed first"))
+    result = CliRunner().invoke(app, ["close-loop", str(recording), "--improved", str(better)])
     assert result.exit_code == 2 and better.read_text(encoding="utf-8") == "mine"

@@ -1,12 +1,13 @@
 """The demo: what it refuses, and what a failed one leaves behind."""
 
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 
 import rig.backends.soundcard
+from analysis.loop.result import ClosedLoop
 from bench.cli import app
 from bench.commands import demo
 
@@ -27,7 +28,9 @@ def test_a_wrong_call_leaves_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "new").exists()
 
 
-def test_a_failed_demo_does_not_block_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_demo_does_not_block_the_next(
+    closed_loop: ClosedLoop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What a failed run left is told and kept; the same call starts anew, and a foreign file in the folder stays."""
     folder = tmp_path / "demo"
     recording = folder / "recording.h5"
@@ -47,7 +50,7 @@ def test_a_failed_demo_does_not_block_the_next(tmp_path: Path, monkeypatch: pyte
         seen.append(recording.exists())
         return recording
 
-    loop = SimpleNamespace(verdict="nothing_missing", effects=())
+    loop = replace(closed_loop, verdict="nothing_missing", effects=())
     monkeypatch.setattr(demo, "_drive", works)
     monkeypatch.setattr(demo, "_reprocess", lambda *a: None)
     monkeypatch.setattr(demo, "_close", lambda *a: (loop, True))

@@ -1,29 +1,47 @@
 """The improved profile: declarations with their pedigree, read by whatever comes next."""
 
 import datetime
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
+import numpy as np
 import pytest
 
-from analysis.residuals.forward_model import TREND
+from analysis.attribution.comparison import LogScoreDifference
+from analysis.discovery.discover import Discovery
+from analysis.loop.result import ClosedLoop, FittedParameter
+from analysis.loop.verdict import Verdict
 from bench.profiles.find import load
 from bench.profiles.improved import write_improved
 
 SIMULATED = (Path(__file__).parents[3] / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
+TREND = "@trend"
 UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
 
 
-def found(values: dict[tuple[str, str], float], in_words: str = "", verdict: str = "explained") -> Any:
-    """A loop that found ``values``, each known to a tenth."""
-    fitted = SimpleNamespace(values=values, sigma=lambda key: 0.1 * abs(values[key]))
-    discovered = SimpleNamespace(in_words=in_words) if in_words else None
-    best = SimpleNamespace(free=tuple(values), fitted=fitted)
-    return SimpleNamespace(best=best, discovered=discovered, verdict=verdict)
+Found = Callable[..., ClosedLoop]
 
 
-def test_what_was_found_is_declared_with_its_pedigree(tmp_path: Path) -> None:
+@pytest.fixture
+def found(closed_loop: ClosedLoop) -> Found:
+    """A closed loop that found values, each known to a tenth; of a key that ends in a trend, its change."""
+
+    def made(values: dict[tuple[str, str], float], term: str = "", verdict: Verdict = "explained") -> ClosedLoop:
+        added = tuple(
+            FittedParameter(name, q.removesuffix(TREND), v, 0.1 * abs(v), True, q.endswith(TREND))
+            for (name, q), v in values.items()
+        )
+        discovered = Discovery(
+            "force", "height", "mm", 1e3, term, *(np.zeros(2),) * 4, "m/s^2", np.zeros(2),
+            *(LogScoreDifference(90.0, 9.0, 80.0, 8.0),) * 2, (), (), closed_loop.after, 5.0,
+        )  # fmt: skip
+        return replace(closed_loop, verdict=verdict, parameters=added, discovered=discovered if term else None)
+
+    return made
+
+
+def test_what_was_found_is_declared_with_its_pedigree(found: Found, tmp_path: Path) -> None:
     """Value, standard deviation, date and recording; every other line as it was; the next command reads it."""
     path = tmp_path / "better.toml"
     said = write_improved(found({UP: 0.12, DOWN: 0.15}), Path("run.h5"), path, SIMULATED)
@@ -36,7 +54,7 @@ def test_what_was_found_is_declared_with_its_pedigree(tmp_path: Path) -> None:
     assert profile.declared_values() == {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.15}}
 
 
-def test_what_cannot_be_declared_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_declared_is_said(found: Found, tmp_path: Path) -> None:
     """A trend of one run and a nameless term stand in comments, and the profile still parses."""
     path = tmp_path / "better.toml"
     trend = (UP[0], UP[1] + TREND)
@@ -48,7 +66,7 @@ def test_what_cannot_be_declared_is_said(tmp_path: Path) -> None:
     assert text.count("# not declared: ") == 2 and "0.03" in text and "above 4 mm" in text
 
 
-def test_a_run_that_finds_nothing_leaves_the_profile_as_it_was(tmp_path: Path) -> None:
+def test_a_run_that_finds_nothing_leaves_the_profile_as_it_was(found: Found, tmp_path: Path) -> None:
     """The same text, byte for byte, and a word that nothing was found."""
     path = tmp_path / "better.toml"
     (said,) = write_improved(found({}, verdict="nothing_missing"), Path("run.h5"), path, SIMULATED)
@@ -56,7 +74,7 @@ def test_a_run_that_finds_nothing_leaves_the_profile_as_it_was(tmp_path: Path) -
     assert "unchanged" in said and str(path) in said
 
 
-def test_what_is_not_believed_is_not_declared(tmp_path: Path) -> None:
+def test_what_is_not_believed_is_not_declared(found: Found, tmp_path: Path) -> None:
     """Effects of an unexplained recording stand in comments; with the marks taken off, the profile declares them."""
     path = tmp_path / "better.toml"
     said = write_improved(found({UP: 0.12}, verdict="unexplained"), Path("run.h5"), path, SIMULATED)
@@ -69,7 +87,7 @@ def test_what_is_not_believed_is_not_declared(tmp_path: Path) -> None:
     assert load(path)[0].declared_values() == {"coulomb_friction": {"mu_up": 0.12}}
 
 
-def test_an_older_declaration_is_replaced(tmp_path: Path) -> None:
+def test_an_older_declaration_is_replaced(found: Found, tmp_path: Path) -> None:
     """What the recording's profile declared and the fit freed again gets its new value, once."""
     path = tmp_path / "better.toml"
     old = SIMULATED + "\n[declared.coulomb_friction]\nmu_up = 0.3\nmu_down = 0.3\n"

@@ -15,7 +15,7 @@ SIMULATED = (Path(__file__).parents[3] / "rig_profiles" / "simulated.toml").read
 
 def test_only_the_run_changes() -> None:
     """The next run's profile is the recording's own but for ratio, gammas and order, and it parses."""
-    design = Design("c = 2", 2, (0.3, 0.5, 0.9), "shuffled")
+    design = Design("ratio_2", "c = 2", 2, (0.3, 0.5, 0.9), "shuffled")
     text = profile_of(SIMULATED, design)
     before, after = tomllib.loads(SIMULATED), tomllib.loads(text)
     assert after["forcing"].pop("ratio") == 2
@@ -31,4 +31,4 @@ def test_a_profile_without_a_ramp_is_refused() -> None:
     """A foreign recording's profile has no ramp: the refusal says what to do."""
     text = SIMULATED.split("[ramp]")[0]
     with pytest.raises(InputError, match=r"no \[ramp\]"):
-        profile_of(text, Design("c = 2", 2, (0.3, 0.5)))
+        profile_of(text, Design("ratio_2", "c = 2", 2, (0.3, 0.5)))

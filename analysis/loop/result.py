@@ -1,0 +1,329 @@
+"""Result of a closed loop: numbers, arrays and names, with no fit and no model behind them.
+
+The report, its figures, the sentences, the JSON and the improved profile are functions of this value alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.hypothesis import Rejected
+from analysis.discovery.discover import Discovery
+from analysis.loop.verdict import Failed, Verdict
+from analysis.residuals.lack_of_fit import GoodnessOfFit
+from analysis.residuals.prediction_errors import Errors
+from analysis.thresholds import Thresholds
+from daq.setup.setup import Setup
+from model.effects.registry import resolve
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AddedEffect:
+    """One effect that was added: its name and its parameters as ``(value, low, high)`` with 95 % intervals."""
+
+    name: str
+    parameters: Mapping[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """A parameter of the best hypothesis, in its own unit.
+
+    Attributes
+    ----------
+    effect, parameter
+        Its names.
+    value, sigma
+        As fitted, with standard deviation.
+    added
+        True for a parameter of an added effect, False for a calibration or a nuisance.
+    trend
+        True where the value is the parameter's change over the whole run.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    sigma: float
+    added: bool
+    trend: bool = False
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration, stated and fitted.
+
+    Attributes
+    ----------
+    effect, parameter
+        Its names.
+    value, sigma
+        As fitted, with standard deviation, in the parameter's own unit.
+    stated, stated_sigma
+        The same before the fit.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    sigma: float
+    stated: float
+    stated_sigma: float
+
+    @property
+    def moved(self) -> bool:
+        """Whether the fit has moved it by more than its stated uncertainty and by three of its own."""
+        change = abs(self.value - self.stated)
+        return change > self.stated_sigma and change > 3.0 * self.sigma
+
+
+@dataclass(frozen=True)
+class TestedCandidate:
+    """Effects tested on top of the declared model: held-out log-score gain and its standard error, nats."""
+
+    __test__ = False  # a name that begins with Test is no test case
+
+    names: tuple[str, ...]
+    gain: float
+    error: float
+
+
+@dataclass(frozen=True)
+class StepTable:
+    """Steps of all recordings, arrays (m,).
+
+    Attributes
+    ----------
+    recording, number
+        Index of the recording, and the step's number in it.
+    gamma, ratio, period_s
+        Measured ``A w^2 / g``, c, and the forcing's period.
+    held_out
+        True for steps reserved for the final test.
+    """
+
+    recording: NDArray[np.int64]
+    number: NDArray[np.int64]
+    gamma: Array
+    ratio: NDArray[np.int64]
+    period_s: Array
+    held_out: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.gamma)
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Flights as one model predicts them, one event ahead: arrays (n,), seconds, NaN where nothing is predicted.
+
+    Attributes
+    ----------
+    takeoff_s, landing_s
+        Predicted times.
+    takeoff_residual_s, landing_residual_s
+        Measured minus predicted, of the events that are scored.
+    takeoff_sigma_s, landing_sigma_s
+        Standard deviation of these residuals by the errors of measurement, the plate's included.
+    """
+
+    takeoff_s: Array
+    landing_s: Array
+    takeoff_residual_s: Array
+    landing_residual_s: Array
+    takeoff_sigma_s: Array
+    landing_sigma_s: Array
+
+
+@dataclass(frozen=True)
+class FlightTable:
+    """Flights of all recordings, arrays (n,).
+
+    Attributes
+    ----------
+    step
+        Row of the step in `StepTable`.
+    takeoff_s, landing_s
+        Measured times since the start of the recording.
+    scored
+        True where the landing is compared with its prediction.
+    from_rest
+        True where the take-off is compared as well: it was seen, after a rest.
+    before, after
+        Predictions of the declared model and of the best hypothesis.
+    covariates
+        By the names of `analysis.residuals.covariates.COVARIATES`, SI units, NaN where unknown.
+    """
+
+    step: NDArray[np.int64]
+    takeoff_s: Array
+    landing_s: Array
+    scored: NDArray[np.bool_]
+    from_rest: NDArray[np.bool_]
+    before: Predictions
+    after: Predictions
+    covariates: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.step)
+
+
+@dataclass(frozen=True)
+class PlateTable:
+    """Plate observables, arrays (r,).
+
+    Attributes
+    ----------
+    kind, step
+        Index into `analysis.residuals.plate_observables.KINDS`, and row of the step.
+    value, sigma
+        Measured, with standard deviation, in the unit of the kind.
+    before, after
+        Residuals under the declared model and the best hypothesis, scaled to ``sigma``.
+    """
+
+    kind: NDArray[np.int64]
+    step: NDArray[np.int64]
+    value: Array
+    sigma: Array
+    before: Array
+    after: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Provenance of one recording, as its file states it."""
+
+    file: str
+    rig: str
+    started: str
+    backend: str
+    simulated: bool
+    note: str
+    software_version: str
+    software_commit: str
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """First change of the motion after take-off: its type, and ``gamma`` between ``gamma_low`` and ``gamma_high``.
+
+    For a predicted one both bounds are the predicted value. ``same_type_gamma`` is where the model predicts the
+    measured type; NaN where it predicts none.
+    """
+
+    type: str
+    gamma_low: float
+    gamma_high: float
+    same_type_gamma: float = float("nan")
+
+
+@dataclass(frozen=True)
+class FirstBifurcations:
+    """First bifurcation in the first recording, and as predicted by the declared and by the improved model."""
+
+    measured: Bifurcation | None
+    before: Bifurcation
+    after: Bifurcation
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Result of closing the loop.
+
+    Attributes
+    ----------
+    verdict, failed
+        The verdict, and the tests that forbid "explained" or "nothing missing".
+    effects
+        Effects that were added, never those declared nor nuisances.
+    discovered
+        A smooth term found where no named effect suffices, or None.
+    names
+        Names of the best set of effects; empty where nothing was added.
+    ties
+        Sets of effects that the data cannot tell from the best one, the best first; empty where nothing was added.
+    parameters, calibrations
+        Everything the best hypothesis fits, and those of it that the profile states.
+    candidates
+        Every candidate of the first round, in the order tested.
+    rounds
+        Outcome of each round of the selection, in words.
+    rejected
+        The candidate of greatest gain that was refused, or None.
+    before, after
+        Errors on the held-out steps under the declared model and the best hypothesis.
+    noise_floor_us, takeoff_floor_us
+        Rms that measurement noise alone leaves of landings and of take-offs, at the final model, on the same flights.
+    remainder
+        Goodness of fit of the best hypothesis on all steps.
+    detection
+        By ``effect.parameter``, the size below which the run could not have shown it.
+    not_identifiable
+        Effects that this run could not show at any size.
+    first_bifurcations
+        None where the recording has too few flights.
+    steps, flights, plate
+        Measurement, prediction and residual, step by step, flight by flight and datum by datum.
+    setup, limits
+        Measuring setup and thresholds that were used.
+    sources, paths
+        Provenance of the recordings, and where they lay.
+    notes
+        Remarks on the data, in words.
+    """
+
+    verdict: Verdict
+    failed: tuple[Failed, ...]
+    effects: tuple[AddedEffect, ...]
+    discovered: Discovery | None
+    names: tuple[str, ...]
+    ties: tuple[tuple[str, ...], ...]
+    parameters: tuple[FittedParameter, ...]
+    calibrations: tuple[Calibration, ...]
+    candidates: tuple[TestedCandidate, ...]
+    rounds: tuple[str, ...]
+    rejected: Rejected | None
+    before: Errors
+    after: Errors
+    noise_floor_us: float
+    takeoff_floor_us: float
+    remainder: GoodnessOfFit
+    detection: Mapping[str, float]
+    not_identifiable: tuple[str, ...]
+    first_bifurcations: FirstBifurcations | None
+    steps: StepTable
+    flights: FlightTable
+    plate: PlateTable
+    setup: Setup
+    limits: Thresholds
+    sources: tuple[Source, ...]
+    paths: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def held_out(self) -> tuple[int, ...]:
+        """Numbers of the held-out steps, in the order of the recordings."""
+        return tuple(int(n) for n in self.steps.number[self.steps.held_out])
+
+    @property
+    def added(self) -> tuple[FittedParameter, ...]:
+        """Parameters of the added effects."""
+        return tuple(p for p in self.parameters if p.added)
+
+    def improved_effects(self) -> dict[str, dict[str, float]]:
+        """Declared and added effects, trends apart, by effect and parameter: the improved model."""
+        out = {name: dict(table) for name, table in resolve(self.setup.declared_values()).items()}
+        for p in self.added:
+            if not p.trend:
+                out.setdefault(p.effect, {})[p.parameter] = p.value
+        return out
