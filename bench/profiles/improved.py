@@ -9,9 +9,9 @@ from __future__ import annotations
 import datetime
 from pathlib import Path
 
-from analysis.drop.declare import Measured, declare
 from analysis.loop.close_loop import ClosedLoop
 from analysis.residuals.forward_model import DRIFT
+from bench.profiles.declare import Measured, declare
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 
