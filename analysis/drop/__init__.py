@@ -1,5 +1,5 @@
 """Drop tests by camera, sound or contact: restitution, friction and drag of a ball bouncing on a plate at rest.
 
-The rule kept here: whatever the instrument, a drop becomes impact times (and, for a camera, flights between them), and
-the same ladder of models is judged on bounces it did not fit; where the data cannot carry a number, the result says so.
+`load` reads any file into impact times or a path; `times` and `film` fit nested models to them (`laws`), `outcome` and
+`filmed` turn the fits into results, `figures` draws them. What the data cannot carry is null, and said in words.
 """

@@ -1,7 +1,7 @@
-"""The result of a camera's drops, in SI units.
+"""Results of a camera's drops, in SI units.
 
-The rule kept here: restitution and friction are ratios and need neither scale nor frame rate. Speeds, drag and gravity
-need both: with a scale, gravity is measured and must come out as gravity; without one, gravity gives the scale.
+Restitution and friction are ratios and need neither scale nor frame rate. Speeds, drag and gravity need both: with a
+scale, gravity is measured and must come out as gravity; without one, gravity gives the scale.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.attribution import choose
-from analysis.drop.camera import CameraFit, CameraRung
+from analysis.drop.film.camera_fit import CameraFit, CameraRung
+from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion, with_doubts
+from analysis.drop.film.trajectory import SHAPES
 from analysis.drop.outcome import (
+    CONTRADICTION_SIGMAS,
     LEVEL_SIGMAS,
     Outcome,
     declared_as,
@@ -24,13 +26,16 @@ from analysis.drop.outcome import (
     milliseconds,
     of_draws,
     pooled_height,
+    with_interval,
 )
-from analysis.drop.trajectory import SHAPES
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
 
 _FAR_FROM_G = (0.7, 1.4)
+_SAME_G = 5e-3  # relative, that nobody's scale or frame rate is better than
+_SCALE_FLOOR = 1e-3  # relative uncertainty of any scale: lenses are not even along the fall
+_TALLEST_FALL_M, _LARGEST_BALL_M = 4.0, 0.5  # beyond which a film was played slower than it was taken
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,10 @@ class Units:
     scale_m : float or None
         Metres a unit of height; None: taken from gravity.
     g_mps2 : float
+    assumed_rate : bool
+        The frame rate is the film's playback rate, which nobody confirmed.
+    ball : float or None
+        Height of the ball, in the file's unit.
     """
 
     frame_s: float | None
@@ -53,6 +62,8 @@ class Units:
     g_mps2: float
     scale_uncertainty: float = 0.0
     frame_rate_uncertainty: float = 0.0
+    assumed_rate: bool = False
+    ball: float | None = None
 
 
 def of_camera(names: Sequence[str], fit: CameraFit, units: Units, rng: np.random.Generator) -> Outcome:
@@ -61,43 +72,132 @@ def of_camera(names: Sequence[str], fit: CameraFit, units: Units, rng: np.random
     Raises
     ------
     InputError
-        Scale and frame rate given, and the ball's acceleration is nowhere near gravity.
+        The motion is no fall with bounces; with scale and frame rate, its acceleration is nowhere near gravity; or
+        the fall is taller than any, because a film in slow motion was read at its playback rate.
     """
-    chosen, ties = choose(fit.rungs)
-    rung = next(r for r in fit.rungs if r.model.name == chosen)
-    measured_g = _gravity(fit, units, names[0])
+    refuse_other_motion(fit, names[0])
+    verdict = judge_camera(fit)
+    rung = verdict.best
+    measured_g = _gravity(fit, rung.shape, units, names[0])
     g_fit = float(fit.shapes[rung.shape].values[0])
     frame_s = units.frame_s if units.frame_s is not None else float(np.sqrt(g_fit / units.g_mps2))
     scale = units.scale_m if units.scale_m is not None else units.g_mps2 * frame_s**2 / g_fit
     timed = units.frame_s is not None
+    height = _height(fit, rung, scale, units, timed)
+    _refuse_slow_motion(names[0], fit, rung, units, scale)
+    quality = _quality(fit)
+    verdict = with_doubts(verdict, _doubts(quality, measured_g, fit, rung, units))
     seen = fit.impacts[rung.shape]
-    models = [_model(r, fit, frame_s, scale, timed) for r in fit.rungs]
     payload: dict[str, Any] = {
         "kind": "camera",
         "files": list(names),
         "impacts_s": (seen.frame * frame_s).tolist() if timed else [],
         "impacts_frames": seen.frame.tolist(),
-        "models": models,
-        "chosen": chosen,
-        "tie_set": list(ties),
-        "drop_height_m": _height(fit, rung, scale, units, timed),
+        "models": [_model(r, fit, frame_s, scale, timed) for r in fit.rungs],
+        "chosen": verdict.chosen,
+        "best": rung.model.name,
+        "explained": not verdict.doubts,
+        "unexplained_because": list(verdict.doubts),
+        "tie_set": list(verdict.tie_set),
+        "drop_height_m": height,
         "restitution": _bounces(fit, rung, frame_s, scale, timed),
         "friction": _friction(fit),
+        "friction_up_down": _one_sided(fit, units),
         "acceleration_mps2": _accelerations(fit, units, frame_s, scale, rng) if timed else None,
         "g_mps2": measured_g,
         "scale_m_per_unit": {"value": scale if timed else None, "from_gravity": units.scale_m is None},
-        "fit": _quality(fit),
+        "fit": quality,
+        "flights": _flights(fit, rung, frame_s, scale, timed),
     }
     words = _in_words(payload, units, len(names))
-    return Outcome(payload, words, _declared(rung, fit, frame_s, scale, timed, names))
+    declared = [] if verdict.doubts else _declared(rung, fit, frame_s, scale, timed, names)
+    return Outcome(payload, words, declared)
 
 
-def _gravity(fit: CameraFit, units: Units, where: str) -> dict[str, float | None] | None:
+def _refuse_slow_motion(where: str, fit: CameraFit, rung: CameraRung, units: Units, scale: float) -> None:
+    """A film whose playback rate would make the fall, or the ball, larger than any."""
+    if not units.assumed_rate or units.frame_s is None:
+        return
+    fall = float(np.nanmax(fit.fall_height[rung.shape][0], initial=0.0)) * scale
+    ball = (units.ball or 0.0) * scale
+    if fall > _TALLEST_FALL_M or ball > _LARGEST_BALL_M:
+        size = f" and a ball of {ball:.2g} m" if units.ball else ""
+        raise InputError(
+            f"{where}: at its playback rate of {1.0 / units.frame_s:.4g} frames per second it would show a fall of "
+            f"{fall:.1f} m{size}: it was filmed faster. Say --fps with the rate of the camera (or the file's own, if "
+            "it is so)"
+        )
+
+
+def _doubts(
+    quality: dict[str, Any], g: dict[str, float | None] | None, fit: CameraFit, rung: CameraRung, units: Units
+) -> list[str]:
+    """What contradicts the model, in words."""
+    words = []
+    if not quality["some_shape_fits"]:
+        best = min(quality["rms"].values())
+        words.append(
+            f"no shape of flight fits: the best leaves {best:.2f} units rms where positions are good to "
+            f"{quality['noise']:.2f} (a lens, a camera that moves, frames at uneven times)"
+        )
+    if g is not None and g["low"] is not None and g["high"] is not None and g["value"] is not None:
+        sigma = max((g["high"] - g["low"]) / (2 * LEVEL_SIGMAS), 1e-9)
+        off = g["value"] - units.g_mps2
+        if abs(off) > max(CONTRADICTION_SIGMAS * sigma, _SAME_G * units.g_mps2):
+            more = ""
+            both = _one_sided(fit, units)
+            if "mu" in rung.model.parameters and both is not None:
+                more = (
+                    f"; if both are right, friction differs: {with_interval(both['up'])} g going up, "
+                    f"{with_interval(both['down'])} g coming down"
+                )
+            words.append(
+                f"gravity comes out as {g['value']:.3f} m/s^2, {off / sigma:+.1f} sigma from {units.g_mps2:.3f}: the "
+                f"scale or the frame rate is wrong{more}"
+            )
+    return words
+
+
+def _one_sided(fit: CameraFit, units: Units) -> dict[str, dict[str, float | None]] | None:
+    """Friction going up and coming down, each by itself, by the gravity that is known; None without a scale."""
+    if units.frame_s is None or units.scale_m is None:
+        return None
+    g = fit.values["friction"][:, 0] * units.scale_m / units.frame_s**2 / units.g_mps2
+    f = fit.values["friction"][:, 1]
+    value = fit.shapes["friction"].values
+    g0 = float(value[0]) * units.scale_m / units.frame_s**2 / units.g_mps2
+    common = float(np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty))
+    out = {}
+    for name, sign in (("up", 1.0), ("down", -1.0)):
+        at = sign * (g0 * (1.0 + sign * float(value[1])) - 1.0)
+        half = LEVEL_SIGMAS * float(np.hypot((g * (1.0 + sign * f)).std(), common))
+        out[name] = interval(at, at - half, at + half)
+    return out
+
+
+def _flights(fit: CameraFit, rung: CameraRung, frame_s: float, scale: float, timed: bool) -> list[dict[str, Any]]:
+    """Each flight's file, order, first and last frame, and apex."""
+    shape = fit.shapes[rung.shape]
+    unit = frame_s if timed else 1.0
+    return [
+        {
+            "file": flight.clip,
+            "order": flight.order,
+            "first_frame": float(flight.frame[0]),
+            "last_frame": float(flight.frame[-1]),
+            "samples": len(flight.frame),
+            "apex_s" if timed else "apex_frame": float(shape.apex_frame[i]) * unit,
+        }
+        for i, flight in enumerate(fit.flights)
+    ]
+
+
+def _gravity(fit: CameraFit, shape_name: str, units: Units, where: str) -> dict[str, float | None] | None:
     """Measured gravity where scale and frame rate are known; refused where it is not gravity."""
     if units.frame_s is None or units.scale_m is None:
         return None
     factor = units.scale_m / units.frame_s**2
-    shape = fit.shapes["friction"]
+    shape = fit.shapes[shape_name]
     value = float(shape.values[0]) * factor
     ratio = value / units.g_mps2
     if not _FAR_FROM_G[0] < ratio < _FAR_FROM_G[1]:
@@ -107,8 +207,8 @@ def _gravity(fit: CameraFit, units: Units, where: str) -> dict[str, float | None
             f"{1 / units.frame_s:.4g} or the scale {units.scale_m:.4g} m is wrong; {fps:.4g} frames per second, or a "
             f"scale of {units.scale_m / ratio:.4g} m, would make it gravity"
         )
-    common = np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty)
-    sigma = value * float(np.hypot(fit.values["friction"][:, 0].std() / shape.values[0], common))
+    common = np.hypot(np.hypot(units.scale_uncertainty, _SCALE_FLOOR), 2.0 * units.frame_rate_uncertainty)
+    sigma = value * float(np.hypot(fit.values[shape_name][:, 0].std() / shape.values[0], common))
     return interval(value, value - LEVEL_SIGMAS * sigma, value + LEVEL_SIGMAS * sigma)
 
 
@@ -145,6 +245,14 @@ def _model(rung: CameraRung, fit: CameraFit, frame_s: float, scale: float, timed
         "parameters": parameters,
         "rms_ms": milliseconds(_rms(rung.residual_frames) * factor),
         "held_out_rms_ms": milliseconds(_rms(rung.held_out_frames) * factor),
+        "zero_excluded": rung.significant,
+        "restitution_scatter": rung.law.scatter,
+        "chi_square": {"value": rung.law.chi_square, "freedom": rung.law.freedom, "chance": rung.law.chance},
+        "covariance": {
+            "of": [name for name in SHAPES[rung.shape]],
+            "matrix": fit.shapes[rung.shape].covariance.tolist(),
+            "unit": "the file's unit and frames",
+        },
         "identifiable": bool(np.isfinite(rung.law.half_width).all()),
     }
 
@@ -229,8 +337,7 @@ def _quality(fit: CameraFit) -> dict[str, Any]:
 def _in_words(payload: dict[str, Any], units: Units, files: int) -> list[str]:
     quality, bounces = payload["fit"], payload["restitution"]
     words = [f"{files} file(s), {len(payload['impacts_frames'])} impacts, {quality['flights']} flights"]
-    if units.frame_s is not None:
-        words += describe_choice(payload["models"], payload["chosen"], payload["tie_set"])
+    words += describe_choice(payload)
     for bounce in bounces[:12]:
         e, speed = bounce["restitution"], bounce.get("speed_in_mps")
         at = f" at {speed:.3f} m/s" if speed is not None else ""

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import datetime
 import glob
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_or_leave
 from bench.terminal.console import EXIT_USAGE, fail, write_json
-
-if TYPE_CHECKING:
-    from analysis.drop.outcome import Outcome
 
 Files = Annotated[list[Path], typer.Argument(help="Films, folders of frames, tables, WAV files or recordings.")]
 Fps = Annotated[float | None, typer.Option(help="Frames per second at which it was filmed (default: the file's own).")]
@@ -25,10 +21,20 @@ Heights = Annotated[list[float] | None, typer.Option(help="Stated drop height, m
 HeightSigma = Annotated[float, typer.Option(help="Uncertainty of the stated height, m.")]
 Use = Annotated[str, typer.Option(help="check the stated height, or use it as data.")]
 Gravity = Annotated[float, typer.Option(help="Local gravity, m/s^2.")]
+Mass = Annotated[float | None, typer.Option(help="The ball's mass, kg; with --diameter: bounds of its air drag.")]
+Diameter = Annotated[float | None, typer.Option(help="The ball's diameter, m.")]
+From = Annotated[float | None, typer.Option("--from", help="Leave out what is before this time of the file, s.")]
+Until = Annotated[float | None, typer.Option("--until", help="Leave out what is after this time of the file, s.")]
+Ignore = Annotated[list[float] | None, typer.Option(help="Leave out the event or frame nearest to this time, s.")]
+Region = Annotated[str | None, typer.Option(help="Part of the picture to look at: LEFT,TOP,RIGHT,BOTTOM in pixels.")]
+Axis = Annotated[float | None, typer.Option(help="Direction of the fall in the picture: degrees right of down.")]
 Json = Annotated[str | None, typer.Option("--json", help="Write the result as JSON here; - prints it.")]
 Out = Annotated[Path, typer.Option(help="Folder for the pictures.")]
 Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the check picture and the residuals.")]
 Into = Annotated[Path | None, typer.Option(help="Write the result into this rig profile.")]
+Stale = Annotated[
+    str, typer.Option(help="Effects declared before that this result does not measure: ask, keep or remove.")
+]
 Seed = Annotated[int, typer.Option(help="Seed of the bootstrap.")]
 
 
@@ -43,10 +49,18 @@ def command(
     height_uncertainty: HeightSigma = 0.005,
     use_height: Use = "check",
     gravity: Gravity = 9.80665,
+    mass: Mass = None,
+    diameter: Diameter = None,
+    from_s: From = None,
+    until_s: Until = None,
+    ignore: Ignore = None,
+    region: Region = None,
+    axis: Axis = None,
     json_target: Json = None,
     out: Out = Path(),
     pictures: Pictures = True,
     into: Into = None,
+    stale: Stale = "ask",
     seed: Seed = 1,
     overwrite: Overwrite = False,
 ) -> None:
@@ -54,22 +68,37 @@ def command(
 
     Several files of one ball are fitted together. Example: bench drop drop.avi --fps 1000 --scale 0.0002 --json -
     """
-    from bench.jobs.drop_test import Request, check_request, run
+    from analysis.drop.corrections import Corrections
+    from bench.jobs.drop_test import Request, check_request, declare_into, parse_region, run
 
-    made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track"))
+    made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track", "sound"))
     check_or_leave(
         File("--json", json_target, JSON), Folder("--out", out if pictures else None, made), Edited("--into", into),
         inputs=files, overwrite=overwrite,
     )  # fmt: skip
-    request = Request(
-        tuple(files), fps, scale, ball_size, scale_uncertainty, fps_uncertainty, tuple(drop_height or ()),
-        height_uncertainty, use_height, gravity, seed,
-    )  # fmt: skip
     try:
+        corrections = Corrections(from_s, until_s, tuple(ignore or ()), parse_region(region), axis)
+        request = Request(
+            files=tuple(files),
+            fps=fps,
+            scale_m=scale,
+            ball_size_m=ball_size,
+            scale_uncertainty=scale_uncertainty,
+            fps_uncertainty=fps_uncertainty,
+            heights_m=tuple(drop_height or ()),
+            height_uncertainty_m=height_uncertainty,
+            use_height=use_height,
+            gravity_mps2=gravity,
+            mass_kg=mass,
+            diameter_m=diameter,
+            corrections=corrections,
+            seed=seed,
+        )
         check_request(request)
+        if stale not in ("ask", "keep", "remove"):
+            fail(f"--stale {stale}: expected ask, keep or remove", EXIT_USAGE)
         outcome = run(request, out if pictures else None, _bar)
-        if into is not None:
-            _declare(into, outcome)
+        refused = declare_into(into, outcome, stale, _asked) if into is not None else None
     except ValueError as error:
         fail(str(error), EXIT_USAGE)
     outcome.payload["in_words"] = outcome.sentences
@@ -77,27 +106,16 @@ def command(
     if json_target != "-":
         for sentence in outcome.sentences:
             sys.stdout.write(sentence + "\n")
+    if refused is not None:
+        fail(refused, EXIT_USAGE)
+
+
+def _asked(question: str) -> bool | None:
+    """A person's answer; None where nobody can be asked."""
+    return typer.confirm(question) if sys.stdin.isatty() else None
 
 
 def _bar(what: str, done: int, total: int) -> None:
     """A progress line on a terminal; nothing in a pipe."""
     if sys.stderr.isatty() and (done % 10 == 0 or done >= total):
-        sys.stderr.write(f"\r{what}: {done} of {total} frames" + ("\n" if done >= total else ""))
-
-
-def _declare(profile: Path, outcome: Outcome) -> None:
-    """Write what was measured into a rig profile, and check that the profile still reads."""
-    from bench.profiles.edit import declare
-    from daq.recording.whole_file import write_whole
-    from daq.setup.errors import InputError
-    from rig.profile import parse_profile
-
-    try:
-        text = profile.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{profile}: cannot be read ({error.strerror})") from error
-    edited = declare(text, outcome.measured, datetime.date.today(), str(profile))
-    parse_profile(edited, str(profile))
-    write_whole(profile, edited)
-    effects = ", ".join(sorted({item.effect for item in outcome.measured}))
-    outcome.sentences.append(f"{profile}: declared {effects}")
+        sys.stderr.write(f"\r{what}: {done} of {total}" + ("\n" if done >= total else ""))

@@ -20,16 +20,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.attribution import Verdict, choose, judge
-from analysis.drop.camera import fit_camera
+from analysis.drop.film.camera_fit import fit_camera
+from analysis.drop.film.flights import Clip, flights_of
+from analysis.drop.film.tracking import track_film
 from analysis.drop.filmed import Units, of_camera
-from analysis.drop.flights import Clip, flights_of
-from analysis.drop.onsets import sound_onsets
+from analysis.drop.laws.choice import choose
+from analysis.drop.load import Path2D, load
 from analysis.drop.outcome import of_times
-from analysis.drop.rows import Drop
-from analysis.drop.sequence import bounces_of
-from analysis.drop.sources import Path2D, load
-from analysis.drop.tracking import track_film
+from analysis.drop.times.impact_chain import bounces_of
+from analysis.drop.times.model_selection import Verdict, judge
+from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.onsets import sound_onsets
 from daq.setup.errors import InputError
 
 G = 9.80665
@@ -154,7 +155,7 @@ def _heard(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array
     samples, impacts, loud = cam.sound(truth, room, rng)
     apart = np.diff(impacts, prepend=impacts[0] - 1.0) > 0.03
     due = apart & (loud > 8.0 * np.hypot(room.noise, room.speech))
-    times, strength = sound_onsets(samples, room.rate_hz, "x")
+    times, strength, _ = sound_onsets(samples, room.rate_hz, "x")
     return times, strength, impacts, due
 
 
@@ -236,7 +237,7 @@ def _row(label: str, files: list[Path]) -> None:
     else:
         payload = of_times(loaded, judge(loaded, G, rng), G, [None] * len(loaded), rng).payload
         count, more = len(payload["impacts_s"]), ""
-    model = next(m for m in payload["models"] if m["name"] == payload["chosen"])
+    model = next(m for m in payload["models"] if m["name"] == payload["best"])
     shown = [f"{k} {v['value']:.4f} ({_n(v['low'], 4)}, {_n(v['high'], 4)})" for k, v in model["parameters"].items()]
     values = ", ".join(shown)
     ties = ", ".join(payload["tie_set"][1:]) or "none"

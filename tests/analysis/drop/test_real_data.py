@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.attribution import Verdict, judge
-from analysis.drop.camera import fit_camera
+from analysis.drop.film.camera_fit import fit_camera
+from analysis.drop.load import Path2D, load
 from analysis.drop.outcome import of_times
-from analysis.drop.rows import Drop
-from analysis.drop.sources import Path2D, load
+from analysis.drop.times.model_selection import Verdict, judge
+from analysis.drop.times.one_ahead import Drop
 
 G = 9.80665
 pytestmark = pytest.mark.data

@@ -96,6 +96,11 @@ def test_the_result_goes_into_a_profile(tmp_path: Path) -> None:
         (["nowhere.csv"], "no such file"),
         (["{events}", "--fps", "-3"], "--fps"),
         (["{events}", "--use-height", "maybe"], "expected check or data"),
+        (["{events}", "--use-height", "data"], "no height to use"),
+        (["{path}", "--use-height", "data", "--drop-height", "0.1"], "measures the height itself"),
+        (["{events}", "--mass", "0.01"], "give both"),
+        (["{events}", "--from", "2", "--until", "1"], "nothing is left"),
+        (["{path}", "--region", "1,2,3"], "LEFT,TOP,RIGHT,BOTTOM"),
         (["{events}", "--drop-height", "0.2", "--drop-height", "0.3"], "2 heights for 1 files"),
         (["{events}", "{path}"], "one kind at a time"),
         (["{path}", "--scale", "0.1"], "times gravity"),
@@ -132,3 +137,93 @@ def test_wrong_calls_are_refused(tmp_path: Path, arguments: list[str], words: st
     run = RUNNER.invoke(app, ["drop", *(a.format(**names) for a in arguments), "--no-pictures"])
     assert run.exit_code == 2
     assert words in run.stderr
+
+
+def test_the_same_recording_twice_is_refused(tmp_path: Path) -> None:
+    """One drop given twice, under one name or as a copy, would count twice."""
+    first = _events(tmp_path)
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(first.read_bytes())
+    for other in (first, copy):
+        run = RUNNER.invoke(app, ["drop", str(first), str(other), "--no-pictures"])
+        assert run.exit_code == 2 and "counts twice" in run.stderr
+
+
+def test_the_terminal_shows_what_was_measured(tmp_path: Path) -> None:
+    """The restitution stands in a sentence with its interval; options, covariance and flights in the JSON."""
+    target = tmp_path / "o.json"
+    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), "--no-pictures", "--json", str(target)])
+    assert "restitution e0 = 0.9" in run.stdout
+    result = json.loads(target.read_text(encoding="utf-8"))
+    assert result["options"]["gravity_mps2"] == 9.80665
+    assert len(result["drops"][0]["flights"]) == 12
+    assert result["models"][0]["covariance"]["of"] == ["e0"]
+
+
+def test_corrections_by_hand(tmp_path: Path) -> None:
+    """--from, --until and --ignore leave events out, and the JSON keeps them."""
+    file = _events(tmp_path)
+    everything = ["drop", str(file), "--no-pictures", "--json", "-"]
+    whole = json.loads(RUNNER.invoke(app, everything).stdout)
+    last, third = whole["impacts_s"][-1], whole["impacts_s"][2]
+    part = ["--from", "1.1", "--until", str(last - 0.01), "--ignore", str(third)]
+    result = json.loads(RUNNER.invoke(app, [*everything, *part]).stdout)
+    assert len(result["impacts_s"]) == len(whole["impacts_s"]) - 3
+    assert third not in result["impacts_s"] and min(result["impacts_s"]) > 1.1
+    assert result["options"]["corrections"]["ignore_s"] == [third]
+
+
+def test_a_stated_height_that_contradicts_is_said(tmp_path: Path) -> None:
+    """A height taken as data that the impacts contradict, in a way friction cannot explain, is not believed."""
+    where = ["--drop-height", "0.12", "--height-uncertainty", "0.002", "--use-height", "data"]
+    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), *where, "--no-pictures", "--json", "-"])
+    result = json.loads(run.stdout)
+    assert result["chosen"] == "unexplained"
+    assert any("stated height" in reason for reason in result["unexplained_because"])
+
+
+def test_a_drag_that_no_such_ball_has_is_not_believed(tmp_path: Path) -> None:
+    """Bounces that call for ten times the drag of the ball's mass and size: something else is wrong, and said."""
+    flights = [0.6]
+    for _ in range(16):
+        flights.append(flights[-1] * 0.93 / (1.0 + 0.5 * 9.80665 * flights[-1] ** 2 / 8.0))
+    times = np.concatenate(([0.0], np.cumsum(flights)))
+    file = tmp_path / "drag.csv"
+    file.write_text("Time (s)\n" + "".join(f"{t:.6f}\n" for t in times), encoding="utf-8")
+    ball = ["--mass", "0.05", "--diameter", "0.03"]
+    run = RUNNER.invoke(app, ["drop", str(file), *ball, "--no-pictures", "--json", "-"])
+    result = json.loads(run.stdout)
+    assert result["chosen"] != "quadratic_drag"
+
+
+def _profile(tmp_path: Path, more: str = "") -> Path:
+    profile = tmp_path / "mine.toml"
+    text = (ROOT / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
+    profile.write_text(text + more, encoding="utf-8")
+    return profile
+
+
+def test_a_stale_friction_is_asked_about(tmp_path: Path) -> None:
+    """A declared friction beside a restitution measured without it: nothing is written unless said which."""
+    profile = _profile(tmp_path, "\n[declared.coulomb_friction]\nmu_up = 0.1\nmu_down = 0.1\n")
+    before = profile.read_text(encoding="utf-8")
+    arguments = ["drop", str(_events(tmp_path)), "--into", str(profile), "--no-pictures"]
+    run = RUNNER.invoke(app, arguments)
+    assert run.exit_code == 2 and "--stale" in run.stderr
+    assert profile.read_text(encoding="utf-8") == before
+    assert RUNNER.invoke(app, [*arguments, "--stale", "remove"]).exit_code == 0
+    assert set(load_profile(profile)[0].declared) == {"restitution"}
+
+
+def test_what_is_unexplained_goes_into_no_profile(tmp_path: Path) -> None:
+    """Bounces that scatter by a tenth end unexplained, and the profile stays as it was."""
+    rng = np.random.default_rng(2)
+    flights = 0.6 * np.cumprod(0.8 * (1.0 + 0.08 * rng.standard_normal(9)))
+    file = tmp_path / "wild.csv"
+    times = np.concatenate(([0.0], np.cumsum(flights)))
+    file.write_text("Time (s)\n" + "".join(f"{t:.6f}\n" for t in times), encoding="utf-8")
+    profile = _profile(tmp_path)
+    before = profile.read_text(encoding="utf-8")
+    run = RUNNER.invoke(app, ["drop", str(file), "--into", str(profile), "--no-pictures"])
+    assert run.exit_code == 2 and "Unexplained" in run.stdout
+    assert profile.read_text(encoding="utf-8") == before

@@ -1,0 +1,1 @@
+"""From a film or tracked positions to flights, impacts and the fit of their shapes."""

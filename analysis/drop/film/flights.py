@@ -1,0 +1,171 @@
+"""A tracked ball cut into flights: the fall, and the flight after each impact.
+
+The rule kept here: a flight is what lies between two impacts and has enough samples to be a curve; everything else
+(hand, rest, bounces of a few frames) is left out and not guessed at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from analysis.statistics import mad_sigma
+from daq.setup.errors import InputError
+
+Array = NDArray[np.float64]
+
+LEAST_SAMPLES = 6
+_RELEASE_SIGMA = 6.0
+_RELEASE_SHARE = 0.04  # of the fall, left out at its top
+_LEAST_FLIGHT_FRAMES = 6.0
+_BENDS = (0.5, 2.0)  # of the usual acceleration: friction and a tilted picture stay inside
+
+
+@dataclass(frozen=True)
+class Clip:
+    """The ball's path in one file, upright.
+
+    Attributes
+    ----------
+    name : str
+    frame, height : (n,) float64
+        Time in frames (not always whole), and height in the file's unit, counted upward.
+    acceleration : float
+        Rough free-fall acceleration, unit per frame^2.
+    """
+
+    name: str
+    frame: Array
+    height: Array
+    acceleration: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Samples of one flight.
+
+    Attributes
+    ----------
+    clip : int
+        Number of the file it belongs to.
+    order : int
+        0 for the fall, then 1, 2, ...
+    frame, height : (n,) float64
+    lands : bool
+        Whether an impact at the end was filmed.
+    reach : float
+        Height from the middle of the picture's used part to its ends, where its distortion is taken as none.
+    """
+
+    clip: int
+    order: int
+    frame: Array
+    height: Array
+    lands: bool
+    reach: float = 0.0
+
+
+def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
+    """Cut ``clip`` at its impacts.
+
+    Raises
+    ------
+    InputError
+        No impact, or none with a flight after it that could be resolved.
+    """
+    t, h = clip.frame, clip.height
+    noise = jitter(h)
+    least = max(clip.acceleration * (_LEAST_FLIGHT_FRAMES / 2.0) ** 2 / 2.0, 8.0 * noise)
+    low, _ = signal.find_peaks(-h, prominence=least)
+    low = _real_impacts(t, h, low)
+    if not len(low):
+        raise InputError(
+            f"{clip.name}: no impact with a bounce after it among {len(t)} tracked frames; a bounce must last at least "
+            f"{_LEAST_FLIGHT_FRAMES:.0f} frames to be measured: film faster or drop from higher"
+        )
+    parts = [Flight(number, 0, *_fall(t[: low[0]], h[: low[0]], clip.acceleration), True)]
+    for k, start in enumerate(low):
+        last = k + 1 == len(low)
+        stop, lands = _end_of_last(clip, int(start)) if last else (int(low[k + 1]), True)
+        parts.append(Flight(number, k + 1, *_inside(t[start + 1 : stop], h[start + 1 : stop]), lands))
+    return [part for part in parts if part.order == 0 or _flies(part, clip.acceleration)]
+
+
+def _flies(part: Flight, acceleration: float) -> bool:
+    """Whether the samples bend as free flight does; a ball at rest or in a hand does not."""
+    if len(part.frame) < LEAST_SAMPLES:
+        return False
+    s = part.frame - part.frame.mean()
+    bend = -2.0 * float(np.polynomial.polynomial.polyfit(s, part.height, 2)[2])
+    return _BENDS[0] * acceleration < bend < _BENDS[1] * acceleration
+
+
+def jitter(height: Array) -> float:
+    """Noise of single samples from third differences, which no smooth path survives."""
+    third = np.diff(height, 3)
+    return mad_sigma(third) / np.sqrt(20.0) if len(third) else 0.0
+
+
+def _real_impacts(t: Array, h: Array, low: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Minima at which the velocity turns over within a few frames (a hand that lifts the ball turns slowly)."""
+    kept = []
+    for i in low:
+        before, after = slice(max(i - 5, 0), i), slice(i + 1, i + 6)
+        if len(t[before]) < 3 or len(t[after]) < 3:
+            continue
+        down, up = np.polyfit(t[before], h[before], 1)[0], np.polyfit(t[after], h[after], 1)[0]
+        if down < 0.0 < up and up < 1.3 * -down + 1e-9:
+            kept.append(i)
+        elif kept:
+            break  # whatever follows is not bouncing any more
+    return np.array(kept, dtype=np.intp)
+
+
+def _end_of_last(clip: Clip, start: int) -> tuple[int, bool]:
+    """Where the last resolved flight ends: the first turn upward after its apex, the time a fall from there takes,
+    or the end of the track.
+    """
+    t, h = clip.frame, clip.height
+    top = start + 1
+    while top + 1 < len(h) and h[top + 1] >= h[top]:
+        top += 1
+    stop = top + 1
+    latest = t[top] + 1.2 * float(np.sqrt(2.0 * max(h[top] - h[start], 0.0) / clip.acceleration)) + 1.0
+    while stop < len(h) and h[stop] < h[stop - 1] and t[stop] <= latest:
+        stop += 1
+    return stop - 1, stop < len(h)
+
+
+def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
+    """The free part of the fall: from the impact backward as long as one parabola explains it."""
+    start = len(t)
+    while start > 0 and (start == len(t) or h[start - 1] > h[start]):
+        start -= 1
+    n = len(t) - start
+    if n < LEAST_SAMPLES:
+        return t[start:], h[start:]
+    first = len(t) - LEAST_SAMPLES
+    noise = max(jitter(h[start:]), 5e-4 * float(np.ptp(h)), 0.01 * acceleration)
+    for begin in range(len(t) - LEAST_SAMPLES, start - 1, -1):
+        s = t[begin:] - t[-1]
+        fit = np.polynomial.Polynomial.fit(s, h[begin:], 2)
+        residual = h[begin:] - fit(s)
+        released = float(fit.deriv()(s[0])) <= 0.5 * acceleration
+        bent = np.sqrt((residual**2).mean()) > 3.0 * noise or abs(residual[:2]).max() > _RELEASE_SIGMA * noise
+        if bent or not released:
+            if len(t) - begin > 2 * LEAST_SAMPLES:
+                break
+            continue
+        first = begin
+    free = h[first:] < h[first] - _RELEASE_SHARE * (h[first] - h[-1])  # a hand lets go gradually
+    if free.sum() >= LEAST_SAMPLES:
+        first += int(np.argmax(free))
+    return _inside(t[first:], h[first:])
+
+
+def _inside(t: Array, h: Array) -> tuple[Array, Array]:
+    """A long flight without its samples next to the impacts: their exposure or the contact may straddle one."""
+    return (t[1:-1], h[1:-1]) if len(t) >= 2 * LEAST_SAMPLES else (t, h)

@@ -1,0 +1,110 @@
+"""Restitution against impact speed, from measured speeds before and after each impact.
+
+Each bounce has its measuring error and, besides, a restitution a little its own, estimated from the scatter by moments
+(DerSimonian and Laird 1986).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+
+_LEAST_FOR_HOLD_OUT = 3
+
+
+@dataclass(frozen=True)
+class RestitutionFit:
+    """``e = e0 - e1 u``, or constant.
+
+    Attributes
+    ----------
+    theta, half_width : (p,) float64
+        ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval.
+    scatter : float
+        Standard deviation of the restitution from bounce to bounce, beyond the measuring error.
+    predicted, held_out : (n,) float64
+        Restitution of each bounce from all, and from the other bounces (NaN where there are too few).
+    scores : (n,) float64
+        Held-out log likelihood of each bounce; 0 where there are too few to hold any out.
+    chi_square : float
+        Of the bounces against their measuring errors alone.
+    freedom : int
+        Bounces less parameters.
+    """
+
+    theta: Array
+    half_width: Array
+    scatter: float
+    predicted: Array
+    held_out: Array
+    scores: Array
+    chi_square: float = 0.0
+    freedom: int = 0
+
+    @property
+    def relative_scatter(self) -> float:
+        """Scatter from bounce to bounce over the restitution."""
+        return self.scatter / max(abs(float(self.theta[0])), 0.02)
+
+    @property
+    def chance(self) -> float:
+        """Probability of a chi-square as large, were the measuring errors all there is (1 without freedom)."""
+        return float(stats.chi2.sf(self.chi_square, self.freedom)) if self.freedom > 0 else 1.0
+
+
+def fit_restitution(speed: Array, ratio: Array, sigma: Array, with_speed: bool) -> RestitutionFit:
+    """Fit ``ratio`` (n,) at impact speeds ``speed`` (n,), each with measuring error ``sigma`` (n,)."""
+    n = len(ratio)
+    if with_speed and n < 3:
+        constant = fit_restitution(speed, ratio, sigma, with_speed=False)
+        theta, width = np.append(constant.theta, 0.0), np.append(constant.half_width, np.inf)
+        return RestitutionFit(theta, width, constant.scatter, constant.predicted, constant.held_out, constant.scores)
+    basis = np.column_stack([np.ones(n), -speed]) if with_speed else np.ones((n, 1))
+    theta, covariance, scatter = _weighted(basis, ratio, sigma)
+    held_out, scores = np.full(n, np.nan), np.zeros(n)
+    bare = _bare_chi_square(basis, ratio, sigma)
+    if n >= _LEAST_FOR_HOLD_OUT + basis.shape[1] - 1:
+        for i in range(n):
+            keep = np.arange(n) != i
+            part, spread, own = _weighted(basis[keep], ratio[keep], sigma[keep])
+            held_out[i] = basis[i] @ part
+            total = sigma[i] ** 2 + max(own, scatter) ** 2 + basis[i] @ spread @ basis[i]
+            scores[i] = stats.t.logpdf(ratio[i], max(n - 1 - basis.shape[1], 1), held_out[i], np.sqrt(total))
+    freedom = n - basis.shape[1]
+    wide = float(stats.t.ppf(0.975, freedom)) if freedom >= 1 and scatter > 0.0 else 1.96
+    half_width = wide * np.sqrt(np.diag(covariance))
+    return RestitutionFit(theta, half_width, scatter, basis @ theta, held_out, scores, bare, freedom)
+
+
+def _bare_chi_square(basis: Array, ratio: Array, sigma: Array) -> float:
+    """Chi-square of weighted least squares without extra scatter."""
+    weight = 1.0 / np.maximum(sigma, 1e-9)
+    left = weight * ratio - (basis * weight[:, None]) @ np.linalg.lstsq(basis * weight[:, None], weight * ratio)[0]
+    return float(left @ left)
+
+
+def _weighted(basis: Array, ratio: Array, sigma: Array) -> tuple[Array, Array, float]:
+    """Weighted least squares with a common extra scatter that brings chi-square to its degrees of freedom."""
+    n, p = basis.shape
+    floor = max(1e-6, 1e-3 * float(np.median(sigma)))
+    scatter = 0.0
+    for _ in range(40):
+        variance = sigma**2 + scatter**2 + floor**2
+        weight = 1.0 / variance
+        covariance = np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True)
+        theta = covariance @ (basis.T @ (weight * ratio))
+        squares = (ratio - basis @ theta) ** 2
+        excess = float((weight * squares).sum()) - (n - p)
+        slope = float((weight**2 * squares).sum())
+        if n <= p or slope <= 0.0:
+            break
+        moved = max(scatter**2 + excess / slope, 0.0)
+        if abs(moved - scatter**2) < 1e-12:
+            break
+        scatter = float(np.sqrt(moved))
+    return theta, np.asarray(covariance, dtype=np.float64), scatter

@@ -1,0 +1,1 @@
+"""Laws of one flight and of one bounce, in closed form."""

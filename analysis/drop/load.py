@@ -1,0 +1,141 @@
+"""Any file of a drop test, told apart by its first bytes: impact times, or the ball's path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.corrections import NOTHING, Corrections
+from analysis.drop.film.flights import Clip
+from analysis.drop.film.linking import ball_of
+from analysis.drop.film.tracking import Tracked, track_film
+from analysis.drop.film.video import FILMS
+from analysis.drop.progress import Progress
+from analysis.drop.read.readings import Points, read_tables
+from analysis.drop.read.tables import read_grids
+from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file
+from daq.setup.errors import InputError
+
+Array = NDArray[np.float64]
+
+_OTHER_SOUND = {".mp3", ".m4a", ".aac", ".ogg", ".flac", ".wma", ".opus", ".caf", ".amr", ".aiff", ".aif"}
+_OTHER_SOUND_STARTS = (b"ID3", b"OggS", b"fLaC", b"\xff\xfb", b"\xff\xf3", b"\xff\xf1", b"#!AMR", b"caff", b"FORM")
+
+
+_IGNORE_REACH_S = 0.02
+
+
+@dataclass(frozen=True)
+class Path2D:
+    """The ball's path in one file.
+
+    Attributes
+    ----------
+    clip : Clip
+    frame_s : float or None
+        Seconds a frame, as the file states.
+    metres : bool
+        Heights are metres.
+    tracked : Tracked or None
+        For a film.
+    """
+
+    clip: Clip
+    frame_s: float | None
+    metres: bool
+    tracked: Tracked | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def load(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Drop | Path2D:
+    """The drop in a file; the first where there are several. Raises what `load_all` raises."""
+    return load_all(path, progress, corrections)[0]
+
+
+def load_all(
+    path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING
+) -> list[Drop] | list[Path2D]:
+    """Every drop in one file, less what ``corrections`` leave out.
+
+    Raises
+    ------
+    InputError
+        Missing, of no kind this can read, or nothing usable in it.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if path.is_dir():
+        return [_film(path, progress, corrections)]
+    head = _head(path)
+    if not head:
+        raise InputError(f"{path}: the file is empty")
+    if head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE":
+        onsets, rate_hz = onsets_of_file(path, progress)
+        return _drops(path, onsets, 1.0 / rate_hz, corrections, sound=True)
+    if path.suffix.lower() in _OTHER_SOUND or head[8:11] == b"M4A" or head.startswith(_OTHER_SOUND_STARTS):
+        raise InputError(
+            f"{path}: sound, but not WAV; only WAV is read (compression smears onsets): record as WAV, or convert it, "
+            "for instance with: ffmpeg -i FILE drop.wav"
+        )
+    if head.startswith(b"\x89HDF"):
+        times, uncertainty = contact_onsets(path)
+        return _drops(path, Onsets(times, np.ones(len(times)), np.full(len(times), np.nan)), uncertainty, corrections)
+    if path.suffix.lower() in FILMS or head[:4] == b"RIFF" or head[4:8] == b"ftyp":
+        return [_film(path, progress, corrections)]
+    if path.suffix.lower() == ".wav":
+        raise InputError(f"{path}: damaged: a WAV file starts with RIFF, this one does not; export it again")
+    return _table(path, corrections)
+
+
+def _drops(
+    path: Path, events: Onsets, uncertainty_s: float, corrections: Corrections, sound: bool = False
+) -> list[Drop]:
+    kept = corrections.keeps(events.times_s, _IGNORE_REACH_S)
+    found = drops_of(events.times_s[kept], str(path), uncertainty_s, events.strength[kept], events.loudness[kept])
+    names = [path.name] if len(found) == 1 else [f"{path.name} ({k} of {len(found)})" for k in range(1, len(found) + 1)]
+    return [Drop(name, bounces, file=path, sound=sound) for name, bounces in zip(names, found, strict=True)]
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(16)
+
+
+def _film(path: Path, progress: Progress | None, corrections: Corrections) -> Path2D:
+    tracked = track_film(path, progress, corrections)
+    track = tracked.track
+    clip = Clip(path.name, track.clock, track.height, track.acceleration)
+    frame_s = 1.0 / tracked.fps if tracked.fps else None
+    return Path2D(clip, frame_s, metres=False, tracked=tracked, remarks=tracked.remarks)
+
+
+def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
+    found = read_tables(read_grids(path), str(path))
+    drops: list[Drop] = []
+    paths: list[Path2D] = []
+    for number, (label, item) in enumerate(found):
+        name = path.name if len(found) == 1 else f"{path.name} ({label or number + 1})"
+        if isinstance(item, Points):
+            paths.append(_path(item, name, corrections))
+        else:
+            read = _drops(path, Onsets(item, np.ones(len(item)), np.full(len(item), np.nan)), 0.0, corrections)
+            more = "" if len(read) == 1 else " {} of " + str(len(read))
+            drops += [replace(drop, name=name + more.format(k + 1)) for k, drop in enumerate(read)]
+    return drops or paths
+
+
+def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
+    steps = np.diff(np.unique(found.clock))
+    frame_s = float(np.median(steps)) if found.in_seconds else 1.0
+    kept = corrections.keeps(found.clock, 0.6 * frame_s)
+    if corrections.region is not None:
+        left, top, right, bottom = corrections.region
+        kept &= (found.x >= left) & (found.x <= right) & (found.y >= top) & (found.y <= bottom)
+    track = ball_of(found.clock[kept], found.x[kept], found.y[kept], name, corrections.axis_deg)
+    clip = Clip(name, track.clock / frame_s, track.height, track.acceleration * frame_s**2)
+    return Path2D(clip, frame_s if found.in_seconds else None, found.metres, remarks=track.remarks)

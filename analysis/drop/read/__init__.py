@@ -1,0 +1,1 @@
+"""Tables of any layout: impact times, or positions."""

@@ -1,0 +1,233 @@
+"""From a list of event times to the bounces of one ball: missed and false impacts found and named.
+
+Successive flights of a bouncing ball shrink by a factor that changes slowly, so the chain of events that shrinks most
+steadily is the ball. An interval that holds an impact not detected is marked, an event that fits nowhere is listed,
+and a bounce that breaks the pattern (an edge, a hand) ends a run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.times.chain_search import LONGEST_FLIGHT_S, best_chain
+from analysis.drop.times.chain_tests import why_no_drop
+from analysis.drop.times.end_outliers import ends_that_stray
+from daq.setup.errors import InputError
+
+Array = NDArray[np.float64]
+
+_LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
+_RING_S = 0.1
+_WINDOW, _OVERLAP = 400, 150  # events that are searched at once
+
+
+@dataclass(frozen=True)
+class Bounces:
+    """The impacts of one drop.
+
+    Attributes
+    ----------
+    impacts_s : (n,) float64
+        Impact times, increasing.
+    missed : (n - 1,) int64
+        Impacts missing inside each interval (0: the interval is one flight).
+    broken : (n,) bool
+        The bounce at this impact does not follow the pattern and is not used for a model.
+    false_s : (m,) float64
+        Events between the impacts that are none.
+    uncertainty_s : float
+        Standard deviation of an impact time as the detector states it; the fit finds its own.
+    """
+
+    impacts_s: Array
+    missed: NDArray[np.int64]
+    broken: NDArray[np.bool_]
+    false_s: Array
+    uncertainty_s: float = 0.0
+
+    @property
+    def intervals_s(self) -> Array:
+        """Times between successive impacts, shape (n - 1,)."""
+        return np.diff(self.impacts_s)
+
+    @property
+    def usable(self) -> NDArray[np.int64]:
+        """Indices ``n`` of impacts with a whole flight before and after: rows of the one-bounce-ahead prediction."""
+        single = self.missed == 0
+        return np.flatnonzero(single[:-1] & single[1:] & ~self.broken[1:-1]) + 1
+
+
+@dataclass(frozen=True)
+class _Events:
+    """Event times, increasing, with strength and loudness."""
+
+    times_s: Array
+    strength: Array
+    loudness: Array
+
+    def part(self, keep: NDArray[np.bool_] | slice) -> _Events:
+        return _Events(self.times_s[keep], self.strength[keep], self.loudness[keep])
+
+
+def bounces_of(
+    events_s: Array,
+    where: str,
+    uncertainty_s: float = 0.0,
+    strength: Array | None = None,
+    loudness: Array | None = None,
+) -> Bounces:
+    """Find the ball's impacts among ``events_s``: the drop with the most impacts.
+
+    Parameters
+    ----------
+    events_s : (n,) float64
+        Candidate times, s, any order.
+    where : str
+        File, for the error text.
+    uncertainty_s : float
+        Passed on.
+    strength : (n,) float64, optional
+        How much of an impact each event is, 0 to 1: loudness against its neighbours. All 1 where left out.
+    loudness : (n,) float64, optional
+        Logarithm of the peak; NaN where not known.
+
+    Raises
+    ------
+    InputError
+        Fewer than three impacts that follow each other, or a chain that is none of a ball's.
+    """
+    return max(drops_of(events_s, where, uncertainty_s, strength, loudness), key=lambda b: len(b.impacts_s))
+
+
+def drops_of(
+    events_s: Array,
+    where: str,
+    uncertainty_s: float = 0.0,
+    strength: Array | None = None,
+    loudness: Array | None = None,
+) -> list[Bounces]:
+    """All drops among ``events_s``, in order of time: a ball may be dropped several times in one recording.
+
+    Takes what `bounces_of` takes, and raises what it raises where there is not even one.
+    """
+    times, first = np.unique(np.asarray(events_s, dtype=np.float64), return_index=True)
+    weight = np.ones(len(times)) if strength is None else np.asarray(strength, dtype=np.float64)[first]
+    loud = np.full(len(times), np.nan) if loudness is None else np.asarray(loudness, dtype=np.float64)[first]
+    events = _Events(times, weight, loud)
+    found: list[Bounces] = []
+    reasons: list[str] = []
+    for part in _windows(times):
+        _search(events.part(part), uncertainty_s, found, reasons)
+    kept = _apart(found)
+    if kept:
+        return kept
+    raise InputError(
+        f"{where}: {len(times)} events found, but no three of them follow each other as impacts of one ball do "
+        "(each flight shorter than the one before); record the drop from its first impact on, in a quiet room, "
+        "and give a table no columns but the impacts'" + (f". The likeliest chain: {reasons[0]}" if reasons else "")
+    )
+
+
+def _windows(times: Array) -> list[slice]:
+    """Groups of events that no flight joins, cut into overlapping pieces where they are many."""
+    edges = np.flatnonzero(np.diff(times) > 2.0 * LONGEST_FLIGHT_S) + 1
+    out = []
+    for start, stop in zip(np.append(0, edges), np.append(edges, len(times)), strict=True):
+        first = int(start)
+        while stop - first > _WINDOW:
+            out.append(slice(first, first + _WINDOW))
+            first += _WINDOW - _OVERLAP
+        out.append(slice(first, int(stop)))
+    return out
+
+
+def _search(events: _Events, uncertainty_s: float, found: list[Bounces], reasons: list[str]) -> None:
+    """Every drop among some events: the best chain, then what lies before and after it."""
+    rest = [events]
+    best = 0
+    while rest:
+        part = rest.pop()
+        drop = _one_drop(part, uncertainty_s)
+        if isinstance(drop, str):
+            reasons.append(drop)
+        if not isinstance(drop, Bounces):
+            continue
+        best = max(best, len(drop.impacts_s))
+        if len(drop.impacts_s) < best and len(drop.impacts_s) < max(_LEAST_OF_FURTHER, best // 2):
+            continue
+        found.append(drop)
+        rest += [part.part(part.times_s < drop.impacts_s[0]), part.part(part.times_s > drop.impacts_s[-1])]
+
+
+def _apart(found: list[Bounces]) -> list[Bounces]:
+    """Drops that do not overlap, those with more impacts first, short ones beside long ones left out; by time."""
+    kept: list[Bounces] = []
+    for drop in sorted(found, key=lambda b: -len(b.impacts_s)):
+        clear = all(drop.impacts_s[-1] < b.impacts_s[0] or drop.impacts_s[0] > b.impacts_s[-1] for b in kept)
+        enough = not kept or len(drop.impacts_s) >= max(_LEAST_OF_FURTHER, len(kept[0].impacts_s) // 2)
+        if clear and enough:
+            kept.append(drop)
+    return sorted(kept, key=lambda bounces: float(bounces.impacts_s[0]))
+
+
+def _one_drop(events: _Events, uncertainty_s: float) -> Bounces | str | None:
+    """The best chain; why it is no drop, where it is none."""
+    if len(events.times_s) < 3:
+        return None
+    chain, kinds, broken = best_chain(events.times_s, events.strength)
+    if len(chain) < 3 or not _holds_a_bounce(kinds, broken):
+        return None
+    drop = _without_strays(events.times_s, chain, kinds, broken, uncertainty_s)
+    if len(drop.impacts_s) < 3 or not len(drop.usable):
+        return None
+    mine = np.isin(events.times_s, drop.impacts_s)
+    flights, rows = drop.intervals_s, drop.usable
+    why = why_no_drop(
+        flights[rows - 1], flights[rows], events.loudness[mine], drop.impacts_s, events.times_s[~mine],
+        events.strength[~mine],
+    )  # fmt: skip
+    return why or drop
+
+
+def _without_strays(
+    events: Array, chain: list[int], kinds: list[int], broken: list[bool], uncertainty_s: float
+) -> Bounces:
+    """The chain as bounces, ends that belong to something else given up."""
+    inside = events[(events > events[chain[0]]) & (events < events[chain[-1]])]
+    first, last = 0, len(chain)
+    while True:
+        single = np.array(kinds[first : last - 1]) == 0
+        cut = ends_that_stray(events[chain[first:last]], single)
+        if not any(cut):
+            break
+        if cut[0] and (other := _other_first(events, chain[first:last], single)) is not None:
+            chain = [*chain[:first], other, *chain[first + 1 :]]
+            continue
+        first, last = first + cut[0], last - cut[1]
+    kept = events[chain[first:last]]
+    return Bounces(
+        impacts_s=kept,
+        missed=np.array(kinds[first : last - 1], dtype=np.int64),
+        broken=np.array([False, *broken[first + 1 : last - 1], False], dtype=np.bool_),
+        false_s=np.setdiff1d(np.union1d(inside, events[chain]), kept),
+        uncertainty_s=uncertainty_s,
+    )
+
+
+def _other_first(events: Array, chain: list[int], single: NDArray[np.bool_]) -> int | None:
+    """An event near a first impact that strays, and in whose place it does not: an impact rings, or clips."""
+    near = np.flatnonzero((np.abs(events - events[chain[0]]) < _RING_S) & (events < events[chain[1]]))
+    for other in near:
+        moved = events[[int(other), *chain[1:]]]
+        if int(other) != chain[0] and not ends_that_stray(moved, single)[0]:
+            return int(other)
+    return None
+
+
+def _holds_a_bounce(kinds: list[int], broken: list[bool]) -> bool:
+    return any(
+        not first and not second and not cut for first, second, cut in zip(kinds, kinds[1:], broken[1:], strict=False)
+    )

@@ -1,0 +1,220 @@
+"""Fit the ladder of models to the impact times of one drop or many, together.
+
+The rule kept here: generalised least squares with the covariance of `rows`, whose widths come from the
+data (with a prior that keeps each from vanishing); intervals are the wider of that fit's and a bootstrap's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from analysis.drop.laws.bouncelaw import BOUNDS, SPEED_DRAG, START, BounceModel
+from analysis.drop.times.one_ahead import Drop, Rows, Widths, noise_of, predict_s, rows_of
+from analysis.statistics import mad_sigma
+
+Array = NDArray[np.float64]
+
+_OUTLIER_SIGMA = 4.5
+_GROSS = 0.06  # of a flight's duration, within which no bounce is left out before anything is fitted
+_SMALLEST = Widths(1e-7, 1e-6, 1e-7)
+_LARGEST = Widths(0.05, 0.5, 0.05)
+_START = Widths(2e-4, 0.01, 1e-4)
+_FEW_DROPS = 6
+_NUDGE = 1e-5  # of a parameter, for derivatives
+_USUAL_WIDTHS = Widths(2e-4, 5e-3, 1e-4)  # of a phone or a camera, and of balls on floors
+_USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A rung fitted.
+
+    Attributes
+    ----------
+    model : BounceModel
+    theta, covariance : (p,), (p, p) float64
+        Parameters in the model's order.
+    widths : Widths
+        Estimated standard deviations.
+    residuals_s : (drops, longest) float64
+        Measured less predicted duration; NaN where there is no data.
+    white : (rows,) float64
+        The same, whitened.
+    draws : (m, p) float64
+        Bootstrap over drops, or over flights where there are few drops.
+    freedom : int
+        Rows less parameters.
+    """
+
+    model: BounceModel
+    theta: Array
+    covariance: Array
+    widths: Widths
+    residuals_s: Array
+    white: Array
+    draws: Array
+    freedom: int
+
+    def half_width(self, level: float = 0.95) -> Array:
+        """Half the interval of each parameter: the wider of the fit's and the bootstrap's."""
+        t = float(stats.t.ppf(0.5 + level / 2, max(self.freedom, 1)))
+        return np.asarray(t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0)))
+
+
+def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.int64]]:
+    """The rows to fit, and how many bounces of each drop were left out.
+
+    A bounce is left out where not even the richest rung comes near it, judged by the spread of all the others.
+    """
+    rows = rows_of(drops)
+    kept = rows.keep(~rows.from_height)
+    for least in (_GROSS, 0.0, 0.0):
+        theta = _start(SPEED_DRAG, kept)
+        if not least:  # first without a fit: one gross bounce would bend it
+            theta = converge(SPEED_DRAG, theta, kept, _START, g_mps2)
+        relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
+        pooled = relative[rows.valid & ~rows.from_height]
+        centre = float(np.median(pooled))
+        width = mad_sigma(pooled - centre) + 5e-4
+        near = np.abs(relative - centre) < max(_OUTLIER_SIGMA * width, least)
+        kept = rows.keep(near & ~rows.from_height)
+    kept = rows.keep(kept.valid | rows.from_height)
+    return kept, rows.valid.sum(axis=1) - kept.valid.sum(axis=1)
+
+
+def _start(model: BounceModel, rows: Rows) -> Array:
+    ratios = (rows.after_s / rows.before_s)[rows.valid & ~rows.from_height]
+    theta = np.array([START[name] for name in model.parameters])
+    if len(ratios):
+        theta[0] = float(np.median(ratios))
+    return theta
+
+
+def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator, boots: int = 200) -> Fit:
+    """Parameters and widths of one model, with bootstrap draws."""
+    theta, widths = _start(model, rows), _START
+    for _ in range(4):
+        theta = converge(model, theta, rows, widths, g_mps2)
+        widths = _widths(model, theta, rows, g_mps2, widths)
+    theta = converge(model, theta, rows, widths, g_mps2)
+    last = step(model, theta, rows, widths, g_mps2)
+    residuals = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), np.nan)
+    draws = _bootstrap(theta, last, rng, boots)
+    covariance = wider(last.covariance, _as_scatter(model, theta, rows, residuals, g_mps2))
+    return Fit(model, theta, covariance, widths, residuals, last.white, draws, rows.count - len(theta))
+
+
+def _as_scatter(model: BounceModel, theta: Array, rows: Rows, residuals: Array, g_mps2: float) -> Array:
+    """Covariance if all that is left were scatter of the restitution: no help from errors that cancel."""
+    relative = (residuals / rows.after_s)[rows.valid & ~rows.from_height]
+    spread = float(theta[0]) * float(np.sqrt((relative**2).sum() / max(len(relative) - len(theta), 1)))
+    return step(model, theta, rows, _SMALLEST._replace(scatter=max(spread, _SMALLEST.scatter)), g_mps2).covariance
+
+
+def wider(covariance: Array, other: Array) -> Array:
+    """The first covariance, each standard deviation stretched to the other's where that is larger."""
+    own, rival = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(other))
+    stretch = np.maximum(rival / np.maximum(own, 1e-300), 1.0)
+    return np.asarray(covariance * np.outer(stretch, stretch))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One Gauss-Newton step: where it leads, and what it saw where it started."""
+
+    theta: Array
+    covariance: Array
+    chi_square: float
+    jacobian: Array  # whitened, (rows, p)
+    white: Array  # whitened residuals, (rows,)
+    owner: NDArray[np.int64]  # drop of each row
+
+
+def step(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: float, damping: float = 0.0) -> Step:
+    """One (damped) generalised least-squares step from ``theta``."""
+    residual_s = rows.after_s - predict_s(model, theta, rows, g_mps2)
+    stack = np.concatenate([sensitivities(model, theta, rows, g_mps2), residual_s[..., None]], axis=-1)
+    stack = np.where(rows.valid[..., None], stack, 0.0)
+    lower = noise_of(model, theta, rows, g_mps2).lower(widths)
+    white = np.asarray(np.linalg.solve(lower, stack)[rows.valid], dtype=np.float64)
+    jacobian, residual = white[:, :-1], white[:, -1]
+    normal = jacobian.T @ jacobian
+    covariance = np.asarray(np.linalg.pinv(normal, rcond=1e-10, hermitian=True), dtype=np.float64)
+    damped = np.linalg.pinv(normal + damping * np.diag(np.diag(normal)), rcond=1e-10, hermitian=True)
+    low, high = np.array([BOUNDS[name] for name in model.parameters]).T
+    reached = np.clip(theta + damped @ (jacobian.T @ residual), low, high)
+    return Step(reached, covariance, float(residual @ residual), jacobian, residual, np.nonzero(rows.valid)[0])
+
+
+def sensitivities(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Array:
+    """Derivatives of the predicted durations by the parameters, shape (drops, longest, p)."""
+    base = predict_s(model, theta, rows, g_mps2)
+    columns = []
+    for j in range(len(theta)):
+        moved = theta.copy()
+        moved[j] += _NUDGE
+        columns.append((predict_s(model, moved, rows, g_mps2) - base) / _NUDGE)
+    return np.stack(columns, axis=-1)
+
+
+def converge(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: float) -> Array:
+    """Levenberg-Marquardt to the minimum at fixed widths."""
+    damping = 1e-4
+    here = step(model, theta, rows, widths, g_mps2, damping)
+    for _ in range(12):
+        there = step(model, here.theta, rows, widths, g_mps2, damping)
+        if there.chi_square <= here.chi_square * (1.0 + 1e-9):
+            done = here.chi_square - there.chi_square < 1e-5 * (1.0 + here.chi_square)
+            theta, here, damping = here.theta, there, damping * 0.1
+            if done:
+                break
+        else:
+            damping = max(damping, 1e-4) * 30.0
+            here = step(model, theta, rows, widths, g_mps2, damping)
+    return theta
+
+
+def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: Widths) -> Widths:
+    """Most likely widths at ``theta``, with one degree of freedom given up per parameter.
+
+    A weak prior keeps each from vanishing: in a short drop the likelihood alone puts all on one of them,
+    and a restitution without any scatter would then seem known far too well.
+    """
+    noise = noise_of(model, theta, rows, g_mps2)
+    residual = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), 0.0)[..., None]
+    inflate = rows.count / max(rows.count - len(theta), 1)
+
+    def minus_log(logs: Array) -> float:
+        lower = noise.lower(Widths(*np.exp(logs)))
+        white = np.linalg.solve(lower, residual)
+        diagonal = np.diagonal(lower, axis1=1, axis2=2)
+        usual = ((logs - np.log(_USUAL_WIDTHS)) / _USUAL_SPREAD) ** 2
+        return float(np.log(diagonal).sum() + 0.5 * inflate * (white**2).sum() + 0.5 * usual.sum())
+
+    found = optimize.minimize(
+        minus_log,
+        np.log(start),
+        method="Nelder-Mead",
+        bounds=list(zip(np.log(_SMALLEST), np.log(_LARGEST), strict=True)),
+        options={"xatol": 0.03, "fatol": 0.01, "maxiter": 150},
+    )
+    return Widths(*(float(x) for x in np.exp(found.x)))
+
+
+def _bootstrap(theta: Array, last: Step, rng: np.random.Generator, boots: int) -> Array:
+    """Draws of the parameters: resample drops (or flights, where there are few drops)."""
+    drops = np.unique(last.owner)
+    groups = last.owner if len(drops) >= _FEW_DROPS else np.arange(len(last.white))
+    names, group = np.unique(groups, return_inverse=True)
+    draws = np.empty((boots, len(theta)))
+    for b in range(boots):
+        weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
+        normal = (last.jacobian * weight[:, None]).T @ last.jacobian
+        right = last.jacobian.T @ (weight * last.white)
+        draws[b] = theta + np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
+    return draws

@@ -1,0 +1,263 @@
+"""Impacts in a sound recording, to the sample; and in a contact channel with the plate at rest.
+
+An onset is a change of the signal's statistics, not a crossing of a level. Candidates are short rises of log energy
+over many frequency bands (a faint tap over a hum counts as much as a loud one); each is refined by the Akaike
+information criterion of a two-part signal (Maeda 1985).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy import linalg, signal
+
+from analysis.drop.progress import Progress
+from analysis.drop.times.wav import open_wav
+from analysis.statistics import MAD_TO_SIGMA, mad_sigma
+from daq.recording import Recording, open_recording
+from daq.setup.errors import InputError
+
+Array = NDArray[np.float64]
+
+_WINDOW_S, _HOP_S = 0.006, 0.001
+_BEFORE_S, _AFTER_S = 0.012, 0.004  # what is compared at a candidate
+_LEAST_SPACING_S = 0.012
+_CANDIDATES, _CANDIDATES_A_S = 120, 15.0  # the strongest, in all and a second: a drop ends in 30 impacts a second
+_LONGEST_PIECE_S, _CORE_S, _MARGIN_S = 60.0, 20.0, 1.0
+_CLIPPED = 0.985  # of full scale
+_LOUDNESS_S, _NEIGHBOUR_S = 0.01, 0.5
+_LEAST_RISE = 5.0  # in robust widths of the rise where nothing happens
+_SPECTRUM_S = 0.04
+_PREDICTOR = 64  # samples that are looked back
+_LOUDEST_NOTHING = 1e-7  # of the background's power: white noise that keeps the prediction stable
+_LOWEST_HZ = 150.0  # below it hum and handling
+_BEFORE_PEAK_S, _GAP_S = 0.006, 0.0005  # before an onset, where the sound must be quieter than after it
+_CLEAR_RISE = 1.0  # in natural logarithms: less is a ring, or a clipped swing, of the impact before
+_REST_S, _AT_REST_MPS2 = 20.0, 1.0  # how long a plate is looked at, and what a plate at rest reads at most
+
+
+class Onsets(NamedTuple):
+    """Onsets in a sound.
+
+    Attributes
+    ----------
+    times_s : (n,) float64
+    strength : (n,) float64
+        Loudness among the neighbours, 0 to 1.
+    loudness : (n,) float64
+        Natural logarithm of the peak; NaN where it is clipped.
+    """
+
+    times_s: Array
+    strength: Array
+    loudness: Array
+
+
+def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets, float]:
+    """Onsets in a WAV file of any length, and its rate in Hz; long files are read in overlapping pieces.
+
+    Raises
+    ------
+    InputError
+        Not a WAV file, silence, or nothing that stands out.
+    """
+    wav = open_wav(path)
+    rate = wav.rate_hz
+    if wav.n_samples <= _LONGEST_PIECE_S * rate:
+        return sound_onsets(wav.read(), rate, str(path)), rate
+    core, margin = int(_CORE_S * rate), int(_MARGIN_S * rate)
+    found: list[Onsets] = []
+    refused: InputError | None = None
+    for start in range(0, wav.n_samples, core):
+        first = max(start - margin, 0)
+        try:
+            piece = sound_onsets(wav.read(first, start + core + margin), rate, str(path))
+        except InputError as error:
+            refused = error
+            continue
+        times = piece.times_s + first / rate
+        own = (times >= start / rate) & (times < (start + core) / rate)
+        found.append(Onsets(times[own], piece.strength[own], piece.loudness[own]))
+        if progress is not None:
+            progress("listening", min(start + core, wav.n_samples) // int(rate), wav.n_samples // int(rate))
+    if not found:
+        raise refused or InputError(f"{path}: no sound in it stands out as an impact would; record nearer to the plate")
+    return Onsets(*(np.concatenate(parts) for parts in zip(*found, strict=True))), rate
+
+
+def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
+    """Onsets in a sound that fits in memory.
+
+    Parameters
+    ----------
+    samples : (n,) or (n, channels) float64
+        The sound; channels are judged together.
+    rate_hz : float
+        Sampling rate.
+    where : str
+        File, for the error text.
+
+    Raises
+    ------
+    InputError
+        Silence, or nothing that stands out.
+    """
+    x = np.atleast_2d(np.asarray(samples, dtype=np.float64).T).T
+    x = x[:, np.ptp(x, axis=0) > 0.0]
+    if x.shape[1] == 0:
+        raise InputError(f"{where}: every sample is the same; the recording is silent")
+    top = min(0.45 * rate_hz, 16_000.0)
+    filtered = signal.sosfilt(signal.butter(2, (_LOWEST_HZ, top), "bandpass", fs=rate_hz, output="sos"), x, axis=0)
+    rise, hop = _rise(filtered, rate_hz)
+    centre, width = float(np.median(rise)), mad_sigma(rise - np.median(rise))
+    peaks, found = signal.find_peaks(
+        rise, height=centre + _LEAST_RISE * width, distance=max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
+    )
+    most = int(_CANDIDATES + _CANDIDATES_A_S * len(x) / rate_hz)
+    strongest = np.sort(peaks[np.argsort(found["peak_heights"])[::-1][:most]])
+    if not len(strongest):
+        raise InputError(f"{where}: no sound in it stands out as an impact would; record nearer to the plate")
+    white = np.column_stack([_without_background(channel, rate_hz) for channel in filtered.T])
+    near = [int(p) * hop for p in strongest]
+    onsets = np.array([max(_refine(filtered, n, rate_hz), _refine(white, n, rate_hz))[1] for n in near])
+    times, first = np.unique(onsets / rate_hz, return_index=True)
+    strength = np.maximum(*(_strength(x, onsets[first], rate_hz) for x in (filtered, white)))  # dull; under a hum
+    apart = np.append(True, (np.diff(times) > _LEAST_SPACING_S) | (strength[1:] > strength[:-1]))
+    first = first[apart]  # what follows a stronger onset at once is its ring
+    return Onsets(times[apart], strength[apart], _loudness(x, filtered, onsets[first], rate_hz))
+
+
+def _loudness(x: Array, filtered: Array, onsets: Array, rate_hz: float) -> Array:
+    """Logarithm of the peak after each onset; NaN where the recording clips."""
+    reach = int(_LOUDNESS_S * rate_hz)
+    clipped, loud = np.abs(x).max(axis=1), np.abs(filtered).max(axis=1)
+    peaks = np.array([loud[int(n) : int(n) + reach].max(initial=1e-12) for n in onsets])
+    tops = np.array([clipped[int(n) : int(n) + reach].max(initial=0.0) for n in onsets])
+    return np.where(tops < _CLIPPED, np.log(peaks + 1e-12), np.nan)
+
+
+def _without_background(x: Array, rate_hz: float) -> Array:
+    """What a linear prediction from the background does not foresee: hum, fans and voices mostly go, onsets stay.
+
+    The prediction comes from the median spectrum, which taps do not reach; it looks back only, so nothing is heard
+    before it happens.
+    """
+    window = min(int(_SPECTRUM_S * rate_hz), len(x))
+    _, power = signal.welch(x, rate_hz, nperseg=window, average="median")
+    correlation = np.fft.irfft(power)[: _PREDICTOR + 1]
+    correlation[0] *= 1.0 + _LOUDEST_NOTHING
+    ahead = linalg.solve_toeplitz(correlation[:-1], correlation[1:]) if correlation[0] > 0.0 else np.zeros(_PREDICTOR)
+    return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), [1.0], x), dtype=np.float64)
+
+
+def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
+    """Loudness (log peak) of each onset between the recording's floor (0) and the loudest within reach (1).
+
+    An onset that is hardly louder than what is just before it counts for less.
+    """
+    loud = np.abs(x).max(axis=1)
+    reach = int(_LOUDNESS_S * rate_hz)
+    peaks = np.log(np.array([loud[int(n) : int(n) + reach].max(initial=0.0) for n in onsets]) + 1e-12)
+    floor = np.log(np.median(loud) * 4.0 + 1e-12)
+    near = np.abs(onsets[:, None] - onsets[None]) < _NEIGHBOUR_S * rate_hz
+    top = np.where(near, peaks[None], -np.inf).max(axis=1)
+    among = np.clip((peaks - floor) / np.maximum(top - floor, 1e-6), 0.02, 1.0)
+    back, gap = int(_BEFORE_PEAK_S * rate_hz), max(int(_GAP_S * rate_hz), 1)
+    before = [loud[max(int(n) - back, 0) : max(int(n) - gap, 1)].max(initial=0.0) for n in onsets]
+    risen = (peaks - np.log(np.array(before) + 1e-12)) / _CLEAR_RISE
+    return np.asarray(among * np.clip(risen, 0.05, 1.0))
+
+
+def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
+    """Mean over bands of the rise of log energy from just before to just after each hop; and the hop in samples."""
+    hop, window = max(int(_HOP_S * rate_hz), 1), max(int(_WINDOW_S * rate_hz), 16)
+    mono = np.pad(x, ((window // 2, window), (0, 0)))
+    taper = np.hanning(window)
+    power: Any = 0.0
+    for channel in mono.T:
+        frames = sliding_window_view(channel, window)[::hop]
+        power = power + np.abs(np.fft.rfft(frames * taper, axis=1)) ** 2
+    bands = np.fft.rfftfreq(window, 1.0 / rate_hz)
+    keep = (bands > 0.5 * _LOWEST_HZ) & (bands < 12_000.0)
+    power, share = power[:, keep], bands[keep] ** -0.5  # octaves count nearly alike: late taps are dull
+    level = np.log(power + np.median(power, axis=0) * 0.1 + 1e-20)
+    before = max(int(_BEFORE_S / _HOP_S), 1)
+    half = max(int(_WINDOW_S / _HOP_S / 2), 1)
+    past = np.stack([np.roll(level, half + lag, axis=0) for lag in range(before)]).mean(axis=0)
+    rise = np.maximum(np.roll(level, -half, axis=0) - past, 0.0)
+    rise[: before + half] = rise[-half - 1 :] = 0.0
+    return np.asarray(rise @ (share / share.sum())), hop
+
+
+def _refine(x: Array, near: int, rate_hz: float) -> tuple[float, float]:
+    """How sharply the signal's variance changes, and where: the depth and place of the minimum of Maeda's criterion."""
+    start = max(near - int(_BEFORE_S * rate_hz), 0)
+    part = x[start : near + int(2 * _AFTER_S * rate_hz)]
+    peak = int(np.abs(part).max(axis=1).argmax())
+    part = part[: max(peak + 2, 16)]
+    n = np.arange(1, len(part))[:, None]
+    total = np.cumsum(part**2, axis=0)
+    head = total[:-1] / n
+    tail = (total[-1] - total[:-1]) / (len(part) - n)
+    tiny = 1e-12 * float(total[-1].max()) / len(part) + 1e-300
+    criterion = (n * np.log(head + tiny) + (len(part) - n) * np.log(tail + tiny)).sum(axis=1)
+    edge = 4
+    at = edge + int(criterion[edge:-1].argmin())
+    alone = len(part) * float(np.log(total[-1] / len(part) + tiny).sum())
+    return alone - float(criterion[at]), float(start + at + 1)
+
+
+def _refuse_driven(recording: Recording) -> None:
+    """A plate that is driven makes impacts of its own."""
+    path = recording.path
+    steps = recording.steps
+    top = float(steps["gamma"].max(initial=0.0)) if len(steps) else 0.0
+    if top > 0.0 or len(recording.drive_changes):
+        raise InputError(
+            f"{path}: the plate is driven in this recording (gamma up to {top:.3g}); a drop test needs the plate at "
+            "rest. To find what a ramp's flights lack, use: bench close-loop"
+        )
+    if "accelerometer" in recording.channels:
+        stop = min(recording.n_samples, int(_REST_S * recording.rate_hz))
+        volts = recording.read_v("accelerometer", 0, stop)
+        usual = MAD_TO_SIGMA * float(np.median(np.abs(volts - np.median(volts))))
+        shaken = usual / abs(recording.setup.channels.accelerometer.volts_per_mps2)
+        if shaken > _AT_REST_MPS2:
+            raise InputError(
+                f"{path}: the plate shakes by {shaken:.2g} m/s^2 (median); a drop test needs the plate at rest"
+            )
+
+
+def contact_onsets(path: Path) -> tuple[Array, float]:
+    """Times at which the contact circuit of a recording closes, s, and one sample as their uncertainty.
+
+    Raises
+    ------
+    InputError
+        No continuity channel, or a circuit that never opens and closes.
+    """
+    with open_recording(path) as recording:
+        _refuse_driven(recording)
+        channel = recording.setup.channels.continuity
+        if channel is None or "continuity" not in recording.channels:
+            raise InputError(f"{path}: has no continuity channel; a drop test by contact needs one")
+        level = channel.middle_v
+        sign = 1.0 if channel.swing_v < 0.0 else -1.0
+        times: list[Array] = []
+        before, block = True, 1 << 20
+        for start in range(0, recording.n_samples, block):
+            volts = recording.read_v("continuity", start, min(start + block, recording.n_samples))
+            closed = sign * (volts - level) > 0.0
+            edges = np.flatnonzero(closed & ~np.concatenate(([before], closed[:-1])))
+            times.append((edges + start) / recording.rate_hz)
+            before = bool(closed[-1])
+        rate = recording.rate_hz
+    events = np.concatenate(times)
+    if len(events) < 3:
+        raise InputError(f"{path}: the contact circuit closes {len(events)} times; a drop test needs three impacts")
+    apart = np.concatenate(([True], np.diff(events) > _LEAST_SPACING_S))
+    return events[apart], 1.0 / rate

@@ -1,0 +1,104 @@
+"""WAV files read piece by piece: PCM of 8 to 32 bit and float, also with sizes that were never filled in."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.setup.errors import InputError
+
+Array = NDArray[np.float64]
+
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_LEAST_S = 0.05
+
+
+@dataclass(frozen=True)
+class Wav:
+    """An open sound.
+
+    Attributes
+    ----------
+    rate_hz : float
+    channels : int
+    n_samples : int
+        Samples a channel.
+    kind, width, raw
+        Format (PCM or float), bytes a sample, and the mapped bytes of the file's data.
+    """
+
+    rate_hz: float
+    channels: int
+    n_samples: int
+    kind: int
+    width: int
+    raw: NDArray[np.uint8]
+
+    def read(self, start: int = 0, stop: int | None = None) -> Array:
+        """Samples ``start`` to ``stop``, (n, channels) float64, full scale 1."""
+        stop = self.n_samples if stop is None else min(stop, self.n_samples)
+        frame = self.width * self.channels
+        values = _decoded(np.asarray(self.raw[start * frame : stop * frame]).tobytes(), self.kind, self.width)
+        return values.reshape(-1, self.channels)
+
+
+def open_wav(path: Path) -> Wav:
+    """The sound in ``path``, mapped and not read.
+
+    Raises
+    ------
+    InputError
+        Not a WAV file of PCM or float samples, or hardly any sound in it.
+    """
+    size = path.stat().st_size
+    header: tuple[int, int, int, int] | None = None
+    with path.open("rb") as file:
+        file.seek(12)
+        while len(chunk := file.read(8)) == 8:
+            name, length = chunk[:4], struct.unpack("<I", chunk[4:])[0]
+            here = file.tell()
+            if name == b"fmt " and length >= 16:
+                header = _format(file.read(min(length, 40)))
+            elif name == b"data" and header is not None:
+                return _mapped(path, header, here, min(length, size - here))
+            file.seek(here + length + length % 2)
+    raise InputError(f"{path}: not a readable WAV file; export it as 16-bit PCM WAV")
+
+
+def _format(body: bytes) -> tuple[int, int, int, int]:
+    """Kind, channels, rate and bits; the kind of an extensible header is the start of its GUID."""
+    kind, channels, rate, _, _, bits = struct.unpack("<HHIIHH", body[:16])
+    if kind == _EXTENSIBLE and len(body) >= 26:
+        kind = struct.unpack("<H", body[24:26])[0]
+    return kind, channels, rate, bits
+
+
+def _mapped(path: Path, header: tuple[int, int, int, int], start: int, length: int) -> Wav:
+    kind, channels, rate, bits = header
+    width = (bits + 7) // 8
+    known = (kind == _PCM and width in (1, 2, 3, 4)) or (kind == _FLOAT and width in (4, 8))
+    if not known or channels < 1 or rate < 1:
+        raise InputError(f"{path}: not a readable WAV file (format {kind}, {bits} bit); export it as 16-bit PCM WAV")
+    n = length // (width * channels)
+    if n < _LEAST_S * rate:
+        raise InputError(f"{path}: {n} samples at {rate} Hz hold no drop; the file may be cut off")
+    raw = np.memmap(path, dtype=np.uint8, mode="r", offset=start, shape=(n * width * channels,))
+    return Wav(float(rate), channels, n, kind, width, raw)
+
+
+def _decoded(raw: bytes, kind: int, width: int) -> Array:
+    if kind == _FLOAT:
+        return np.frombuffer(raw, dtype="<f4" if width == 4 else "<f8").astype(np.float64)
+    if width == 1:
+        return (np.frombuffer(raw, dtype=np.uint8).astype(np.float64) - 128.0) / 128.0
+    if width == 3:
+        bytes3 = np.frombuffer(raw, dtype=np.uint8).reshape(-1, 3).astype(np.int32)
+        word = bytes3[:, 0] | bytes3[:, 1] << 8 | bytes3[:, 2] << 16
+        return np.where(word >= 1 << 23, word - (1 << 24), word) / float(1 << 23)
+    kinds: dict[int, Any] = {2: "<i2", 4: "<i4"}
+    return np.frombuffer(raw, dtype=kinds[width]) / float(1 << (8 * width - 1))

@@ -1,0 +1,167 @@
+"""Films that lead a tracker astray: tall blocks, rolled or moving cameras, repeated frames, and what is no drop."""
+
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from analysis.drop.corrections import Corrections
+from analysis.drop.film.camera_fit import fit_camera
+from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion
+from analysis.drop.film.flights import Clip
+from analysis.drop.film.linking import ball_of
+from analysis.drop.film.tracking import track_film
+from analysis.drop.filmed import Units, of_camera
+from analysis.drop.outcome import Outcome
+from daq.setup.errors import InputError
+
+TRUTH = {"height_m": 0.045, "e0": 0.6, "hold_s": 0.03}
+
+
+def _measured(clip: Clip, units: Units) -> Outcome:
+    return of_camera([clip.name], fit_camera([clip], np.random.default_rng(1)), units, np.random.default_rng(1))
+
+
+def _frames(path: Path) -> list[np.ndarray]:
+    reader = cv2.VideoCapture(str(path))
+    pictures = []
+    while (got := reader.read())[0]:
+        pictures.append(got[1])
+    reader.release()
+    return pictures
+
+
+def _write(path: Path, pictures: list[np.ndarray]) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, pictures[0].shape[1::-1])
+    for picture in pictures:
+        writer.write(picture)
+    writer.release()
+    return path
+
+
+@pytest.fixture(scope="module")
+def filmed(synthetic: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    """A block of 20 mm, taller than its rebound, at 300 frames a second; and its true rows."""
+    target = tmp_path_factory.mktemp("film") / "tall.avi"
+    camera = synthetic.Camera(fps=300.0, block=(60, 134))
+    return target, synthetic.film(target, synthetic.Truth(**TRUTH), camera, 0.42, np.random.default_rng(3))
+
+
+def test_a_block_taller_than_its_rebound(filmed: tuple[Path, np.ndarray]) -> None:
+    """The resting block does not stay behind in the background: 0.1 pixel rms, none lost, and the right restitution."""
+    target, rows = filmed
+    tracked = track_film(target)
+    off = tracked.y_px - rows[tracked.track.clock.astype(int)]
+    assert len(tracked.lost) == 0 and len(off) >= 115
+    assert np.sqrt((off**2).mean()) < 0.1
+    track = tracked.track
+    fit = fit_camera([Clip("x", track.clock, track.height, track.acceleration)], np.random.default_rng(1))
+    assert judge_camera(fit).best.law.theta[0] == pytest.approx(0.6, abs=0.005)
+
+
+def test_repeated_frames_are_left_out(filmed: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    """Every fifth frame shown twice: noticed, said, and the heights are those of the film without."""
+    pictures = _frames(filmed[0])
+    doubled = [p for k, p in enumerate(pictures) for p in ([p, p] if k % 5 == 4 else [p])]
+    tracked = track_film(_write(tmp_path / "doubled.avi", doubled))
+    assert any("left out" in words for words in tracked.remarks)
+    track = tracked.track
+    fit = fit_camera([Clip("x", track.clock, track.height, track.acceleration)], np.random.default_rng(1))
+    assert judge_camera(fit).best.law.theta[0] == pytest.approx(0.6, abs=0.01)
+
+
+def test_a_camera_held_in_the_hand_is_steadied(filmed: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    """Frames that wander by several pixels are moved back, and it is said."""
+    rng = np.random.default_rng(4)
+    ground = cv2.GaussianBlur(rng.normal(0.0, 120.0, (700, 340)), (0, 0), 2.0)
+    shaken = []
+    for k, picture in enumerate(_frames(filmed[0])):
+        scene = (150.0 + ground)[:, :, None].repeat(3, axis=2)
+        scene[90:610, 90:250] = picture
+        off = 3.0 * np.array([np.sin(k / 9.0), np.cos(k / 7.0) - 1.0])
+        moved = cv2.warpAffine(scene, np.array([[1.0, 0.0, off[0]], [0.0, 1.0, off[1]]]), (340, 700))
+        shaken.append(np.clip(moved[20:680, 20:320], 0, 255).astype(np.uint8))
+    tracked = track_film(_write(tmp_path / "hand.avi", shaken))
+    assert any("moved back" in words for words in tracked.remarks)
+    off = tracked.y_px - filmed[1][tracked.track.clock.astype(int)]
+    assert np.std(off) < 0.5
+
+
+def test_part_of_a_film(filmed: tuple[Path, np.ndarray]) -> None:
+    """--until and --region leave the rest of the film out."""
+    tracked = track_film(filmed[0], corrections=Corrections(until_s=3.0, region=(20, 0, 140, 520)))
+    assert tracked.track.clock.max() <= 90
+    assert tracked.background.shape[:2] == (520, 120)
+
+
+def test_a_rolled_camera_measures_along_the_fall(synthetic: ModuleType) -> None:
+    """Positions seen by a camera rolled by 12 degrees give gravity as an upright one does, and it is said."""
+    frames = np.arange(250.0)
+    heights, _ = synthetic.path(synthetic.Truth(e0=0.6, hold_s=0.02), frames / 500.0, 2e-5)
+    noise = np.random.default_rng(1).normal(0.0, 0.1, (2, 250))
+    px, turn = heights / 1.5e-4, np.radians(12.0)
+    track = ball_of(frames, np.sin(turn) * px + noise[0], -np.cos(turn) * px + noise[1], "x")
+    result = _measured(Clip("x", track.clock, track.height, track.acceleration), Units(1 / 500, 1.5e-4, 9.80665))
+    assert result.payload["g_mps2"]["value"] == pytest.approx(9.80665, rel=0.005)
+    assert "leans" in track.remarks[0]
+
+
+@pytest.mark.parametrize(
+    "height",
+    [
+        lambda t: 200.0 + 100.0 * np.cos(2 * np.pi * 1.1 * t),
+        lambda t: 200.0 + 100.0 * np.abs(np.cos(2 * np.pi * 0.7 * t)),
+        lambda t: 3e3 * gaussian_filter1d(np.random.default_rng(2).normal(0.0, 0.3, len(t)), 6),
+    ],
+    ids=["a waving hand", "a reflected swing", "a hand that wanders"],
+)
+def test_what_is_no_fall_is_refused(height) -> None:  # type: ignore[no-untyped-def]
+    """Motion that turns as a ball's does not, or gains what it lost, ends in words and not in a restitution."""
+    frames = np.arange(180.0)
+    values = height(frames / 30.0) + np.random.default_rng(1).normal(0.0, 0.3, 180)
+    with pytest.raises(InputError):
+        track = ball_of(frames, np.zeros(180), -values, "hand.avi")
+        clip = Clip("hand.avi", track.clock, track.height, track.acceleration)
+        refuse_other_motion(fit_camera([clip], np.random.default_rng(1)), "hand.avi")
+
+
+def test_a_forgotten_frame_rate_is_noticed(synthetic: ModuleType) -> None:
+    """A film of 500 frames a second that plays at 30 would show a fall of 16 m: refused, and --fps is asked for."""
+    frames = np.arange(225.0)
+    heights, _ = synthetic.path(synthetic.Truth(e0=0.6), frames / 500.0, 2e-5)
+    track = ball_of(frames, np.zeros(225), -heights / 1.5e-4, "x")
+    clip = Clip("slow.avi", track.clock, track.height, track.acceleration)
+    with pytest.raises(InputError, match=r"fall of 1[0-9]\.[0-9] m.*--fps"):
+        _measured(clip, Units(1 / 30, None, 9.80665, assumed_rate=True))
+
+
+def test_gravity_that_is_off_is_a_contradiction(synthetic: ModuleType) -> None:
+    """A scale 3 % wrong makes gravity 3 % wrong: nothing is believed or declared, and friction is given each way."""
+    frames = np.arange(250.0)
+    truth = synthetic.Truth(e0=0.6, friction=0.2, hold_s=0.02)
+    heights, _ = synthetic.path(truth, frames / 500.0, 2e-5)
+    noise = np.random.default_rng(2).normal(0.0, 0.05, 250)
+    track = ball_of(frames, np.zeros(250), -heights / 1.5e-4 + noise, "x")
+    clip = Clip("x", track.clock, track.height, track.acceleration)
+    right = _measured(clip, Units(1 / 500, 1.5e-4, 9.80665))
+    wrong = _measured(clip, Units(1 / 500, 1.545e-4, 9.80665))
+    assert right.payload["chosen"] == "coulomb_friction" and right.measured
+    assert wrong.payload["chosen"] == "unexplained" and not wrong.measured
+    assert any("gravity comes out" in words for words in wrong.sentences)
+    assert wrong.payload["friction_up_down"]["up"]["value"] > wrong.payload["friction_up_down"]["down"]["value"] + 0.03
+
+
+def test_bounces_that_differ_are_not_called_constant(synthetic: ModuleType) -> None:
+    """Two bounces whose restitutions are many sigma apart: unexplained, with both values said."""
+    frames = np.arange(300.0)
+    truth = synthetic.Truth(height_m=0.3, e0=0.7, e1_s_per_m=0.12, hold_s=0.02)
+    heights, impacts = synthetic.path(truth, frames / 240.0, 2e-5)
+    stop = int(240 * impacts[2]) - 2
+    noise = np.random.default_rng(2).normal(0.0, 0.1, stop)
+    track = ball_of(frames[:stop], np.zeros(stop), -heights[:stop] / 5e-4 + noise, "x")
+    result = _measured(Clip("x", track.clock, track.height, track.acceleration), Units(1 / 240, None, 9.80665))
+    assert result.payload["chosen"] == "unexplained" and not result.measured
+    assert any("not constant" in words for words in result.sentences)
