@@ -63,7 +63,7 @@ COMPARISON_UNITS = {
     "mean_ratio": "1",
     "rms_s": "s",
     "within_sample": "1",
-    "doubt": "",
+    "unfit_reason": "",
 }
 
 

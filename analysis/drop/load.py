@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.corrections import NOTHING, Corrections
 from analysis.drop.film.flights import Clip
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
-from analysis.drop.progress import Progress
+from analysis.drop.options.corrections import NOTHING, Corrections
+from analysis.drop.options.progress import Progress
 from analysis.drop.read.readings import Points, read_tables
 from analysis.drop.read.tables import read_grids
 from analysis.drop.times.impact_chain import drops_of

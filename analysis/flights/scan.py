@@ -21,8 +21,8 @@ from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.motion import PlateMotion
 from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
+from daq.files.tables import STEP_DTYPE, BlockFlag
 from daq.recording import Recording
-from daq.recording.tables import STEP_DTYPE, BlockFlag
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE
 

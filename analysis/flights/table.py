@@ -18,7 +18,7 @@ from analysis.events.edges import EdgeShape
 from analysis.events.levels import Levels
 from analysis.events.sensor_offset import SensorOffset
 from analysis.plate.motion import PlateMotion
-from daq.recording.whole_file import whole
+from daq.files.whole_file import whole
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from daq.files.whole_file import whole
 from daq.recording import Recording
-from daq.recording.whole_file import whole
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:

@@ -56,7 +56,7 @@ def command(
 
 def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
-    from daq.recording.tables import STEP_DTYPE
+    from daq.files.tables import STEP_DTYPE
 
     setup = opened.setup
     return {

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.drop.corrections import NOTHING, Corrections
+from analysis.drop.options.corrections import NOTHING, Corrections
 from daq.setup.errors import InputError
 from daq.setup.setup import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from analysis.drop.filmed import Units
     from analysis.drop.load import Path2D
+    from analysis.drop.options.progress import Progress
     from analysis.drop.outcome import Outcome
-    from analysis.drop.progress import Progress
     from analysis.drop.times.one_ahead import Drop
 
 AIR_KG_PER_M3 = 1.2
@@ -273,7 +273,7 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
         The profile cannot be read, or would be none any more.
     """
     from bench.profiles.edit import declare, withdraw
-    from daq.recording.whole_file import write_whole
+    from daq.files.whole_file import write_whole
     from rig.profile import parse_profile
 
     if not outcome.measured:

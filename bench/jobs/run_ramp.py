@@ -10,8 +10,8 @@ from typing import Any
 from bench.profiles.find import find_scenario
 from bench.terminal.run_display import run_display
 from bench.terminal.signals import stop_on_signals
+from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
-from daq.recording.recorder_process import RecorderProcess
 from rig.backends.base import Backend
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend

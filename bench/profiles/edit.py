@@ -17,7 +17,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable
 
-from daq.recording.whole_file import whole
+from daq.files.whole_file import whole
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
 

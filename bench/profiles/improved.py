@@ -11,8 +11,8 @@ from pathlib import Path
 
 from analysis.loop.result import ClosedLoop
 from bench.profiles.edit import Measured, declare
+from daq.files.whole_file import write_whole
 from daq.recording import open_recording
-from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
 
 

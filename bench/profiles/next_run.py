@@ -14,8 +14,8 @@ from analysis.loop.design import Design, Ranked, designs_for, rank
 from analysis.loop.result import ClosedLoop
 from bench.profiles.edit import with_values
 from bench.profiles.plan import planned
+from daq.files.whole_file import write_whole
 from daq.recording import open_recording
-from daq.recording.whole_file import write_whole
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
 

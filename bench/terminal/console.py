@@ -43,7 +43,7 @@ def write_json(payload: Any, target: str | Path | None) -> None:
     if target == "-":
         sys.stdout.write(text)
         return
-    from daq.recording.whole_file import write_whole
+    from daq.files.whole_file import write_whole
 
     try:
         write_whole(Path(target), text)

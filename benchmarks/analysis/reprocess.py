@@ -29,8 +29,8 @@ def record(path: Path, minutes: float) -> None:
     """An up-and-down ramp on the ideal simulated rig, gamma 0.4 to 2.6, as long as wanted."""
     import numpy as np
 
+    from daq.files.tables import Block, step_row
     from daq.recording import RecordingWriter
-    from daq.recording.tables import Block, step_row
     from daq.setup.setup import Setup
     from rig.profile import load_profile
     from rig.sim.plant import Plant

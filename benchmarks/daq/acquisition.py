@@ -1,7 +1,7 @@
 """No lost block at 4 x 200 kHz: a device that cannot wait, the recorder, and an operator's process under load.
 
 The device is a process of its own that puts a block of 1024 x 4 codes into the ring when its time has come; a block
-that finds the ring full is lost. The recorder is `daq.recording.recorder_process`. The load runs in the operator's
+that finds the ring full is lost. The recorder is `daq.recorder.recorder_process`. The load runs in the operator's
 process, which is where a naive recorder would run: pure Python work, object churn with the garbage collector, or gzip
 reading by h5py.
 
@@ -23,10 +23,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from daq.files.tables import Block
+from daq.recorder.recorder_process import RecorderProcess
+from daq.recorder.shared_ring import Ring
 from daq.recording import verify
-from daq.recording.recorder_process import RecorderProcess
-from daq.recording.shared_ring import Ring
-from daq.recording.tables import Block
 from daq.setup.setup import Setup
 
 RATE_HZ, BLOCK, CHANNELS = 200_000.0, 1024, ("continuity", "accelerometer", "drive", "spare")

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from daq.files.seal import Seal, read_seal
+from daq.files.tables import CLOCK_DTYPE, Block
 from daq.recording import CHANNELS, Recording, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
-from daq.recording.seal import Seal, read_seal
-from daq.recording.tables import CLOCK_DTYPE, Block
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -68,7 +68,7 @@ def make(path: Path, kind: str) -> None:
 
 def _as_killed(path: Path) -> bytes:
     """The superblock of a closed frames file with the marks of a writer."""
-    from daq.recording.frame_file import lookup3
+    from daq.files.frame_file import lookup3
 
     head = bytearray(path.read_bytes()[:48])
     head[11] |= 5
@@ -169,7 +169,7 @@ def regions(path: Path, kind: str) -> list[tuple[str, int, int]]:
     if kind == "cut-off":
         import h5py
 
-        from daq.recording.frame_file import as_if_ended
+        from daq.files.frame_file import as_if_ended
 
         spans: list[tuple[str, int, int]] = []
         with h5py.File(as_if_ended(path), "r") as file:

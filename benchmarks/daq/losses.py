@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 from daq.clocks.sample_loss import LossDetector
-from daq.recording.tables import Block
+from daq.files.tables import Block
 
 RATE_HZ = 20_000.0
 BLOCK = 1024

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from daq.export.export import export
+from daq.files.tables import Block
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
-from daq.recording.tables import Block
 from daq.setup.setup import Setup
 
 RATE_HZ, BLOCK, STEP_S = 20_000, 1024, 5.0

@@ -25,7 +25,7 @@ import daq.clocks.sample_loss
 from daq.clocks.lag import LagFit, PlayedBuffer
 from daq.clocks.loss_search import Beside
 from daq.clocks.sample_loss import LossDetector
-from daq.recording.tables import Block, BlockFlag
+from daq.files.tables import Block, BlockFlag
 
 RATE_HZ, FREQUENCY_HZ, BLOCK = 48_000.0, 25.37, 1024
 CHUNK = round(1.3 * RATE_HZ / FREQUENCY_HZ)  # as `rig.execution.loss_account.LossAccount` has it

@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve
 
 from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at
 from daq.clocks.sample_loss import SMALLEST_MISFIT
-from daq.recording.tables import CLOCK_DTYPE, MAP_DTYPE
+from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
 
 Floats = NDArray[np.float64]

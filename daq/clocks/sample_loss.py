@@ -29,7 +29,7 @@ from daq.clocks.loss_search import (
     WhichLatency,
     WhichLoss,
 )
-from daq.recording.tables import Block, BlockFlag
+from daq.files.tables import Block, BlockFlag
 
 CHUNK = 1024  # frames looked at together, at least
 OPENING = 8  # chunks from which the latency is told, at most

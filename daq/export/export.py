@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.export.resample import Resampled
-from daq.recording.column_file import CHUNK_SAMPLES, ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
+from daq.files.whole_file import whole
 from daq.recording.reader import Recording
-from daq.recording.whole_file import whole
 from daq.setup.errors import InputError
 
 Kind = Literal["csv", "npz", "h5"]

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.column_file import ColumnWriter
+from daq.files.tables import BLOCK_DTYPE
 from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
 from daq.importers.formats.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.timebase import Timebase, timebase_of
-from daq.recording.column_file import ColumnWriter
 from daq.recording.reader import timestamps_ns
-from daq.recording.tables import BLOCK_DTYPE
 from daq.recording.writer import now_utc, root_attributes
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

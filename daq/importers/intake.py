@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.column_file import ColumnWriter
 from daq.importers.formats.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
 from daq.importers.timebase import quantum_of
-from daq.recording.column_file import ColumnWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE, Setup
 

@@ -1,8 +1,8 @@
 """Recordings: write one while a run lasts, open one afterwards, and say what state it is in.
 
 A recording is never overwritten and never half-written. While the run lasts the file holds raw
-frames that survive a kill (`daq.recording.frame_writer`); `RecordingWriter.close` writes the column file beside it
-(`daq.recording.column_file`), checks it, and renames it into place. `open_recording` reads both alike. The layout is in
+frames that survive a kill (`daq.files.frame_writer`); `RecordingWriter.close` writes the column file beside it
+(`daq.files.column_file`), checks it, and renames it into place. `open_recording` reads both alike. The layout is in
 docs/reference/recording-format.md.
 """
 
@@ -12,9 +12,9 @@ import functools
 import logging
 from pathlib import Path
 
+from daq.files.tables import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Block, BlockFlag
 from daq.recording.reader import Recording
 from daq.recording.survey import examine
-from daq.recording.tables import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Block, BlockFlag
 from daq.recording.verify import VerifyReport, verify
 from daq.recording.writer import RecordingWriter
 

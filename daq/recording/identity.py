@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from daq.files.column_file import CHUNK_SAMPLES
+from daq.files.tables import crc32
 from daq.recording import open_recording
-from daq.recording.column_file import CHUNK_SAMPLES
 from daq.recording.reader import Recording
-from daq.recording.tables import crc32
 from daq.setup.errors import InputError
 
 

@@ -1,6 +1,6 @@
 """Open the HDF5 file of a recording, its damaged bytes put right or left out.
 
-The rule kept here: whoever opens a file has proven its bytes before (`daq.recording.seal`), or had another process read
+The rule kept here: whoever opens a file has proven its bytes before (`daq.files.seal`), or had another process read
 them (`daq.recording.survey`).
 """
 
@@ -14,11 +14,11 @@ import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from pydantic import ValidationError
 
-from daq.recording.column_file import FORMAT, FORMAT_VERSION
-from daq.recording.frame_file import as_if_ended, is_being_written
+from daq.files.column_file import FORMAT, FORMAT_VERSION
+from daq.files.frame_file import as_if_ended, is_being_written
+from daq.files.seal import Checked, Patched, check
+from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording
-from daq.recording.seal import Checked, Patched, check
-from daq.recording.tables import BlockFlag
 from daq.setup.errors import InputError
 
 UNCHECKED = "recorded by an earlier version, without checksums over its tables: they are read unchecked"

@@ -15,12 +15,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.claims import refuse_columns
-from daq.recording.column_file import TABLES, read_table
-from daq.recording.frame_file import FRAMES, FrameFile
-from daq.recording.holes import Holes
-from daq.recording.seal import text_crc
-from daq.recording.tables import BLOCK_DTYPE
+from daq.files.claims import refuse_columns
+from daq.files.column_file import TABLES, read_table
+from daq.files.frame_file import FRAMES, FrameFile
+from daq.files.holes import Holes
+from daq.files.seal import text_crc
+from daq.files.tables import BLOCK_DTYPE
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

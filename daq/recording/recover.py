@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq.recording.column_file import CHUNK_SAMPLES, ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.recording.opening import UNCHECKED
 from daq.recording.reader import Recording
 from daq.recording.survey import examine

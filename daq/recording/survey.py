@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq.recording.claims import refuse_columns
-from daq.recording.column_file import CHUNK_SAMPLES, TABLES, read_table
-from daq.recording.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, table_of
+from daq.files.claims import refuse_columns
+from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
+from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, table_of
+from daq.files.seal import Checked, check
+from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32
 from daq.recording.opening import differing_blocks, open_checked, open_file, require_file, unsealed
 from daq.recording.reader import ALL, Recording, attributes_intact
-from daq.recording.seal import Checked, check
 from daq.recording.subprocess_reader import Tell, apart
-from daq.recording.tables import SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
 
 MOST_TRIES = 12

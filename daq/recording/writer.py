@@ -17,13 +17,13 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
-from daq.recording.frame_writer import FrameWriter
+from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
+from daq.files.frame_writer import FrameWriter
+from daq.files.seal import Checked
+from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording.opening import open_checked
 from daq.recording.provenance import software_commit, software_version
 from daq.recording.reader import timestamps_ns
-from daq.recording.seal import Checked
-from daq.recording.tables import Block, BlockFlag, volts_per_code
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -159,7 +159,7 @@ class RecordingWriter:
         self.mark_rows("drive_changes", changes)
 
     def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
-        """Add rows to one of `daq.recording.tables.SIDE_TABLES`."""
+        """Add rows to one of `daq.files.tables.SIDE_TABLES`."""
         self._frames.mark_rows(table, rows)
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:

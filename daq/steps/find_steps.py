@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.tables import STEP_DTYPE
 from daq.lock_in import ToneFit
-from daq.recording.tables import STEP_DTYPE
 from daq.setup.setup import Forcing
 from daq.steps.forcing_detection import Read, regions, weights
 from daq.steps.tone_tracking import (

@@ -13,7 +13,7 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block
+from daq.files.tables import Block
 
 
 class BackendError(RuntimeError):
@@ -74,13 +74,13 @@ class Backend(Protocol):
 class TwoClocked(Protocol):
     """A back end whose frames are converted by another clock than the one that plays the drive.
 
-    Its blocks say by `daq.recording.tables.Block.place` where they belong among the played samples, declare their own
+    Its blocks say by `daq.files.tables.Block.place` where they belong among the played samples, declare their own
     losses, and hold a frame more or less than were played where the clocks have parted by one.
     """
 
     @property
     def readings(self) -> NDArray[np.void]:
-        """Raw readings of the two clocks since the start, `daq.recording.tables.CLOCK_DTYPE` rows."""
+        """Raw readings of the two clocks since the start, `daq.files.tables.CLOCK_DTYPE` rows."""
 
 
 @runtime_checkable

@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import BlockFlag
+from daq.files.tables import BlockFlag
 
 Samples = NDArray[np.float32]
 

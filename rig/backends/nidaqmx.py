@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import CHANNELS, Block
+from daq.files.tables import CHANNELS, Block
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions

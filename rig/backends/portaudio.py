@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import BlockFlag
+from daq.files.tables import BlockFlag
 from rig.backends.base import BackendError
 
 Samples = NDArray[np.float32]

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.tables import Block
 from daq.recording import Recording, open_recording
-from daq.recording.tables import Block
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions

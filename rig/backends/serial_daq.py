@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
-from daq.recording.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
+from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.setup.errors import InputError
 from rig.backends.base import Backend, BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions

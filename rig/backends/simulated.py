@@ -10,7 +10,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block
+from daq.files.tables import Block
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions
 from rig.profile import Profile

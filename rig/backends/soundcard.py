@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.clocks.clock_sync import find_marker, start_marker
-from daq.recording.tables import Block, volts_per_code
+from daq.files.tables import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
 from rig.backends.kinds.base import OpenOptions

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block, BlockFlag
+from daq.files.tables import Block, BlockFlag
 from rig.execution.plate_monitor import Motion
 from rig.profile import Profile
 from rig.programme.forcing import Floats

@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.clocks.loss_search import AtOnce, Beside
 from daq.clocks.sample_loss import LossDetector
-from daq.recording.tables import Block
+from daq.files.tables import Block
 from rig.execution.high_pass import HighPass
 from rig.profile import Profile
 from rig.programme.forcing import Floats

@@ -15,9 +15,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.tables import Block
+from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
-from daq.recording.recorder_process import RecorderProcess
-from daq.recording.tables import Block
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.clock_log import ClockLog

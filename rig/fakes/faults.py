@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block, BlockFlag
+from daq.files.tables import Block, BlockFlag
 from rig.backends.base import Backend, BackendError, checked_drive
 
 Codes = NDArray[np.int16]

@@ -10,7 +10,7 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import Block, volts_per_code
+from daq.files.tables import Block, volts_per_code
 from rig.backends.base import BackendError, checked_drive
 from rig.virtual.serial_device import SerialDevice
 

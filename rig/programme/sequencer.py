@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import DRIVE_DTYPE
+from daq.files.tables import DRIVE_DTYPE
 from daq.setup.setup import Setup
 from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
 from rig.programme.ramp import Programme, Step
@@ -282,7 +282,7 @@ def fades_of_steps(setup: Setup, steps: NDArray[np.void], *, zero_from: int | No
     setup
         The recording's measuring part.
     steps
-        Its step table (`daq.recording.tables.STEP_DTYPE`): of each row the first sample, length, fade and gamma are
+        Its step table (`daq.files.tables.STEP_DTYPE`): of each row the first sample, length, fade and gamma are
         used.
     zero_from
         First sample of a hard zero, where the run was stopped *now* (the recording's ``why`` names it).

@@ -16,8 +16,8 @@ from analysis.loop.design import Design, simulate_design
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
+from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
-from daq.recording.tables import Block, step_row
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
 from model.integrator.one_step import Measured, PlateSteps
 from rig.sim.plant import Plant

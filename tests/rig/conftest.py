@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording.tables import Block, volts_per_code
+from daq.files.tables import Block, volts_per_code
 from rig.backends.base import BackendError
 from rig.profile import Profile, parse_profile
 

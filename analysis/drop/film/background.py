@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.film.video import LEAST_FRAMES, Film, Image, opencv
-from analysis.drop.progress import Progress
+from analysis.drop.options.progress import Progress
 from analysis.statistics import MAD_TO_SIGMA
 from daq.setup.errors import InputError
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.film.video import Film, opencv
-from analysis.drop.progress import Progress
+from analysis.drop.options.progress import Progress
 
 Array = NDArray[np.float64]
 

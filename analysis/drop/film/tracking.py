@@ -15,12 +15,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from analysis.drop.corrections import NOTHING, Corrections
 from analysis.drop.film.background import SEARCH_WIDTH, Still, still_by_order, still_of, still_without
 from analysis.drop.film.linking import Track, ball_of
 from analysis.drop.film.stabilise import stabilised
 from analysis.drop.film.video import Film, Image, open_film, opencv, part_of
-from analysis.drop.progress import Progress
+from analysis.drop.options.corrections import NOTHING, Corrections
+from analysis.drop.options.progress import Progress
 from analysis.statistics import MAD_TO_SIGMA
 from daq.setup.errors import InputError
 

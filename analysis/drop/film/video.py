@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.corrections import Corrections
+from analysis.drop.options.corrections import Corrections
 from daq.setup.errors import InputError
 
 Image = NDArray[np.uint8]

@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from analysis.drop.progress import Progress
+from analysis.drop.options.progress import Progress
 from analysis.drop.times.wav import open_wav
 from analysis.statistics import MAD_TO_SIGMA, mad_sigma
 from daq.recording import Recording, open_recording

@@ -111,7 +111,7 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
     term = next(t for t in IN_FLIGHT if t.name == "restitution")
     span = ranges_of(search.tables, world.evidence.scored)[term.of]
     stack = StackedResiduals.of(world, search.values, search.train)
-    start = best_start(world, search.values, stack, Curve.clipped(term, span), search.dwell)
+    start = best_start(world, search.values, stack, Curve.even(term, span), search.dwell)
     look = fit_in_flight(world, search.values, stack, start, search.dwell, SCREENING_TAILS)
     found = search.refine(look.curve)
     speeds = np.quantile(search.tables["impact_mps"][world.evidence.scored], [0.3, 0.4, 0.5])
@@ -128,7 +128,7 @@ def test_the_band_of_a_smooth_force_holds_the_truth(
         world = fly_ramp({("position_force", "spring_per_s2"): spring}, seed)
         search = search_of(world, fitter_of(world))
         term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
-        found = search.refine(Curve.clipped(term, ranges_of(search.tables, world.evidence.scored)[term.of]))
+        found = search.refine(Curve.even(term, ranges_of(search.tables, world.evidence.scored)[term.of]))
         x, half = found.curve.points, found.band
         inside.append(np.abs(found.curve.at(x) + spring * x) <= half)
         assert np.median(half) < 0.1 * spring * x[-1]  # and it says something
@@ -144,7 +144,7 @@ def test_the_scatter_of_a_term_does_not_use_the_reserved_steps(
     late = np.where(reserved[ev.measured.step], 5e-4, 0.0)
     moved = replace(ev, measured=replace(ev.measured, landing_s=ev.measured.landing_s + late))
     term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
-    curve = Curve.clipped(term, (0.0, DEEPEST_M), 5)
+    curve = Curve.even(term, (0.0, DEEPEST_M), 5)
     found = [search_of(w, fitter_of(w)).refine(curve) for w in (world, ForwardModel(moved, {}))]
     assert found[0].scatter == pytest.approx(found[1].scatter, rel=1e-9)
     assert 0.7 < found[0].scatter < 1.3

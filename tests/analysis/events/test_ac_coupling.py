@@ -15,8 +15,8 @@ from analysis.events.edges import time_edges
 from analysis.events.levels import Levels
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.signals.stream import PAD, Piece
+from daq.files.tables import Block
 from daq.recording import RecordingWriter, open_recording
-from daq.recording.tables import Block
 
 RATE = 20000.0
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.attribution.fit import Fitter, priors_of
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import priors_of
 from analysis.loop.design import Design, designs_for, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps

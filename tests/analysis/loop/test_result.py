@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from analysis.attribution.selection import selection
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.selection import selection
 from analysis.discovery.discover import Discovery
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop
@@ -108,7 +108,7 @@ def test_the_tables_hold_what_the_errors_are_made_of(computed: ClosedLoop) -> No
         np.testing.assert_array_equal(side.landing_residual_s[rows], (flights.landing_s - side.landing_s)[rows])
     rows = flights.scored & computed.steps.held_out[flights.step]
     error = 1.4826e6 * np.median(np.abs(flights.before.landing_residual_s[rows]))
-    assert computed.before.left_out == 0.0 and computed.before.landing_nmad_us == pytest.approx(error)
+    assert computed.before.excluded_fraction == 0.0 and computed.before.landing_nmad_us == pytest.approx(error)
 
 
 @pytest.mark.parametrize("found", [False, True])

@@ -9,8 +9,8 @@ import pytest
 
 from analysis.flights.scan import plate_of
 from analysis.plate.accumulator import PlatePiece, block_width
+from daq.files.tables import Block
 from daq.recording import RecordingWriter, open_recording
-from daq.recording.tables import Block
 
 RATE_HZ, FREQUENCY_HZ = 20000.0, 25.37
 

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.cli import app
+from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
-from daq.recording.tables import Block, step_row
 from daq.setup.setup import Setup
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario

@@ -37,8 +37,8 @@ def test_a_failed_run_keeps_the_verdict_before_it(closed_loop: ClosedLoop, monke
     monkeypatch.setattr(bench.profiles.next_run, "profile_of", lambda text, design: text)
     monkeypatch.setattr(bench.profiles.next_run, "profile_text", lambda path: "")
     monkeypatch.setattr("rig.profile.parse_profile", lambda *a: None)
-    monkeypatch.setattr(bench.commands.ramp, "make_backend", lambda *a, **k: None)
-    monkeypatch.setattr(bench.commands.ramp, "record", fails)
+    monkeypatch.setattr(bench.jobs.run_ramp, "make_backend", lambda *a, **k: None)
+    monkeypatch.setattr(bench.jobs.run_ramp, "record", fails)
     found, _, made, failure = adaptive_runs.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
     assert found is closed_loop and made == [Path("run.h5")]
     assert "no space left" in failure

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.clocks.clock_sync import ClockTracker, find_marker, fit_clock, played_s, start_marker
-from daq.recording.tables import CLOCK_DTYPE
+from daq.files.tables import CLOCK_DTYPE
 
 RATE = 20000.0
 LATENCY = 311.37

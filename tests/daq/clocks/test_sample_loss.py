@@ -10,8 +10,8 @@ import pytest
 from benchmarks.daq import losses, sample_path
 from daq.clocks.loss_search import NOTHING, AtOnce, Beside, Found
 from daq.clocks.sample_loss import LossDetector
+from daq.files.tables import Block, BlockFlag
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
-from daq.recording.tables import Block, BlockFlag
 from daq.setup.setup import Setup
 
 RATE_HZ = 20_000.0

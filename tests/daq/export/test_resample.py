@@ -10,8 +10,8 @@ import pytest
 from bench.profiles.find import load
 from daq.export.export import export
 from daq.export.resample import Resampled
+from daq.files.tables import Block
 from daq.recording import Recording, RecordingWriter, open_recording
-from daq.recording.tables import Block
 from daq.setup.errors import InputError
 
 SCALE = 10.0 / 32768.0

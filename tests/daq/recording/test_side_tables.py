@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE, Block
+from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
-from daq.recording.recorder_process import RecorderProcess
 from daq.recording.recover import recover
-from daq.recording.tables import CLOCK_DTYPE, MAP_DTYPE, Block
 from daq.setup.setup import Setup
 
 OPTIONS = {"profile_text": "p", "channels": CHANNELS, "backend": "s", "simulated": True}

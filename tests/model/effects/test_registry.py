@@ -18,7 +18,7 @@ EFFECT = Effect(name="{name}", summary="a breeze", parameters=(Parameter("size",
                 reference="a fan"{more})
 {hooks}
 """
-HOOK = "def shift_s(p):\n    return p['size']\n"
+HOOK = "def contact_delay_s(p):\n    return p['size']\n"
 Reader = Callable[..., dict[str, object]]
 
 
@@ -41,7 +41,7 @@ def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Reader:
 
 def test_a_file_with_a_hook_is_an_effect(read: Reader) -> None:
     """A plain hook and a function of the file's own: one effect with one hook."""
-    assert set(read(hooks=HOOK + "def _half(x):\n    return x / 2\n")["breeze"]) == {"shift_s"}  # type: ignore[call-overload]
+    assert set(read(hooks=HOOK + "def _half(x):\n    return x / 2\n")["breeze"]) == {"contact_delay_s"}  # type: ignore[call-overload]
 
 
 @pytest.mark.parametrize(

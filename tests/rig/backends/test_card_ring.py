@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.recording.tables import BlockFlag
+from daq.files.tables import BlockFlag
 from rig.backends.card_ring import CardRing
 
 RATE_HZ = 1000.0

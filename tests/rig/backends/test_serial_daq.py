@@ -19,8 +19,8 @@ import pytest
 from bench.profiles.find import load
 from daq.clocks.clock_sync import played_s
 from daq.clocks.serial_frames import SerialFrame, encode_frame
+from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording import RecordingWriter, open_recording, verify
-from daq.recording.tables import Block, BlockFlag, volts_per_code
 from rig.backends.base import BackendError, Running, TwoClocked
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
 from rig.execution.run import run_ramp

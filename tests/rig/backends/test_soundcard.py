@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from bench.commands.devices import fits
+from daq.files.tables import BlockFlag
+from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import open_recording
-from daq.recording.recorder_process import RecorderProcess
-from daq.recording.tables import BlockFlag
 from rig.backends.base import BackendError, Lagging, Running
 from rig.backends.card_ring import DECAY_S
 from rig.backends.registry import open_backend

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
-from daq.recording.tables import Block
+from daq.files.tables import Block
 from rig.backends.simulated import SimulatedBackend
 from rig.checks.flip_test import flip_test
 from rig.profile import Profile

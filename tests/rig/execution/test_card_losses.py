@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.recording.tables import Block
+from daq.files.tables import Block
 from rig.execution.loss_account import LossAccount
 from rig.profile import Profile
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.recording.tables import Block
+from daq.files.tables import Block
 from rig.execution.high_pass import HighPass
 from rig.execution.interlock import Interlock
 from rig.execution.plate_monitor import MotionWatch

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from daq.recording.tables import Block, BlockFlag
+from daq.files.tables import Block, BlockFlag
 from rig.backends.base import BackendError
 from rig.backends.simulated import SimulatedBackend
 from rig.fakes.faults import (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.tables import STEP_DTYPE
+from daq.files.tables import STEP_DTYPE
 from rig.profile import Profile, parse_profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import (

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from analysis.drop.corrections import Corrections
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion
 from analysis.drop.film.flights import Clip
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.tracking import track_film
 from analysis.drop.filmed import Units, of_camera
+from analysis.drop.options.corrections import Corrections
 from analysis.drop.outcome import Outcome
 from daq.setup.errors import InputError
 

@@ -13,8 +13,8 @@ from analysis.drop.times.impact_chain import bounces_of
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from analysis.drop.times.wav import open_wav
+from daq.files.tables import Block
 from daq.recording import RecordingWriter
-from daq.recording.tables import Block
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

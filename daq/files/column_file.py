@@ -15,11 +15,11 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.claims import dataset_of, objects_of, refuse_claims
-from daq.recording.disk import DiskFile
-from daq.recording.seal import text_crc, write_seal
-from daq.recording.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
-from daq.recording.whole_file import sync
+from daq.files.claims import dataset_of, objects_of, refuse_claims
+from daq.files.disk import DiskFile
+from daq.files.seal import text_crc, write_seal
+from daq.files.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.files.whole_file import sync
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -171,7 +171,7 @@ class ColumnWriter:
         steps, blocks
             `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
         side
-            `daq.recording.tables.SIDE_TABLES` by name; one without rows is left out.
+            `daq.files.tables.SIDE_TABLES` by name; one without rows is left out.
         late
             Attributes known only now (``ended``, ``why``, ...).
 

@@ -23,8 +23,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.shared_ring import Ring, renumbered
-from daq.recording.tables import Block
+from daq.files.tables import Block
+from daq.recorder.shared_ring import Ring, renumbered
 from daq.recording.writer import Ending, RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.frame_file import (
+from daq.files.frame_file import (
     FRAME_BLOCKS,
     FRAME_END,
     FRAME_SIDE,
@@ -30,8 +30,8 @@ from daq.recording.frame_file import (
     sealed_dtype,
     sealed_rows,
 )
-from daq.recording.seal import text_crc
-from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32, step_row
+from daq.files.seal import text_crc
+from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32, step_row
 from daq.setup.errors import InputError
 
 _END_BYTES = 4096
@@ -156,7 +156,7 @@ class FrameWriter:
         os.fsync(self._descriptor)
 
     def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
-        """Add rows to one of `daq.recording.tables.SIDE_TABLES`."""
+        """Add rows to one of `daq.files.tables.SIDE_TABLES`."""
         dataset = self._side[table]
         with self._refusals():
             n = dataset.shape[0]

@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.recording.column_file import ColumnWriter
-from daq.recording.disk import DiskFile
-from daq.recording.tables import BLOCK_DTYPE, STEP_DTYPE
+from daq.files.column_file import ColumnWriter
+from daq.files.disk import DiskFile
+from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
 from daq.setup.setup import Setup
 
 

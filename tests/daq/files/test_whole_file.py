@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.files.whole_file import whole, write_whole
 from daq.recording import CHANNELS, Block, RecordingWriter
-from daq.recording.whole_file import whole, write_whole
 from daq.setup.setup import Setup
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes, links and limits as POSIX knows them")
@@ -53,7 +53,7 @@ def test_a_pipe_is_written_to_directly() -> None:
     """A device or a pipe is no file to replace."""
     lines = (
         "import pathlib",
-        "from daq.recording.whole_file import write_whole",
+        "from daq.files.whole_file import write_whole",
         "write_whole(pathlib.Path('/dev/stdout'), 'hello')",
     )
     script = "; ".join(lines)

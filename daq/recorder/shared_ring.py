@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.recording.tables import BLOCK_DTYPE, Block, crc32
+from daq.files.tables import BLOCK_DTYPE, Block, crc32
 
 NAME = "shakerbench"
 YOUNG_S = 60.0  # a segment that is still being handed over is no one's to clear

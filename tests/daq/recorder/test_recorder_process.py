@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.files.tables import STEP_DTYPE, Block
+from daq.recorder.recorder_process import RecorderProcess
+from daq.recorder.shared_ring import FOLDER, NAME, Ring, clear_left_behind
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
-from daq.recording.recorder_process import RecorderProcess
-from daq.recording.shared_ring import FOLDER, NAME, Ring, clear_left_behind
-from daq.recording.tables import STEP_DTYPE, Block
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -94,8 +94,8 @@ def test_the_operator_dies_the_recording_lives(tmp_path: Path) -> None:
     script = """
         import sys, os, signal, time
         import numpy as np
-        from daq.recording.tables import Block
-        from daq.recording.recorder_process import RecorderProcess
+        from daq.files.tables import Block
+        from daq.recorder.recorder_process import RecorderProcess
         from daq.recording import CHANNELS
         from daq.setup.setup import Setup
         if __name__ == "__main__":

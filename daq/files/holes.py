@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.tables import BLOCK_DTYPE, STEP_DTYPE
+from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
 
 
 @dataclass(frozen=True)

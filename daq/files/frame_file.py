@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.claims import dataset_of, refuse_claims
-from daq.recording.seal import Patched, text_crc
-from daq.recording.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
+from daq.files.claims import dataset_of, refuse_claims
+from daq.files.seal import Patched, text_crc
+from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
 
 FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import logging
 import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import h5py
 import numpy as np
@@ -17,13 +15,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.daq import hostile_recordings
+from daq.files.holes import Holes
+from daq.files.seal import FOOTER, Seal, mended, read_seal, text_crc
+from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
-from daq.recording.holes import Holes
 from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.recording.recover import recover
-from daq.recording.seal import FOOTER, Seal, mended, read_seal, text_crc
 from daq.recording.subprocess_reader import apart
-from daq.recording.tables import BLOCK_DTYPE, STEP_DTYPE
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -278,19 +277,9 @@ def test_holes_keep_times_and_count_what_is_lost(spans: list[tuple[int, int]], s
     assert holes.steps(step)["n_samples"].sum() == keep[n // 3 :].sum()
 
 
-def hostile() -> ModuleType:
-    """The module that spoils recordings."""
-    path = Path(__file__).parents[3] / "benchmarks" / "hostile_recordings.py"
-    spec = importlib.util.spec_from_file_location("hostile", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-HOSTILE = hostile()
-KINDS = [kind for kind in HOSTILE.KINDS if kind.__name__ not in ("many_objects", "deep_text", "formula_channel")]
+KINDS = [
+    kind for kind in hostile_recordings.KINDS if kind.__name__ not in ("many_objects", "deep_text", "formula_channel")
+]
 
 
 def test_a_channel_called_like_a_formula_is_refused(run: tuple[Path, np.ndarray]) -> None:
@@ -310,7 +299,7 @@ def test_hostile_files_are_refused_or_left_out(
 ) -> None:
     """Claims beyond the file and ways out of it: found, never followed; what is sound beside them is read."""
     path, codes = run
-    HOSTILE.outside(path.parent, N)
+    hostile_recordings.outside(path.parent, N)
     with h5py.File(path, "r+") as file:
         spoil(file, path.parent)
     assert verify(path).state == "damaged"
