@@ -24,7 +24,7 @@ READ = {
 """Parameters that name what a command reads."""
 STEERS = {
     "note", "set_", "mapping", "channel", "channel_column", "server", "effect", "sweep", "grid", "cluster",
-    "use_height", "kind",
+    "use_height", "stale", "kind",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
 NAMES = {("export", "out"): "x.csv", ("predict", "figure"): "x.png", ("virtual", "log"): "x.npz"}

@@ -97,10 +97,11 @@ def test_a_full_disk_stops_the_drive_softly(make_profile, fake_rig, recording_pa
     append, kept = RecordingWriter.append, [0]
 
     def refuse(self, *blocks) -> None:
-        if kept[-1] > 300:
-            raise OSError("no space left on device")
-        append(self, *blocks)
-        kept.append(self.n_samples)
+        for block in blocks:
+            if kept[-1] > 300:
+                raise OSError("no space left on device")
+            append(self, block)
+            kept.append(self.n_samples)
 
     monkeypatch.setattr(RecordingWriter, "append", refuse)
     summary = record(profile, rig, recording_path)
