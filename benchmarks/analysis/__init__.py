@@ -1,1 +1,1 @@
-"""TODO what analysis is for."""
+"""From recordings to flights and drops: accuracy, speed and memory."""

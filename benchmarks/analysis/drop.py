@@ -2,7 +2,7 @@
 
 Run ``python -m benchmarks.analysis.drop films`` (fifty films through a codec: bias, coverage, accuracy), ``sounds`` or
 ``times`` (single drops as microphone recordings or tables of events: impacts found, confusion matrix, coverage) or
-``real FOLDER`` (the table of docs/results/drop.md). The rule kept here: truths and seeds are drawn before anything is
+``real FOLDER`` (the table of docs/results/drop.md). Truths and seeds are drawn before anything is
 analysed, and every film counts.
 """
 

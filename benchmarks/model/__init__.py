@@ -1,1 +1,1 @@
-"""TODO what model is for."""
+"""The model against its peers and references: independent solvers, adversarial flights, speed."""

@@ -1,6 +1,6 @@
 """The peers of `benchmarks/model/kernels.py`: one ideal flight each, as its practised user would write it.
 
-The rule kept here: a peer gets the take-off phase and returns the flight time; everything else is its own affair. A
+A peer gets the take-off phase and returns the flight time; everything else is its own affair. A
 peer that is not installed is absent, with a line that says so.
 """
 

@@ -1,6 +1,6 @@
 """Independent solvers that the compiled kernels are held against: 60 digits with mpmath, and brute force.
 
-The rule kept here: nothing of `model` is used but the forcing's plain numbers. The 60-digit solver isolates the turning
+Nothing of `model` is used but the forcing's plain numbers. The 60-digit solver isolates the turning
 points of the plate's acceleration as roots of a polynomial in ``exp(i phi)``, and bisects from there.
 """
 

@@ -1,1 +1,1 @@
-"""TODO what plants is for."""
+"""A second simulated rig by other means, for blind tests."""

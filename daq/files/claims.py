@@ -1,6 +1,6 @@
 """What an HDF5 file claims to hold, bounded before any of it is read.
 
-The rule kept here: nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
+Nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
 """
 
 from __future__ import annotations

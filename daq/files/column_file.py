@@ -1,6 +1,6 @@
 """The column file: what a recording is once it is closed. One HDF5 dataset a channel, compressed and checksummed.
 
-The rule kept here: a column file is written beside its final name, whole, checked, and only then renamed; a reader
+A column file is written beside its final name, whole, checked, and only then renamed; a reader
 never meets half of one. Layout in docs/reference/recording-format.md.
 """
 

@@ -1,6 +1,6 @@
 """A file for HDF5 to write to, on a disk that may refuse.
 
-The rule kept here: HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What
+HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What
 the disk does not take is kept in memory, and the writer is told.
 """
 

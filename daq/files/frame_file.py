@@ -1,6 +1,6 @@
 """Reader of a frames file: a recording while the run lasts, or one that was cut off.
 
-The rule kept here: only acknowledged blocks count, and rows that fit their checksum. The rest is said and left out.
+Only acknowledged blocks count, and rows that fit their checksum. The rest is said and left out.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The frames file: what a recording is while the run lasts. Row-major int16 frames, a checksum a block.
 
-The rule kept here: once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is
+Once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is
 created before the first sample, the file is in HDF5's single-writer-multiple-readers mode, and each block is flushed
 (frames first, then the row that acknowledges them). A row without its frames cannot exist; frames without a row are
 not part of the recording. The end state is ``incomplete`` from the start.

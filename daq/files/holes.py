@@ -1,6 +1,6 @@
 """Samples of a recording that are gone, as gaps: what is left, and its tables.
 
-The rule kept here: a hole is a gap like one that the device left. Its samples count as lost in the block table, so
+A hole is a gap like one that the device left. Its samples count as lost in the block table, so
 times and phases after it stay what they were.
 """
 

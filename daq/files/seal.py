@@ -1,6 +1,6 @@
 """The seal: checksums over every byte of a closed recording, behind the end of the HDF5 file.
 
-The rule kept here: HDF5 is handed only bytes that were found to be those that were written. Damaged tables and indexes
+HDF5 is handed only bytes that were found to be those that were written. Damaged tables and indexes
 make it loop or crash; so they are compared before it sees them, and put right from a second copy in the seal.
 """
 

@@ -1,6 +1,6 @@
 """Blocks of frames as a back end hands them over, and the tables that describe a run: blocks and steps.
 
-The rule kept here: a block says what happened to it (flags, clock, samples lost before it); nothing is inferred later
+A block says what happened to it (flags, clock, samples lost before it); nothing is inferred later
 that could have been written down at the time.
 """
 

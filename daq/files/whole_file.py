@@ -1,6 +1,6 @@
 """Files that appear whole or not at all.
 
-The rule kept here: what is written gets a name beside the final one, reaches the disk, and is renamed in one step. A
+What is written gets a name beside the final one, reaches the disk, and is renamed in one step. A
 process that is killed half-way leaves the old file as it was, and at most a ``.part`` beside it.
 """
 

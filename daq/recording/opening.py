@@ -1,6 +1,6 @@
 """Open the HDF5 file of a recording, its damaged bytes put right or left out.
 
-The rule kept here: whoever opens a file has proven its bytes before (`daq.files.seal`), or had another process read
+Whoever opens a file has proven its bytes before (`daq.files.seal`), or had another process read
 them (`daq.recording.survey`).
 """
 

@@ -1,6 +1,6 @@
 """Which software made a file: version and commit.
 
-The rule kept here: an unknown commit is written as an empty text, never guessed.
+An unknown commit is written as an empty text, never guessed.
 """
 
 from __future__ import annotations

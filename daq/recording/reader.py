@@ -1,6 +1,6 @@
 """A recording as a reader sees it: volts, codes, times and tables, of a closed file, a growing one or one cut off.
 
-The rule kept here: nothing is read that was not asked for, so memory does not depend on the length of the file. What is
+Nothing is read that was not asked for, so memory does not depend on the length of the file. What is
 damaged is a gap. `daq.recording.opening` opens files.
 """
 

@@ -1,6 +1,6 @@
 """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk, or that is damaged.
 
-The rule kept here: the file is only read; what is rebuilt is a new file, checked, marked as recovered. What cannot be
+The file is only read; what is rebuilt is a new file, checked, marked as recovered. What cannot be
 read is a gap in it.
 """
 

@@ -1,6 +1,6 @@
 """A function in a process of its own, ended when it hangs; what it met is told either way.
 
-The rule kept here: HDF5 loops, crashes or asks for all memory where a file's own tables are damaged. A file whose bytes
+HDF5 loops, crashes or asks for all memory where a file's own tables are damaged. A file whose bytes
 nobody vouches for is first read in a process that may do so.
 """
 

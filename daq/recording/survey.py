@@ -1,6 +1,6 @@
 """What can be read of a recording that has no seal: cut off, by an earlier version, or written to by another program.
 
-The rule kept here: the reading is done by a process of its own. Where that one dies or hangs, the next goes round the
+The reading is done by a process of its own. Where that one dies or hangs, the next goes round the
 place, until all else has been read.
 """
 

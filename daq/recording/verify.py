@@ -1,6 +1,6 @@
 """Say whether a recording is complete, stopped, incomplete or damaged, and where.
 
-The rule kept here: every byte is compared with the seal before HDF5 sees it. A file without one is read by another
+Every byte is compared with the seal before HDF5 sees it. A file without one is read by another
 process, to the end, whatever that meets.
 """
 

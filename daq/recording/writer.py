@@ -1,6 +1,6 @@
 """Write a recording while a run lasts, and turn its frames into columns when it ends.
 
-The rule kept here: what was acknowledged is never lost. The frames stay until the column file beside them has been
+What was acknowledged is never lost. The frames stay until the column file beside them has been
 written, read back and found right; one rename then puts it in their place.
 """
 

@@ -1,6 +1,6 @@
 """A tracked ball cut into flights: the fall, and the flight after each impact.
 
-The rule kept here: a flight is what lies between two impacts and has enough samples to be a curve; everything else
+A flight is what lies between two impacts and has enough samples to be a curve; everything else
 (hand, rest, bounces of a few frames) is left out and not guessed at.
 """
 

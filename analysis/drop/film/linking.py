@@ -1,6 +1,6 @@
 """From points in frames to the track of the ball.
 
-The rule kept here: the ball is what falls. Points are linked from frame to frame afresh (a tracker's own numbering
+The ball is what falls. Points are linked from frame to frame afresh (a tracker's own numbering
 changes when it loses the ball); among the tracks the one whose motion is free flight under one common acceleration
 is the ball, however long the others are. Two such tracks at once are an error, not a choice.
 """

@@ -1,6 +1,6 @@
 """The moving things in every frame of a film, to a tenth of a pixel.
 
-The rule kept here: a position is the centre of the area that differs from what stands still, with soft edges that
+A position is the centre of the area that differs from what stands still, with soft edges that
 saturate at half of the contrast. So texture, a rod across the block and a change of brightness do not pull it, and
 motion blur, which is the same at both ends, moves it to the middle of the exposure.
 """

@@ -1,6 +1,6 @@
 """The ladder of models for impact times: what the next flight should last, given the one before.
 
-The rule kept here: one bounce ahead. Each prediction starts from the measured flight before it, so an irregular bounce
+One bounce ahead. Each prediction starts from the measured flight before it, so an irregular bounce
 spoils one residual and not the rest. Names are those of the effect library: `restitution` (constant or falling with
 the impact speed, ``e = e0 - e1 u``), `quadratic_drag`, `coulomb_friction`.
 """

@@ -1,6 +1,6 @@
 """Any table of text or spreadsheet as rows of cells, whatever separator, decimal mark and sheet names it came with.
 
-The rule kept here: a table is read by its content, never by the language of its headings alone. Numbers may carry a
+A table is read by its content, never by the language of its headings alone. Numbers may carry a
 decimal comma; separators may be tab, semicolon, comma or spaces; legacy and new spreadsheets open alike.
 """
 

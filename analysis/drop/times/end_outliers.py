@@ -1,6 +1,6 @@
 """Events at the ends of a chain that are no impacts of the ball: a click before the drop, a knock after it.
 
-The rule kept here: an end is given up only when every simple law of the ratio of successive flights (the same for all,
+An end is given up only when every simple law of the ratio of successive flights (the same for all,
 changing with the flight or with its square), fitted to the other bounces, says that it does not belong to them.
 """
 

@@ -1,6 +1,6 @@
 """Fit the ladder of models to the impact times of one drop or many, together.
 
-The rule kept here: generalised least squares with the covariance of `rows`, whose widths come from the
+Generalised least squares with the covariance of `rows`, whose widths come from the
 data (with a prior that keeps each from vanishing); intervals are the wider of that fit's and a bootstrap's.
 """
 

@@ -1,6 +1,6 @@
 """The data of the impact-time ladder, and the covariance of its residuals.
 
-The rule kept here: an impact time has two errors. The detector's jitter moves a boundary that two flights share, so
+An impact time has two errors. The detector's jitter moves a boundary that two flights share, so
 neighbouring residuals are correlated; and every bounce has a restitution a little its own. Drops are independent.
 Arrays are padded to the longest drop, so that all drops are whitened in one batch.
 """

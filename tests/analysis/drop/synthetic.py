@@ -1,6 +1,6 @@
 """A synthetic camera and a synthetic microphone: drops of known truth, filmed through a real codec or played as taps.
 
-The rule kept here: the truth is integrated in small time steps, with none of the closed forms of the analysis.
+The truth is integrated in small time steps, with none of the closed forms of the analysis.
 """
 
 from __future__ import annotations
