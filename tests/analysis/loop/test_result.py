@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from analysis.attribution import selection
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.attribution import selection
 from analysis.discovery.discover import Discovery
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop
