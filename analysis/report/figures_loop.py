@@ -96,4 +96,4 @@ def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     ax.set_yticks(at, [name for name, _ in rows])
     ax.set_xscale("symlog", linthresh=10.0)
     ax.set_xlim(left=0.0)
-    ax.set_xlabel("one effect added to the declared model: gain on steps that were not fitted, nats")
+    ax.set_xlabel("gain on held-out steps of one effect added, nats")
