@@ -129,15 +129,15 @@ def test_an_answer_that_comes_late_is_the_same() -> None:
     """Searches beside the run, however slow, declare what searches at once declare, at the same samples."""
 
     class Slow(Beside):
-        """Has no answer for a while."""
+        """Answers when it has been looked at twenty times, however fast its thread is."""
 
         def __init__(self) -> None:
             super().__init__()
-            self.asked = 0
+            self.looks = 0
 
         def answer(self, *, wait: bool) -> Found | None:
-            self.asked += 1
-            return super().answer(wait=wait) if wait or self.asked % 20 == 0 else None
+            self.looks += 1
+            return super().answer(wait=True) if wait or self.looks % 20 == 0 else None
 
     t = np.arange(100_000) / RATE_HZ
     played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
