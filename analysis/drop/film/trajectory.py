@@ -170,7 +170,7 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
     beyond = near**2 - flight.reach**2
     residual = (flight.height - height - (c + d * near) * beyond) / noise
     p = len(values)
-    jacobian = np.empty((len(since), p + 2))
+    jacobian = np.zeros((len(since), p + 2))
     for j in range(p - 2):
         moved = values.copy()
         step = 1e-6 * max(abs(values[j]), 1e-4 if SHAPES[name][j] == "f" else 1e-9)
