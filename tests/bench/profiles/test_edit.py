@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.profiles.edit import Measured, declare, with_values
+from bench.profiles.edit import Measured, declare, with_values, withdraw
 from bench.profiles.find import find_profile, shipped_names
 from daq.setup.errors import InputError
 
@@ -51,6 +51,12 @@ def test_text_of_any_ending_is_edited(text: str) -> None:
     """A missing newline at the end, and the line ends of Windows, do not disturb an edit."""
     edited = tomllib.loads(declare(text, [E0], DAY, "p.toml"))
     assert edited["declared"]["restitution"]["e0"]["value"] == 0.514
+
+
+def test_an_effect_can_be_withdrawn() -> None:
+    """Only the named effect's declaration goes."""
+    text = "[declared.restitution]\ne0 = 0.4\n\n[declared.coulomb_friction]\nmu_up = 0.1\n"
+    assert tomllib.loads(withdraw(text, ["coulomb_friction"], "p"))["declared"] == {"restitution": {"e0": 0.4}}
 
 
 @pytest.mark.parametrize("text", ["declared = 3\n", "[declared\n", "declared.restitution = 2\n"])
