@@ -86,16 +86,15 @@ def test_processes_give_the_same_table(laboratory, tmp_path):
 
 @pytest.mark.slow
 def test_the_table_is_parquet_with_numbers(laboratory, tmp_path):
-    """pandas reads the Parquet table: numbers as numbers, what is missing as missing; the same call does nothing new."""
+    """pandas reads the Parquet table: numbers as numbers, what is missing as missing; the call can be repeated."""
     pandas = pytest.importorskip("pandas")
     out = tmp_path / "rows.parquet"
     run(laboratory, out)
-    size = out.with_name("rows.parquet.rows").stat().st_size
     table = pandas.read_parquet(out)
     assert len(table) == 4 and table["flights"].sum() > 20 and table["failed"].notna().sum() == 2
     assert table["tone_ratio"].dtype.kind in "fi"
     run(laboratory, out)
-    assert len(pandas.read_parquet(out)) == 4 and size > 0
+    assert len(pandas.read_parquet(out)) == 4
 
 
 def test_a_table_that_is_no_batch_is_kept(laboratory, tmp_path):
