@@ -21,7 +21,6 @@ from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
-from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.integrator.one_step import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2

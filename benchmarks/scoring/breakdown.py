@@ -16,9 +16,8 @@ def by_effect(rows: Sequence[Row]) -> None:
     single = [r for r in rows if r["kind"] in ("strong", "weak") and not covered(r)]
     if not single:
         return
-    print(
-        "### By effect\n\n| plant | hidden | strong, named first | weak, in the tie set | intervals that hold the truth |"
-    )
+    print("### By effect\n")
+    print("| plant | hidden | strong, named first | weak, in the tie set | intervals that hold the truth |")
     print("|---|---|---|---|---|")
     groups = _grouped(single, lambda r: (r["plant"], r["hidden"][0]))
     for (plant, name), own in sorted(groups.items()):

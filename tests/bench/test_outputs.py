@@ -25,7 +25,7 @@ READ = {
 """Parameters that name what a command reads."""
 STEERS = {
     "note", "set_", "mapping", "channel", "channel_column", "server", "effect", "sweep", "grid", "cluster",
-    "use_height", "stale", "kind", "do",
+    "use_height", "stale", "kind", "do", "until", "ratios", "frequencies",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
 NAMES = {
