@@ -12,7 +12,6 @@ import keyword
 import os
 import sys
 import traceback
-from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
@@ -57,10 +56,18 @@ def folders() -> tuple[Path, ...]:
     return out
 
 
+_left_out: set[Path] = set()
+
+
+def leave_out(path: Path) -> None:
+    """Do not read the file ``path`` in this process: it is to be written anew."""
+    _left_out.add(path.resolve())
+
+
 def kept_files() -> tuple[Path, ...]:
     """Files of kept effects, in the order of their folders and names; none is read."""
     found = (path for folder in folders() if folder.is_dir() for path in sorted(folder.glob("*.py")))
-    return tuple(path for path in found if not path.stem.startswith("_"))
+    return tuple(path for path in found if not path.stem.startswith("_") and path.resolve() not in _left_out)
 
 
 def check_name(name: str) -> None:
@@ -89,7 +96,7 @@ def load(path: Path) -> ModuleType:
         check_name(path.stem)
         code = compile(path.read_bytes(), str(path), "exec")
     except SyntaxError as error:
-        raise EffectFileError(f"{path}, line {error.lineno}: {error.msg}; wanted a file as keep-term writes") from error
+        raise EffectFileError(f"{path}, line {error.lineno}: {error.msg}; wanted a file like those of bench close-loop --keep-term") from error
     except (OSError, ValueError) as error:
         raise EffectFileError(f"{path}: {error}") from error
     module = ModuleType(f"{PACKAGE}.{path.stem}")
@@ -122,8 +129,3 @@ def _line(path: Path, error: Exception) -> str:
     """The last line of the file that an error came through, as ``, line 7``."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     return f", line {lines[-1]}" if lines else ""
-
-
-def names_of(files: tuple[Path, ...]) -> Mapping[str, str]:
-    """Kept effects by name, with their files."""
-    return {path.stem: str(path) for path in files}
