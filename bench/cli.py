@@ -106,7 +106,7 @@ def _use_effects(folder: str | None) -> None:
 def _options(
     version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
     effects: str | None = typer.Option(
-        None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of kept effects, in place of the user's."
+        None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of kept effects, not the user's own."
     ),
 ) -> None:
     """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""

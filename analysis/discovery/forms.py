@@ -98,7 +98,9 @@ FORMS: tuple[Form, ...] = (
     Form("sine", "size * np.cos(x - centre)", (("size", "value"), ("centre", "place"))),
     Form("sign", "size * np.sign(x)", (("size", "value"),), True),
     Form("odd square", "bend * x * np.abs(x)", (("bend", "curvature"),), True),
-    Form("odd power", "size * np.sign(x) * (np.abs(x) / {span}) ** power", (("size", "value"), ("power", "power")), True),
+    Form(
+        "odd power", "size * np.sign(x) * (np.abs(x) / {span}) ** power", (("size", "value"), ("power", "power")), True,
+    ),
     Form(
         "smooth step", "size / (1.0 + np.exp(np.minimum((edge - x) / width, 50.0)))",
         (("size", "value"), ("edge", "place"), ("width", "width")),

@@ -102,9 +102,7 @@ def search_forms(
     spline = best.explanation.losses["events"]
     leads = [LogScoreDifference.of(loss, spline, fits.train) for _, loss in judged]
     good = [not lead.exceeds(limits.tie_nats, limits.tie_sigmas) for lead in leads]
-    forms = [
-        fits.result(p, lead.gain, lead.error, ok) for (p, _), lead, ok in zip(judged, leads, good, strict=True)
-    ]
+    forms = [fits.result(p, lead.gain, lead.error, ok) for (p, _), lead, ok in zip(judged, leads, good, strict=True)]
     losses = [loss for (_, loss), ok in zip(judged, good, strict=True) if ok]
     able = [form for form in forms if form.as_good]
     suggested = ""

@@ -16,8 +16,8 @@ from analysis.discovery.discover import Discovery
 from analysis.discovery.forms import SIZES, quantity_unit
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
-from daq.setup.errors import InputError
 from analysis.residuals.prediction_errors import Errors
+from daq.setup.errors import InputError
 from model.effects.kept import check_name, kept_files
 from model.effects.registry import NOT_EFFECTS, registry
 
@@ -162,9 +162,7 @@ class _Writer:
         table = "" if form is not None else _array("KNOTS", f.knots) + _array("VALUES", f.values) + "\n"
         y = "size * straight_between(x, KNOTS, VALUES)" if form is None else form.expression
         installed = [(n, c) for n, c in f.similar_effects if n not in {path.stem for path in kept_files()}]
-        alike = "".join(
-            f'        "{n}": "similar where this was found (correlation {c:.2f})",\n' for n, c in installed
-        )
+        alike = "".join(f'        "{n}": "similar where this was found (correlation {c:.2f})",\n' for n, c in installed)
         needs_np = "np." in y + table or self.against_motion
         return "".join(
             [
@@ -201,19 +199,25 @@ class _Writer:
     def _docstring(self, form: FittedForm | None) -> str:
         f, before = self.found, self.loop.before
         unit = quantity_unit(f.of)
-        lines = [f"{WORDS[f.term]} that depends on the {f.covariate}: {'a formula' if form else 'a measured curve'}.", ""]
+        lines = [
+            f"{WORDS[f.term]} that depends on the {f.covariate}: {'a formula' if form else 'a measured curve'}.",
+            "",
+        ]
         lines += textwrap.wrap(
             f"Found by bench close-loop on {self._recordings()}, {datetime.date.today().isoformat()}: {f.description}. "
-            f"On held-out steps landings were missed by {before.landing_rms_us:.0f} us rms ({before.landing_nmad_us:.0f} "
-            f"us robust) without it, {f.after.landing_rms_us:.0f} us ({f.after.landing_nmad_us:.0f} us) with the curve; "
-            f"noise {f.noise_floor_us:.0f} us. No effect of the library did as well.",
+            f"On held-out steps landings were missed by {before.landing_rms_us:.0f} us rms "
+            f"({before.landing_nmad_us:.0f} us robust) without it, {f.after.landing_rms_us:.0f} us "
+            f"({f.after.landing_nmad_us:.0f} us) with the curve; noise {f.noise_floor_us:.0f} us. "
+            "No effect of the library did as well.",
             WIDTH,
-        )  # fmt: skip
+        )
         x = f"x is the {f.covariate}{f' in {unit}' if unit != '1' else ''}, the value in {f.term_unit}"
         if form is not None:
-            fitted = ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, v, s in zip(form.parameters, form.values, form.sigmas, strict=True))  # fmt: skip
-            lines += ["", *textwrap.wrap(f"{form.name.capitalize()}: {form.expression}, where {x}; {fitted}. Loss on "
-                                         f"held-out steps over the curve's: {form.loss:.1f} +- {form.error:.1f} nats.", WIDTH)]  # fmt: skip
+            rows = zip(form.parameters, form.values, form.sigmas, strict=True)
+            fitted = ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, v, s in rows)
+            words = f"{form.name.capitalize()}: {form.expression}, where {x}; {fitted}. "
+            words += f"Loss on held-out steps over the curve's: {form.loss:.1f} +- {form.error:.1f} nats."
+            lines += ["", *textwrap.wrap(words, WIDTH)]
         else:
             lines += ["", *textwrap.wrap(f"Straight between the knots, constant beyond them, where {x}.", WIDTH)]
         if f.tied_covariates:
@@ -233,17 +237,17 @@ class _Writer:
             name = self._named(own, kind)
             if kind in SIZES:
                 most = max(MOST[f.term] / over[kind], 3.0 * abs(value))
-                scale, ends, null = SCALES[f.term_unit] / over[kind], (0.0 if alone else -most, most), 0.0
+                scale, ends = SCALES[f.term_unit] / over[kind], (0.0 if alone else -most, most)
             else:
                 ends, scale = {
                     "width": ((0.01 * wide, 10.0 * wide), 0.1 * wide),
                     "place": ((low - wide, high + wide), 0.1 * wide),
                     "power": ((0.1, 6.0), 0.3),
                 }[kind]
-                null = found
             shape = "" if kind in SIZES else f" null_value={found!r}, is_shape=True,"
+            numbers = ", ".join(_short(x) for x in (*ends, scale))
             out.append(
-                f'        Parameter(\n            "{name}", "{unit}", {_short(ends[0])}, {_short(ends[1])}, {_short(scale)},{shape}\n'
+                f'        Parameter(\n            "{name}", "{unit}", {numbers},{shape}\n'
                 f'            start_grid=({found!r},), meaning="{self._meaning(kind)}",\n        ),\n'
             )
         return out
@@ -264,7 +268,9 @@ class _Writer:
         return "_".join([own, *(part for part in parts if part)])
 
     def _fitted_names(self, form: FittedForm | None) -> list[str]:
-        return ["size"] if form is None else [self._named(*pair) for pair in zip(form.parameters, form.kinds, strict=True)]
+        return (
+            ["size"] if form is None else [self._named(*pair) for pair in zip(form.parameters, form.kinds, strict=True)]
+        )
 
     def _followed(self) -> str:
         """Covariate that is no argument of the hook: a parameter stands for it."""
@@ -277,8 +283,8 @@ class _Writer:
         usual = 0.0 if self.against_motion or not len(seen) else float(f"{np.median(seen):.3g}")
         words = "time in contact before" if self.against_motion else self.found.covariate
         return (
-            f'        Parameter(\n            "{name}", "{unit}", -1e9, 1e9, 1.0, null_value={usual!r}, is_shape=True,\n'
-            f'            covariate="{name}", meaning="{words} of each flight; else this",\n        ),\n'
+            f'        Parameter(\n            "{name}", "{unit}", -1e9, 1e9, 1.0, null_value={usual!r},\n'
+            f'            is_shape=True, covariate="{name}", meaning="{words} of each flight; else this",\n        ),\n'
         )
 
     # -- the hook ----------------------------------------------------------------------------------------------------

@@ -39,8 +39,7 @@ def forms_table(found: Discovery) -> str:
     rows = []
     for form in found.forms:
         values = "<br>".join(
-            html.escape(_parameter(*p))
-            for p in zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
+            html.escape(_parameter(*p)) for p in zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
         )
         name = html.escape(form.name)
         rows.append(
@@ -74,8 +73,8 @@ def kept_section(kept: KeptTerm) -> str:
     file, words = html.escape(kept.file), html.escape(kept.words)
     what = f"as a formula ({html.escape(kept.form)})" if kept.form else "as the curve"
     return (
-        f"<h2>Kept as {html.escape(plain(kept.name))}</h2><p>The term was written {what} to <code>{file}</code>, and the "
-        f"loop was closed again with it in the library. <b>{words}</b></p>"
+        f"<h2>Kept as {html.escape(plain(kept.name))}</h2><p>The term was written {what} to <code>{file}</code>, and "
+        f"the loop was closed again with it in the library. <b>{words}</b></p>"
         f"<table><tr><th>held-out steps, with {html.escape(plain(kept.name))} known</th><th>before</th><th>after</th>"
         f"<th>noise floor</th></tr>{rows}</table>"
     )

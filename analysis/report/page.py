@@ -103,7 +103,8 @@ def write_report(
         pictures["discovered"] = partial(draw_discovery, loop.discovered)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "report.json").write_text(json.dumps(_payload(loop, software, kept), indent=1) + "\n", encoding="utf-8")
+        payload = json.dumps(_payload(loop, software, kept), indent=1)
+        (folder / "report.json").write_text(payload + "\n", encoding="utf-8")
         for i, (name, draw) in enumerate(pictures.items()):
             say(f"report: figure of {name}", i / len(pictures))
             save_picture(folder, name, badge, draw)

@@ -46,7 +46,13 @@ def place_for(name: str, *, overwrite: bool) -> Path:
 
 
 def keep_term(
-    loop: ClosedLoop, path: Path, recordings: Sequence[Path], profile: Path | None, improved: Path | None, *, quiet: bool
+    loop: ClosedLoop,
+    path: Path,
+    recordings: Sequence[Path],
+    profile: Path | None,
+    improved: Path | None,
+    *,
+    quiet: bool,
 ) -> tuple[KeptTerm, list[str]]:
     """Write the discovered term of ``loop`` as the effect ``path``, and close the loop again with it.
 
@@ -87,7 +93,7 @@ def keep_term(
 def _again(
     recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
 ) -> tuple[tuple[object, ...], list[str]]:
-    """The loop closed with what the library holds now: verdict, words, effects, errors, floor; lines about a profile."""
+    """The loop closed with the library as it is now: verdict, words, effects, errors, floor; lines about a profile."""
     from analysis.loop.close_loop import close_loop
     from analysis.report.wording import verdict_line
     from bench.profiles.find import load_measuring

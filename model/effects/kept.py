@@ -96,7 +96,9 @@ def load(path: Path) -> ModuleType:
         check_name(path.stem)
         code = compile(path.read_bytes(), str(path), "exec")
     except SyntaxError as error:
-        raise EffectFileError(f"{path}, line {error.lineno}: {error.msg}; wanted a file like those of bench close-loop --keep-term") from error
+        raise EffectFileError(
+            f"{path}, line {error.lineno}: {error.msg}; wanted a file like those of bench close-loop --keep-term"
+        ) from error
     except (OSError, ValueError) as error:
         raise EffectFileError(f"{path}: {error}") from error
     module = ModuleType(f"{PACKAGE}.{path.stem}")

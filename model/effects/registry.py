@@ -38,7 +38,8 @@ def registry() -> tuple[Registered, ...]:
     ------
     EffectFileError
         A `ValueError`: for a file without ``EFFECT``, a name that is not its file's or is taken, an unknown hook, an
-        effect without hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not exist.
+        effect without hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not
+        exist.
     """
     found: dict[str, tuple[Effect, str, dict[str, Any]]] = {}
     for module in _modules():

@@ -19,7 +19,8 @@ from model.effects.registry import registry
 ROOT = Path(__file__).parents[3]
 FILE = """from kernels import njit
 from model.effects.base import Effect, Parameter, Row
-EFFECT = Effect(name="{name}", summary="a breeze", parameters=(Parameter("push", "m/s^2", 0.0, 9.0, 0.1),), reference="a fan")
+EFFECT = Effect(name="{name}", summary="a breeze", reference="a fan",
+                parameters=(Parameter("push", "m/s^2", 0.0, 9.0, 0.1),))
 @njit(error_model="numpy")
 def {hook}({arguments}):
     return {factor} * p[k]
@@ -60,7 +61,9 @@ def test_an_edited_file_flies_as_edited(keep: Keep) -> None:
     for factor in (1.0, 3.0):
         keep(factor=factor)
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run([sys.executable, "-c", TRIAL], env=environment, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", TRIAL], env=environment, capture_output=True, text=True, check=True
+        )
         pushes.append(float(done.stdout))
     assert pushes == [0.5, 1.5]
 
