@@ -66,8 +66,8 @@ def command(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
             File("--next-run", next_run, PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
         )  # fmt: skip
-        _check_recordings(recordings)
         kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
+        _check_recordings(recordings)
         if until_clear:
             loop, fitted, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
