@@ -8,11 +8,15 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from analysis.loop.kept_term import KeptTerm, check_new, effect_source
-from analysis.loop.result import ClosedLoop
+from analysis.loop.result import AddedEffect, ClosedLoop
+from analysis.residuals.prediction_errors import Errors
 from bench.outputs import PYTHON, File, check_outputs
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 from model.effects import kept
+
+Again = tuple[str, str, tuple[AddedEffect, ...], Errors, Errors, float]
+"""Verdict, the same in words, effects, errors before and after, and noise floor of the second loop."""
 
 
 def place_for(name: str, *, overwrite: bool) -> Path:
@@ -90,9 +94,7 @@ def keep_term(
     return KeptTerm(path.stem, str(path), form, *again), lines
 
 
-def _again(
-    recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
-) -> tuple[tuple[object, ...], list[str]]:
+def _again(recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool) -> tuple[Again, list[str]]:
     """The loop closed with the library as it is now: verdict, words, effects, errors, floor; lines about a profile."""
     from analysis.loop.close_loop import close_loop
     from analysis.report.wording import verdict_line
