@@ -21,7 +21,7 @@ TEXT = load("simulated")[1]
 
 def test_every_offer_is_within_the_limits():
     """No gamma is offered that a limit of the rig forbids, however low the limits are; none at all is said."""
-    tight = with_values(TEXT, {"limits.plate_mps2": 30.0}, "p")
+    tight = with_values(TEXT, {"limits.plate_mps2": 60.0}, "p")
     for option in offers(tight, Aims(60.0)):
         ramp = {"ramp.gamma": list(option.gammas), "forcing.ratio": option.setup.forcing.ratio, "ramp.order": "up"}
         assert not planned(parse_profile(with_values(tight, ramp, "p")))[2]
