@@ -64,17 +64,8 @@ def _other(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> 
     effect = str(rng.choice(sorted(OTHER_NAMED)))
     hidden = {} if nothing else other_plant.hidden_by(effect, "strong")
     plain = other_plant.Run(seed=seed, spikes=True, closure_s=1e-4)
-    extra = (
-        '\n[ramp]\ngamma = { start = 0.4, stop = 2.6, steps = 23 }\norder = "up"\nsettle_cycles = 8\nhold_cycles = 20\n'
-    )
-    extra += "\n[limits]\ndrive_v = 9.5\nplate_mps2 = 120.0\ndisplacement_m = 0.02\n"
-    text = other_plant.profile_of(plain)
-    if "[ramp]" in text:
-        text = with_values(
-            text, {"ramp.gamma": {"start": 0.4, "stop": 2.6, "steps": 23}, "ramp.order": "up"}, "profile"
-        )
-    else:
-        text += extra
+    gammas = np.round(np.linspace(0.4, 2.6, 23), 4).tolist()
+    text = with_values(other_plant.profile_of(plain), {"ramp.gamma": gammas, "ramp.hold_cycles": 20}, "profile")
 
     def drive(block: Chosen, path: Path, number: int) -> str:
         from daq.importers.formats.open import open_source
@@ -146,9 +137,8 @@ def show(rows: list[dict[str, Any]]) -> None:
     """Rig seconds and verdicts by strategy, on the rigs that every strategy has met."""
     seeds = set.intersection(*({(r["plant"], r["seed"]) for r in rows if r["strategy"] == s} for s in STRATEGIES))
     rows = [r for r in rows if (r["plant"], r["seed"]) in seeds]
-    print(
-        f"{len(seeds)} sealed rigs\n\n| plant | strategy | right and closed | false names | rig time over the ramp's, median |"
-    )
+    print(f"{len(seeds)} sealed rigs\n")
+    print("| plant | strategy | right and closed | false names | rig time over the ramp's, median |")
     print("|---|---|---|---|---|")
     for plant in sorted({r["plant"] for r in rows}):
         for strategy in STRATEGIES:
@@ -158,9 +148,8 @@ def show(rows: list[dict[str, Any]]) -> None:
             print(f"| {plant} | {strategy} | {sum(map(closed, own))} of {len(own)} | {false} | {ratio:.2f} |")
     for r in rows:
         if not closed(r):
-            print(
-                f"\n{r['plant']} {r['seed']} {r['strategy']}: hidden {r['hidden']}, {r['verdict']} {r['named']}; {r['why']}"
-            )
+            told = f"{r['verdict']} {' + '.join(r['named'])}; {r['why']}"
+            print(f"\n{r['plant']} {r['seed']} {r['strategy']}: hidden {' + '.join(r['hidden'])}, {told}")
 
 
 def main() -> None:
