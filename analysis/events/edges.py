@@ -2,7 +2,8 @@
 
 Where the samples show the circuit's RC charging, its time constant is estimated for each polarity and an edge is
 fitted through its samples. Where nothing shows between two samples, the time is the middle of the interval, with a
-uniform distribution over it.
+uniform distribution over it. The same holds for a comparator that is read once a sample and low-passed afterwards: its
+edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ LOUD_SIGMAS, LOUD = 40.0, 0.05  # height of a first sample whose successor shows
 ALIKE_SIGMAS = 5.0  # distance to the median within which the ratios of successive samples are averaged
 MEDIAN_CHI2 = 1.386  # median of chi square with two degrees of freedom
 CLEAR_SIGMAS = 6.0  # height of a fitted edge above its uncertainty from which its delay is linear in it
+PHASE_BINS = 20  # parts of the interval between two samples in which edges are counted
+FIXED_PLACES = (1, 2, 3)  # reads of a clocked comparator in a sample
+FIXED_PART = 0.85  # share of the edges within two parts from which the comparator is clocked
 VAGUE = 12.0  # samples per uncertainty below which the posterior is integrated instead
 POSTERIOR_POINTS = 200
 
@@ -159,9 +163,25 @@ def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
         tau, tau_sigma = float(area.mean()) / rate_hz, float(area.std()) / rate_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)
+    if not _anywhere(samples, noise, tau * rate_hz):
+        return EdgeShape(0.0, 0.0, 1.0, n)
     misfit = _misfit(samples, noise, tau, rate_hz)
     chi = float(np.sqrt(np.median(misfit**2) * 2.0 / MEDIAN_CHI2))
     return EdgeShape(tau, tau_sigma, max(1.0, chi), n)
+
+
+def _anywhere(samples: Floats, noise: float, tau_samples: float) -> bool:
+    """Whether edges fall anywhere between two samples, as an RC's do, and not at fixed, equally spaced places."""
+    height = samples[:, 0]
+    clear = height > max(CLEAR_SIGMAS, PHASE_BINS * tau_samples) * noise  # known to a bin
+    if clear.sum() < MIN_EDGES:
+        return True
+    places = -tau_samples * np.log(height[clear])
+    for spacings in FIXED_PLACES:
+        counts = np.bincount((PHASE_BINS * spacings * places).astype(np.int64) % PHASE_BINS, minlength=PHASE_BINS)
+        if float((counts + np.roll(counts, 1)).max()) > FIXED_PART * height.size:  # a place may lie on a bound
+            return False
+    return True
 
 
 def _misfit(samples: Floats, noise: float, tau_s: float, rate_hz: float) -> Floats:
