@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.impact_template import FINE, LEAD, LENGTH, ImpactTemplate
+from analysis.signals.stream import block_means
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
@@ -24,6 +25,7 @@ SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the 
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong
 THRESHOLD = 6.0  # standard deviations of the filter's output that make a candidate
+ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
 
@@ -37,11 +39,14 @@ class Impacts:
         Time axis of the accelerometer before `analysis.events.sensor_offset.calibrate`, of the contact edges after it.
     strength : array, shape (n,)
         Output of the matched filter in units of its noise: proportional to the impact speed.
+    onset_s : float
+        Uncertainty of the template's onset, where no edge confirms it.
     """
 
     time_s: Floats
     uncertainty_s: Floats
     strength: Floats
+    onset_s: float = ONSET_S
 
 
 NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -51,7 +56,7 @@ class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
     In order of time, the ringing of earlier impacts is subtracted first; a candidate no larger than that echo is
-    dropped. Uncertainties are those of the fit in white noise. All works on every ``template.width``-th sample.
+    dropped. Uncertainties are those of the fit in white noise. All works on means over ``template.width`` samples.
     """
 
     def __init__(self, template: ImpactTemplate, rate_hz: float) -> None:
@@ -73,7 +78,7 @@ class ImpactScan:
         """
         width = self.template.width
         if width > 1:
-            volts, first, pad, count = volts[::width].copy(), first // width, pad // width, count // width
+            volts, first, pad, count = block_means(volts, width), first // width, pad // width, count // width
         beyond = max(
             min(LENGTH - LEAD, len(volts) - pad - count - LENGTH), 0
         )  # echoes of these: early in the next piece
@@ -100,12 +105,16 @@ class ImpactScan:
         )
         new = out[len(recent) : total].copy()
         self._found = np.concatenate([self._found, new])
-        return np.rint(width * new[:, 0]).astype(np.int64)
+        return np.rint(self._recorded(new[:, 0])).astype(np.int64)
+
+    def _recorded(self, place: Floats) -> Floats:
+        """Places among means as places among recorded samples."""
+        return np.asarray(place * self.template.width + 0.5 * (self.template.width - 1))
 
     def without_impacts(self, volts: Volts, first: int, pad: int) -> Volts:
         """A piece less the templates of all impacts found so far."""
         width, table = self.template.width, self._found.copy()
-        table[:, 0] *= width
+        table[:, 0] = self._recorded(table[:, 0])
         start = (first - pad) - len(self.template.fine) // FINE * width
         out = volts.copy()
         _subtract(out, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
@@ -118,7 +127,9 @@ class ImpactScan:
         error_v = np.sqrt(noise**2 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
         sample_s = self.template.width / self.rate_hz
         sigma = error_v / np.maximum(score, noise) / self._steep[SHIFTS] * sample_s
-        return Impacts(place * sample_s, np.minimum(sigma, sample_s), score / noise)
+        onset_s = float(np.hypot(ONSET_S, ONSET_PART * sample_s * (self.template.width > 1)))
+        time_s = self._recorded(place) / self.rate_hz
+        return Impacts(time_s, np.minimum(sigma, sample_s), score / noise, onset_s)
 
 
 @njit(error_model="numpy", fastmath=True)

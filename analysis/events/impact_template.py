@@ -14,7 +14,7 @@ from analysis.statistics import mad_sigma
 
 Floats = npt.NDArray[np.float64]
 
-LEAD, TAIL = 12, 36  # samples of the (thinned) accelerometer kept before and after an impact's first sample
+LEAD, TAIL = 12, 36  # samples (averaged, see `thinning`) of the accelerometer kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
 ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
 MAX_WIDTH = 8
@@ -52,7 +52,7 @@ class ImpactTemplate:
     ring_s : float
         Time after an impact that is masked in the tone fits.
     width : int
-        Recorded samples for one of the template's, see `thinning`.
+        Recorded samples averaged to one of the template's, see `thinning`.
     """
 
     fine: Floats
@@ -84,10 +84,9 @@ def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
 
 
 def thinning(rate_hz: float) -> int:
-    """Impacts are looked for in every so manieth sample, a power of two.
+    """Samples averaged before impacts are looked for, a power of two.
 
-    A filter of `LENGTH` samples must last longer than a period of the ringing, or it takes it for slow motion. Samples
-    are not averaged: that would move the onset. The fine template holds what lies between them.
+    A filter of `LENGTH` samples must last longer than a period of the ringing, or it takes it for slow motion.
     """
     width = 1
     while width < MAX_WIDTH and rate_hz / (2 * width) >= ENOUGH_HZ:

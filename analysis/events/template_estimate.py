@@ -93,7 +93,7 @@ def estimate_template(
 
 
 def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDArray[np.void]:
-    """Steps cut where samples were lost, counted in every ``width``-th sample."""
+    """Steps cut where samples were lost, counted in means over ``width`` samples."""
     rows = []
     for row in steps:
         first = int(row["first_sample"])

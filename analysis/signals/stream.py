@@ -43,9 +43,9 @@ class Piece:
         return x[self.pad : self.pad + self.count]
 
     def thinned(self, width: int) -> Piece:
-        """Every ``width``-th sample alone; ``width`` divides ``first`` and ``pad``."""
-        kept = {name: np.ascontiguousarray(x[::width]) for name, x in self.channels.items()}
-        return Piece(self.first // width, self.count // width, kept, self.pad // width)
+        """Means over ``width`` samples each, counted likewise; ``width`` divides ``first`` and ``pad``."""
+        means = {name: block_means(x, width) for name, x in self.channels.items()}
+        return Piece(self.first // width, self.count // width, means, self.pad // width)
 
     def own(self, channel: str) -> Volts:
         """Samples of a channel without the neighbours."""
