@@ -14,7 +14,7 @@ from analysis.statistics import mad_sigma
 
 Floats = npt.NDArray[np.float64]
 
-LEAD, TAIL = 12, 36  # samples (averaged, see `thinning`) of the accelerometer kept before and after an impact's first sample
+LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
 ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
 MAX_WIDTH = 8
