@@ -14,10 +14,14 @@ class Thresholds:
 
     Attributes
     ----------
-    gain_nats, gain_sigmas
-        Least held-out gain of an effect, in nats and in standard errors of the per-step differences.
+    best_of_all_p
+        Largest probability that the best of all candidates gains so much by chance, for an effect to be named.
+    first_effect_nats, first_effect_sigmas
+        Least held-out gain of the first effect, in nats and in standard errors of the per-step differences.
     next_effect_nats, next_effect_sigmas
         The same for every further effect: one cause must nearly fail before two are named.
+    gain_nats, gain_sigmas
+        Gain that is beyond doubt without a null of its own: of a richer form, of a term, at a detection limit.
     worse_nats, worse_sigmas
         Rise of a channel's held-out loss beyond which an effect is refused; both must be exceeded.
     tolerated_plate_loss
@@ -56,6 +60,9 @@ class Thresholds:
         Correlation of its mark on the flights above which a named effect is reported as similar to a smooth term.
     """
 
+    best_of_all_p: float = 1e-3
+    first_effect_nats: float = 6.0
+    first_effect_sigmas: float = 1.5
     gain_nats: float = 12.0
     gain_sigmas: float = 2.0
     next_effect_nats: float = 15.0

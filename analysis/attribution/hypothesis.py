@@ -125,6 +125,31 @@ class Rejected:
 
 
 @dataclass(frozen=True)
+class ChanceTest:
+    """The best candidate of a round, held against what the best of all gains by chance.
+
+    Attributes
+    ----------
+    names
+        Effects that it adds.
+    gain
+        Its gain on the steps of the fit, nats.
+    p
+        Probability that the best of all candidates gains so much by chance.
+    critical
+        Gain that chance exceeds with the probability of the threshold, nats.
+    accepted
+        Whether it was added.
+    """
+
+    names: tuple[str, ...]
+    gain: float
+    p: float
+    critical: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
 class SelectionResult:
     """Result of a stepwise selection.
 
@@ -140,6 +165,8 @@ class SelectionResult:
         Outcome of each round: names, gain, standard error, accepted or why not.
     rejected
         Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
+    chance
+        By round, the best candidate against chance.
     earlier
         Hypotheses before the last effect was added, from the declared model on.
     """
@@ -150,4 +177,5 @@ class SelectionResult:
     tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]
     rounds: tuple[str, ...] = field(default=())
     rejected: Rejected | None = None
+    chance: tuple[ChanceTest, ...] = ()
     earlier: tuple[Hypothesis, ...] = ()

@@ -15,9 +15,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of
+from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
 from analysis.attribution.choice import Judge
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, Refits, Rejected, SelectionResult
+from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected, SelectionResult
 from analysis.attribution.proposals import Proposals
 from analysis.attribution.pruning import Pruning, contained_in
 from analysis.residuals.forward_model import ForwardModel
@@ -72,6 +73,8 @@ class StepwiseSelection:
         best, rounds, tried = before, list[str](), list[Hypothesis]()
         rivals: list[Hypothesis] = []
         refused: list[Rejected] = []
+        chance: list[ChanceTest] = []
+        rng = generator_of(self.world)
         chain = [before]
         for depth in range(self.limits.most_effects):
             if depth and self._noise_like(best):
@@ -80,13 +83,18 @@ class StepwiseSelection:
             options = remaining_candidates(self.library, best) if depth else self.library
             found = self._round(best, options, depth)
             tried = tried if depth else found
-            accepted, best = self._accepted(best, found, depth)
-            refused += filter(None, [self.judge.rejected(best, found, depth, accepted)])
+            accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
+            refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
+            chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
             if accepted is None:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
                 break
             gain, added = self.judge.gain(best, accepted), " + ".join(accepted.candidates[-1].names)
-            rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
+            p = "p below" if chance[-1].p < 1.5 / DRAWS else "p ="
+            rounds.append(
+                f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats; {p} {chance[-1].p:.2g} "
+                "that the best of all candidates does so by chance"
+            )
             kept = self.pruning.simplified(self.pruning.without_idle(accepted, rounds), self.library, rounds)
             rivals = found if kept is accepted else []
             best = self.refits.again(kept)
@@ -103,6 +111,7 @@ class StepwiseSelection:
             tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried),
             tuple(rounds),
             max(left, key=lambda x: x.gain, default=None),
+            tuple(chance),
             tuple(chain[:-1]),
         )
 
@@ -120,22 +129,22 @@ class StepwiseSelection:
         return self.proposals.round(best, options, progress)
 
     def _accepted(
-        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int
-    ) -> tuple[Hypothesis | None, Hypothesis]:
-        """The choice of a round, and the hypothesis without it, fitted again from there.
+        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, null: ChanceGains
+    ) -> tuple[Hypothesis | None, Hypothesis, ChanceGains]:
+        """The choice of a round, the hypothesis without it, fitted again from there, and the chance beside that.
 
         A fit that had stopped short would let any other effect look needed.
         """
         for _ in range(MOST_REFITS):
-            chosen = self.judge.choose(best, found, depth)
+            chosen = self.judge.choose(best, found, depth, null)
             if chosen is None:
-                return None, best
+                return None, best, null
             start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
             again = self.refits.converged(best.candidates, chosen.whitener, best.free, start)
             if not self.judge.gain(best, again).gain > self.limits.negligible_nats:
-                return chosen, best
-            best = again
-        return self.judge.choose(best, found, depth), best
+                return chosen, best, null
+            best, null = again, ChanceGains(again, null.options, null.rng)
+        return self.judge.choose(best, found, depth, null), best, null
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""
