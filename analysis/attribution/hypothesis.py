@@ -12,6 +12,7 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.residuals.forward_model import ParameterId
+from analysis.residuals.lack_of_fit import plate_rms_standardised, rms_standardised
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]
@@ -95,6 +96,12 @@ class Refits:
     ) -> Hypothesis:
         """The hypothesis fitted from ``start``, first with the weights given, until they converge."""
         return self.scored(candidates, self.reweighted(self.fitter.fit(whitener, free, start)))
+
+    def noise_like(self, x: Hypothesis, ratio: float) -> bool:
+        """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms."""
+        values = x.fitted.values
+        landings = rms_standardised(self.world, values, self.world.uncertainty(values))
+        return landings < ratio and plate_rms_standardised(self.world, values) < ratio
 
     def again(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted once more from where it stands: derivatives of calibrations are those of the start.

@@ -22,7 +22,6 @@ from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Reje
 from analysis.attribution.proposals import Proposals
 from analysis.attribution.pruning import Pruning, contained_in
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.lack_of_fit import plate_rms_standardised, rms_standardised
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, Thresholds
 
@@ -77,7 +76,7 @@ class StepwiseSelection:
         rng = generator_of(self.world)
         chain = [before]
         for depth in range(self.limits.most_effects):
-            if depth and self._noise_like(best):
+            if depth and self.refits.noise_like(best, self.limits.noise_like_ratio):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
             options = remaining_candidates(self.library, best) if depth else self.library
@@ -97,8 +96,11 @@ class StepwiseSelection:
             )
             kept = self.pruning.simplified(self.pruning.without_idle(accepted, rounds), self.library, rounds)
             rivals = found if kept is accepted else []
+            if kept is accepted:  # a cause and its drift are confirmed one by one
+                chain += [x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates][:1]
             best = self.refits.again(kept)
             chain.append(best)
+        best = chain[-1] = self.pruning.without_null(best, rounds)
         ties = self._ties(before, best, rivals)
         if best is not before:
             best = self.pruning.without_excess(best)
@@ -114,13 +116,6 @@ class StepwiseSelection:
             tuple(chance),
             tuple(chain[:-1]),
         )
-
-    def _noise_like(self, best: Hypothesis) -> bool:
-        """Whether so little is left that a further effect could only fit noise."""
-        values = best.fitted.values
-        landings = rms_standardised(self.world, values, self.world.uncertainty(values))
-        most = self.limits.noise_like_ratio
-        return landings < most and plate_rms_standardised(self.world, values) < most
 
     def _round(self, best: Hypothesis, options: Sequence[Candidate], depth: int) -> list[Hypothesis]:
         def progress(name: str, part: float) -> None:
