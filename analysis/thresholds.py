@@ -40,6 +40,8 @@ class Thresholds:
         Every so-many-th step is held out from all fits and all selection.
     reserve_factor
         Times `next_effect_nats` below which a further effect must also gain on the reserved steps.
+    reserve_sigmas
+        Standard deviations, of a log-likelihood ratio, by which reserved steps may lie below what the others promise.
     lack_p
         Probability under which the remainder is more than noise.
     lack_ratio
@@ -79,6 +81,7 @@ class Thresholds:
     idle_rms: float = 0.15
     reserve_every: int = 4
     reserve_factor: float = 2.0
+    reserve_sigmas: float = 2.0
     lack_p: float = 1e-4
     lack_ratio: float = 1.25
     plate_rms_z: float = 1.6

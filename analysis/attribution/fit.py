@@ -235,6 +235,7 @@ class _State:
             change = self.raw(moved) - raw
             n = len(self.whitener.step)
             change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
+            change[~np.isfinite(change)] = 0.0
             bare[:, j] = change / h
 
     def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:

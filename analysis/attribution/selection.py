@@ -86,13 +86,12 @@ class StepwiseSelection:
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
             chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
             if accepted is None:
-                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
+                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best_by_chance(chance, depth)}")
                 break
             gain, added = self.judge.gain(best, accepted), " + ".join(accepted.candidates[-1].names)
-            p = "p below" if chance[-1].p < 1.5 / DRAWS else "p ="
             rounds.append(
-                f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats; {p} {chance[-1].p:.2g} "
-                "that the best of all candidates does so by chance"
+                f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats "
+                f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
             )
             kept = self.pruning.simplified(self.pruning.without_idle(accepted, rounds), self.library, rounds)
             rivals = found if kept is accepted else []
@@ -156,6 +155,19 @@ class StepwiseSelection:
                 continue
             out.append(x)
         return tuple(out)
+
+
+def _probability(test: ChanceTest) -> str:
+    """The probability in words; where no draw gained so much, the bound."""
+    return f"p < {test.p:.1g}" if test.p < 1.5 / DRAWS else f"p = {test.p:.2g}"
+
+
+def _best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
+    """The best candidate of the last round against chance, in words; empty where the round had none that gains."""
+    if len(tests) <= depth or not tests[depth].gain > 1.0:
+        return ""
+    best = tests[depth]
+    return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {_probability(best)} by chance)"
 
 
 def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis) -> list[Candidate]:

@@ -123,8 +123,9 @@ def confirmed_on_reserve(
 ) -> tuple[bool, LogScoreDifference]:
     """Whether an added effect stands on steps that its fit had not seen, and its gain on all of them.
 
-    A small gain of the first effect stands if all steps together gain in proportion: five steps alone would refute a
-    weak effect one time in eight. A small gain of a further one stands only if the reserved steps gain as well.
+    A small gain of the first effect stands if all steps together gain in proportion, and the reserved ones lie no more
+    than two standard deviations below what the others promise: their sign alone would refute a weak effect one time in
+    eight. A small gain of a further one stands only if the reserved steps gain as well.
 
     Parameters
     ----------
@@ -142,6 +143,9 @@ def confirmed_on_reserve(
     if further:
         stands = stands and gain.gain > limits.reserve_factor * limits.next_effect_nats
     else:
-        wanted = limits.first_effect_nats * len(train) / max(int(train.sum()), 1)
-        stands = stands or gain.exceeds(wanted, limits.first_effect_sigmas)
+        few = max(int(train.sum()), 1)
+        promised = max(LogScoreDifference.of(worse, better, train).gain, 0.0) * (len(train) - few) / few
+        agree = float((worse - better)[~train].sum()) > promised - limits.reserve_sigmas * math.sqrt(2.0 * promised)
+        wanted = limits.first_effect_nats * len(train) / few
+        stands = stands or (agree and gain.exceeds(wanted, limits.first_effect_sigmas))
     return stands or LogScoreDifference.of(worse, better, ~train).clipped > 0.0, gain

@@ -10,6 +10,7 @@ import pytest
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import (
+    given_openings,
     held_out_errors,
     noise_floors_us,
     noise_quantiles_us,
@@ -70,3 +71,30 @@ def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., For
         over.append(noise_quantiles_us(world, FRICTION, rows)[0] / noise_floors_us(world, FRICTION, rows)[0])
     assert over[0] > over[1] > 1.0
     assert noise_quantiles_us(world, FRICTION, rows[:0]) == (0.0, 0.0)
+
+
+def test_openings_tell_by_how_much_the_tones_of_their_step_err(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Tones two standard deviations off in every step: given the openings, landings miss by less, and expect to."""
+    world = fly_ramp(FRICTION, 0)
+    steps = replace(world.evidence.steps, spread_mps2=20.0 * world.evidence.steps.spread_mps2)
+    z = steps.plate.acceleration_mps2.copy()
+    z[:, 0] += 2.0 * steps.sigma_mps2[:, 0] * z[:, 0] / np.abs(z[:, 0])
+    moved = replace(steps, plate=replace(steps.plate, acceleration_mps2=z))
+    off = ForwardModel(replace(world.evidence, steps=moved), {})
+    rows = np.flatnonzero(off.evidence.scored & off.from_rest)
+    told = given_openings(off, FRICTION, rows)
+    missed = held_out_errors(off, FRICTION, rows, 0.0).landing_rms_us
+    assert told.floor_us < 0.9 * noise_floors_us(off, FRICTION, rows)[0]
+    assert told.landing_rms_us < 0.9 * missed
+    assert told.landing_rms_us <= told.chance_us
+    assert np.isnan(given_openings(off, FRICTION, rows[:0]).landing_rms_us)
+
+
+def test_openings_excuse_no_landing_of_their_own(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Landings 60 us late with openings in time, as friction would leave them: they stay missed."""
+    world = fly_ramp(FRICTION, 0)
+    measured = world.evidence.measured
+    late = replace(measured, landing_s=measured.landing_s + 6e-5)
+    rows = np.flatnonzero(world.evidence.scored)
+    told = given_openings(ForwardModel(replace(world.evidence, measured=late), {}), FRICTION, rows)
+    assert told.landing_rms_us > 1.5 * max(told.floor_us, told.chance_us)
