@@ -58,7 +58,13 @@ class ScoreSpace:
 
     @classmethod
     def of(
-        cls, nuisances: Array, stiffness: Array, candidates: Array, groups: Sequence[Columns], signs: Sequence[int]
+        cls,
+        nuisances: Array,
+        stiffness: Array,
+        candidates: Array,
+        groups: Sequence[Columns],
+        signs: Sequence[int],
+        weight: Array | None = None,
     ) -> ScoreSpace:
         """Score space of candidates beside nuisances.
 
@@ -70,12 +76,16 @@ class ScoreSpace:
             Inverse variances of the nuisances' priors, (q,); 0 where nothing is known.
         groups, signs
             See the attributes; columns without information are left out.
+        weight
+            Weight of each residual, (n,); one where not given.
         """
-        normal = nuisances.T @ nuisances + np.diag(stiffness)
-        follow = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (nuisances.T @ candidates)
+        weight = np.ones(len(candidates)) if weight is None else weight
+        weighted = nuisances * weight[:, None]
+        normal = weighted.T @ nuisances + np.diag(stiffness)
+        follow = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (weighted.T @ candidates)
         columns = candidates - nuisances @ follow
-        information = candidates.T @ columns
-        own, before = np.diag(information), np.sum(candidates**2, axis=0)
+        information = (candidates * weight[:, None]).T @ columns
+        own, before = np.diag(information), weight @ candidates**2
         shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * before)
         scale = np.where(shown, 1.0 / np.sqrt(np.where(shown, own, 1.0)), 0.0)
         return cls(
@@ -112,7 +122,7 @@ class ScoreSpace:
         Parameters
         ----------
         scored
-            Residuals, scaled by their weights as the columns are, (n,).
+            Residuals times their robust weights, (n,).
         step
             Step of each, (n,).
         rng, draws
@@ -149,19 +159,16 @@ class ChanceGains:
         self, best: Hypothesis, options: Sequence[Candidate], rng: np.random.Generator, draws: int = DRAWS
     ) -> None:
         self.best, self.options, self.rng, self.draws = best, options, rng, draws
-        self._steps: dict[int, Array] = {}
+        self._drawn: dict[int, tuple[Hypothesis, Array, Array]] = {}
 
     def p(self, x: Hypothesis) -> float:
         """Probability of the gain of ``x``, at least ``1 / (draws + 1)``.
 
-        Steps get random signs with the residuals that ``x`` leaves: its own signal is no noise.
+        Weights, and the residuals whose steps get random signs, are those that ``x`` leaves: its own signal is no
+        noise.
         """
-        if id(x) not in self._steps:
-            state = self.best.fitted.state
-            left = np.sqrt(self._weight) * state.whitener.white_all(x.fitted.raw)
-            self._steps[id(x)] = self._space.by_steps(left, state.step, self.rng, self.draws)
         gain = fitted_gain(self.best, x)
-        beyond = max(float(np.sum(n >= gain)) for n in (self._by_noise, self._steps[id(x)]))
+        beyond = max(int(np.sum(gains >= gain)) for gains in self._gains(x))
         return (1.0 + beyond) / (self.draws + 1.0)
 
     def test(self, accepted: Hypothesis | None, found: Sequence[Hypothesis], p: float) -> ChanceTest | None:
@@ -172,42 +179,44 @@ class ChanceGains:
         x = accepted or max(found, key=lambda x: fitted_gain(self.best, x), default=None)
         if x is None:
             return None
-        self.p(x)
-        critical = max(float(np.quantile(n, 1.0 - p)) for n in (self._by_noise, self._steps[id(x)]))
-        return ChanceTest(
-            x.candidates[-1].names, fitted_gain(self.best, x), self.p(x), critical, accepted is not None
-        )
+        critical = max(float(np.quantile(gains, 1.0 - p)) for gains in self._gains(x))
+        return ChanceTest(x.candidates[-1].names, fitted_gain(self.best, x), self.p(x), critical, accepted is not None)
+
+    def _gains(self, x: Hypothesis) -> tuple[Array, Array]:
+        """Best gains of normal noise, and of the steps' residuals under ``x`` with random signs."""
+        if id(x) not in self._drawn:
+            fitted, state, whitener = self.best.fitted, self.best.fitted.state, x.whitener
+            z = whitener.white_all(x.fitted.raw)
+            weight = np.where(state.mask, robust_weight(z, whitener.odds), 0.0)
+            groups, signs, bare = self._slopes
+            known, fresh = (whitener.white_slopes(slopes, fitted.raw) for slopes in (fitted.bare, bare))
+            space = ScoreSpace.of(known, state.inverse**2, fresh, groups, signs, weight)
+            by_steps = space.by_steps(weight * z, state.step, self.rng, self.draws)
+            self._drawn[id(x)] = x, space.by_noise(self.rng, self.draws), by_steps
+        return self._drawn[id(x)][1:]
 
     @functools.cached_property
-    def _weight(self) -> Array:
-        """Weight of each residual of the training steps at the hypothesis, 0 on other steps."""
-        fitted, state = self.best.fitted, self.best.fitted.state
-        z = state.whitener.white_all(fitted.raw)
-        return np.where(state.mask, robust_weight(z, state.whitener.odds), 0.0)
-
-    @functools.cached_property
-    def _by_noise(self) -> Array:
-        return self._space.by_noise(self.rng, self.draws)
-
-    @functools.cached_property
-    def _space(self) -> ScoreSpace:
-        fitted, state = self.best.fitted, self.best.fitted.state
+    def _slopes(self) -> tuple[list[Columns], list[int], Array]:
+        """Columns of each candidate, their signs, and derivatives of the bare residuals."""
         at: dict[Place, int] = {}
         groups = [tuple(at.setdefault(place, len(at)) for place in group) for group in places(self.options, self.best)]
+        fitted = self.best.fitted
         bare = np.zeros((len(fitted.raw), len(at)))
         for (key, shapes), j in at.items():
             bare[:, j] = fitted.fitter.slope(fitted, key, dict(shapes))
-        root = np.sqrt(self._weight)[:, None]
-        known, fresh = (root * state.whitener.white_slopes(x, fitted.raw) for x in (fitted.bare, bare))
-        return ScoreSpace.of(known, state.inverse**2, fresh, groups, [_sign(key) for key, _ in at])
+        return groups, [_sign(key) for key, _ in at], bare
 
 
 def fitted_gain(best: Hypothesis, x: Hypothesis) -> float:
-    """Gain of one fit over another on the training steps, priors included, both with the weights of the first."""
-    state = best.fitted.state
-    z = state.whitener.white_all(x.fitted.raw)
-    loss = float(np.sum(robust_loss(z, state.whitener.odds)[state.mask])) + x.fitted.prior_penalty
-    return best.fitted.loss - loss
+    """Gain of one fit over another on the steps of the fit, priors included, each with its own weights, nats."""
+    return _fitted_loss(best) - _fitted_loss(x)
+
+
+def _fitted_loss(x: Hypothesis) -> float:
+    whitener, fitted = x.whitener, x.fitted
+    logs = np.concatenate([whitener.log_sigma, whitener.plate_log])
+    loss = robust_loss(whitener.white_all(fitted.raw), whitener.odds) + logs
+    return float(np.sum(loss[fitted.state.mask])) + fitted.prior_penalty
 
 
 def places(options: Sequence[Candidate], best: Hypothesis) -> list[tuple[Place, ...]]:
