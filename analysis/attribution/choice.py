@@ -71,7 +71,7 @@ class Judge:
             change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)
             if change.exceeds(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
-        if any(c.free and not x.fitted.differs(c.free) for c in x.candidates[len(best.candidates) :]):
+        if any(c.free and not x.fitted.differs(c.free) for c in x.candidates if c not in best.candidates):
             return "the 95 % intervals of its parameters hold the values at which it does nothing"
         if chance is not None and (p := chance.p(x)) > limits.best_of_all_p:
             return (
