@@ -131,7 +131,9 @@ def test_landings_missed_as_far_as_their_openings_foretell_are_no_miss() -> None
     assert verdict_of(True, NOISE, after, FLOORS, FROZEN, given=untold) == "unexplained"
 
 
-@pytest.mark.parametrize(("reserved", "further", "stands"), [(-0.3, False, True), (-0.3, True, False), (-1.5, False, False)])
+@pytest.mark.parametrize(
+    ("reserved", "further", "stands"), [(-0.3, False, True), (-0.3, True, False), (-1.5, False, False)]
+)
 def test_few_reserved_steps_do_not_kill_a_weak_first_effect(reserved: float, further: bool, stands: bool) -> None:
     """Thirteen nats on twelve steps, one and a half lost on four: it stands, unless it is a further effect."""
     train = np.arange(16) % 4 != 2

@@ -75,7 +75,7 @@ def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., For
 
 
 def test_openings_tell_the_tones_as_far_as_they_are_sharp() -> None:
-    """Twenty openings that two unit errors shift by 10 us each, known to 1 us, to 1 ms: found again, or left unknown."""
+    """Twenty openings that two errors shift by 10 us each, known to 1 us, to 1 ms: found again, or left unknown."""
     by_tone, errors = 1e-5 * np.random.default_rng(1).standard_normal((20, 2)), np.array([2.0, -1.5])
     for sigma, known in ((1e-6, True), (1e-3, False)):
         mean, root = _tones_given(by_tone @ errors, np.full(20, sigma), by_tone)
