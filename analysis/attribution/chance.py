@@ -172,7 +172,7 @@ class ChanceGains:
         return (1.0 + beyond) / (self.draws + 1.0)
 
     def test(self, accepted: Hypothesis | None, found: Sequence[Hypothesis], p: float) -> ChanceTest | None:
-        """The accepted candidate, or the one of greatest gain, with the gain that chance exceeds with probability ``p``.
+        """The accepted candidate, or the one of greatest gain, and the gain that chance exceeds with probability ``p``.
 
         None where there is no candidate.
         """
