@@ -90,8 +90,9 @@ def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     for place, (_, (g, e)) in zip(at, rows, strict=True):
         if not g > 0.0:
             ax.annotate("none", (e, float(place)), (6, 0), textcoords="offset points", va="center", fontsize=7)
-    needed = f"needed: {loop.limits.gain_nats:g} nats and {loop.limits.gain_sigmas:g} standard errors"
-    ax.axvline(loop.limits.gain_nats, color=BEFORE, lw=1.2, ls="--", label=needed)
+    least, sigmas = loop.limits.first_effect_nats, loop.limits.first_effect_sigmas
+    needed = f"needed: {least:g} nats, {sigmas:g} standard errors, and more than chance"
+    ax.axvline(least, color=BEFORE, lw=1.2, ls="--", label=needed)
     ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)
     ax.set_yticks(at, [name for name, _ in rows])
     ax.set_xscale("symlog", linthresh=10.0)
