@@ -55,8 +55,11 @@ def as_json(
         "rejected": rejected_json(loop.rejected),
         "chance": [
             {
-                "names": list(x.names), "gain_nats": _finite(x.gain), "p": x.p,
-                "critical_nats": _finite(x.critical), "accepted": x.accepted,
+                "names": list(x.names),
+                "gain_nats": _finite(x.gain),
+                "p": x.p,
+                "critical_nats": _finite(x.critical),
+                "accepted": x.accepted,
             }
             for x in loop.chance
         ],

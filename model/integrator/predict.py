@@ -50,9 +50,7 @@ def _predict(i: int, events: Events, last: Chain, bare: Plate, law: Law, seen: V
     if found.kind >= 0 and (hit < events.weak_mps[i] or (events.bounces[i] and seen.closure_s == 0.0)):
         q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
         struck = with_state(bare, q, qd)
-        land, hit, passed, out[9] = weak_rebounds(
-            (land, hit), events.landing[i], events.weak_mps[i], seen, struck, law
-        )
+        land, hit, passed, out[9] = weak_rebounds((land, hit), events.landing[i], events.weak_mps[i], seen, struck, law)
     out[0], out[1], out[2], out[3] = found.takeoff, found.launch, land, hit
     out[4], out[5], out[6] = found.opening, found.hidden, found.kind
     return passed
