@@ -157,6 +157,25 @@ class LockIn:
         own._counts = self._counts[chosen].sum(keepdims=True)
         return own
 
+    def with_tone(self, place: int, frequency_hz: float, rows: Floats, sides: Floats) -> LockIn:
+        """The fit of the same values with tone number ``place`` at another frequency.
+
+        Parameters
+        ----------
+        place : int
+        frequency_hz : float
+        rows : array, shape (2, 2k + 1)
+            Its two rows of the normal matrix, cosine and sine.
+        sides : array, shape (2, channels)
+            Its right sides.
+        """
+        frequencies = self.frequencies_hz.copy()
+        frequencies[place] = frequency_hz
+        own, at = self.part(np.arange(len(self._counts))), slice(2 * place + 1, 2 * place + 3)
+        own.frequencies_hz = frequencies
+        own._grams[0, at], own._grams[0, :, at], own._sides[0, at] = rows, rows.T, sides
+        return own
+
     def __add__(self, other: LockIn) -> LockIn:
         """The fit of both pieces together (same tones, same channels, sorts merged)."""
         total = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from analysis.plate.line_trials import LineTrials
 from analysis.plate.mains_lines import (
     LOBE,
     MAINS_HZ,
@@ -38,7 +39,7 @@ from analysis.plate.step_state import (
 )
 from analysis.plate.windows import fit_windows, refined_hz
 from analysis.signals.stream import block_means
-from daq.lock_in import LockIn, ToneFit
+from daq.lock_in import LockIn
 from daq.recording import Recording
 
 Floats = npt.NDArray[np.float64]
@@ -248,25 +249,21 @@ class StepAccumulator:
 
     def _follow_mains(self, state: StepState, chunk: ChunkFit) -> bool:
         """Refine the frequencies of the step's mains lines; whether any changed."""
-        rate_hz, fit = self.block_rate_hz, chunk.fits[0]
-        length_s = state.blocks / rate_hz
+        fit, length_s = chunk.fits[0], state.blocks / self.block_rate_hz
         tones = len(state.multiples)
         every_hz = fit.frequencies_hz.copy()
+        trials = LineTrials(state, self.block_rate_hz) if len(every_hz) > tones else None
         for i, line in enumerate(state.mains):
             place = next((k for k in range(tones, len(every_hz)) if every_hz[k] == line.hz), None)
-            if place is None:
+            if place is None or trials is None:
                 continue
-
-            def fit_at(hz: float, place: int = place) -> ToneFit:
-                trial = LockIn(rate_hz, np.concatenate([every_hz[:place], [hz], every_hz[place + 1 :]]), 1, self.width)
-                for span in state.spans:
-                    trial.add(span.values[:, :1], span.first, span.clear(state.mask_level))
-                return trial.solve()
-
             begin_hz = line.hz
             if length_s * line.reach_hz > LOBE:
-                begin_hz = strongest_hz(*_residual(state, fit, place, rate_hz), line, length_s)
+                begin_hz = strongest_hz(trials.residual(fit, place), trials.time_s, line, length_s)
+            fit_at = partial(trials.fit_at, place)
             found = refined_line(line, place, fit_at, begin_hz, np.delete(every_hz, place), length_s)
+            if found.hz != every_hz[place]:
+                trials.move(place, found.hz)
             every_hz[place] = found.hz
             state.mains = (*state.mains[:i], found, *state.mains[i + 1 :])
         self.mains = list(state.mains)
@@ -279,21 +276,6 @@ class StepAccumulator:
             return
         self.flush_chunk(state)
         self.done.append(None if state.lock_in is None else step_plate(self.recording, state))
-
-
-def _residual(state: StepState, fit: ToneFit, kept: int, rate_hz: float) -> tuple[Floats, Floats]:
-    """Accelerometer's unmasked blocks less all fitted tones but number ``kept``, and their times in seconds."""
-    own = LockIn(rate_hz, fit.frequencies_hz, 1, 1 if state.lock_in is None else state.lock_in.boxcar)
-    z = np.delete(fit.amplitudes * own.response(), kept)
-    exponents = 2j * np.pi * np.delete(fit.frequencies_hz, kept)
-    left, when = [], []
-    for span in state.spans:
-        clear = span.clear(state.mask_level)
-        time_s = (span.first + np.flatnonzero(clear)) / rate_hz
-        model = sum(((a * np.exp(w * time_s)).real for a, w in zip(z, exponents, strict=True)), np.zeros(len(time_s)))
-        left.append(span.values[clear, 0] - fit.offset - model)
-        when.append(time_s)
-    return np.concatenate(left), np.concatenate(when)
 
 
 def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:

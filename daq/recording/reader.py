@@ -79,6 +79,7 @@ class Recording:
         self.path = path
         self.damage = tuple(damage)
         self._file, self._lost = file, dict(lost or {})
+        self._columns: dict[str, Any] = {}  # open datasets: each keeps the chunks it read last
         self._holes: Holes | None = None
         self.frames = FrameFile(file, path, without=tuple(self._lost)) if FRAMES in file else None
         self.stored: dict[str, Any] = {k: _plain(v) for k, v in file.attrs.items()}
@@ -215,7 +216,9 @@ class Recording:
                 return np.ascontiguousarray(column)
             out[: stop - start] = column
             return out[: stop - start]
-        dataset = self._file[channel]
+        if channel not in self._columns:
+            self._columns[channel] = self._file[channel]
+        dataset = self._columns[channel]
         if out is None:
             out = np.empty(max(stop - start, 0), dataset.dtype)
         if stop > start:
@@ -249,6 +252,7 @@ class Recording:
 
     def close(self) -> None:
         """Close the file."""
+        self._columns.clear()
         self._file.close()
 
     def __enter__(self) -> Self:

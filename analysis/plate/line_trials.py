@@ -1,0 +1,80 @@
+"""Fits of a step with one of its tones at trial frequencies.
+
+Only the moved tone's two rows of the normal equations are computed anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.plate.step_state import Span, StepState
+from daq.lock_in import LockIn, ToneFit
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+STRIDE = 64  # blocks between exact phasors
+
+
+class LineTrials:
+    """Accelerometer blocks outside the mask of an open step, and the phasors of its tones there.
+
+    Attributes
+    ----------
+    values, time_s : arrays, shape (n,)
+        Volts of the blocks outside the mask, and their times.
+    """
+
+    def __init__(self, state: StepState, rate_hz: float) -> None:
+        if state.lock_in is None:
+            raise ValueError("wanted a step whose normal equations are accumulated")
+        self._rate_hz = rate_hz
+        self._clear = [(span, span.clear(state.mask_level)) for span in state.spans]
+        self._sums = state.lock_in.part(state.clear_classes())
+        self.values = np.concatenate([span.values[clear, 0] for span, clear in self._clear])
+        self.time_s = np.concatenate([span.first + np.flatnonzero(clear) for span, clear in self._clear]) / rate_hz
+        self._rows = np.ones((2 * self._sums.frequencies_hz.size + 1, self.values.size))
+        self._rows[1:] = self._rows_of(self._sums)
+
+    def residual(self, fit: ToneFit, kept: int) -> Floats:
+        """Volts (n,) less the constant and all tones of ``fit`` but number ``kept``."""
+        unknowns = np.empty(len(self._rows))
+        unknowns[0], unknowns[1::2], unknowns[2::2] = fit.offset, fit.amplitudes.real, fit.amplitudes.imag
+        unknowns[2 * kept + 1 : 2 * kept + 3] = 0.0
+        return np.asarray(self.values - unknowns @ self._rows)
+
+    def fit_at(self, place: int, frequency_hz: float) -> ToneFit:
+        """The accelerometer's fit with tone number ``place`` at another frequency."""
+        return self._moved(place, frequency_hz)[0].solve()
+
+    def move(self, place: int, frequency_hz: float) -> None:
+        """Leave tone number ``place`` at another frequency."""
+        self._sums, self._rows[2 * place + 1 : 2 * place + 3] = self._moved(place, frequency_hz)
+
+    def _moved(self, place: int, frequency_hz: float) -> tuple[LockIn, Floats]:
+        """Normal equations with one tone at another frequency, and its rows (2, n)."""
+        alone = LockIn(self._rate_hz, [frequency_hz], 1, self._sums.boxcar)
+        own = self._rows_of(alone)
+        products = own @ self._rows.T
+        products[:, 2 * place + 1 : 2 * place + 3] = own @ own.T
+        sides = np.zeros((2, self._sums.rhs.shape[1]))
+        sides[:, 0] = own @ self.values
+        return self._sums.with_tone(place, frequency_hz, products, sides), own
+
+    def _rows_of(self, tones: LockIn) -> Floats:
+        """Cosine and sine rows (2k, n) of all tones of ``tones``, the blocks' gain and delay included."""
+        cycles, gains = tones.frequencies_hz / self._rate_hz, tones.response()
+        phasors = np.concatenate([_phasors(cycles, gains, span)[:, clear] for span, clear in self._clear], axis=1)
+        rows = np.empty((2 * len(cycles), phasors.shape[1]))
+        rows[::2], rows[1::2] = phasors.real, -phasors.imag
+        return rows
+
+
+def _phasors(cycles: Floats, gains: Complexes, span: Span) -> Complexes:
+    """``gain exp(2 pi i cycles n)`` at the blocks of a span, (k, blocks)."""
+    n = len(span.values)
+    coarse = cycles[:, None] * (span.first + STRIDE * np.arange(-(-n // STRIDE)))
+    starts = np.exp(2j * np.pi * (coarse - np.floor(coarse))) * gains[:, None]
+    within = np.exp(2j * np.pi * cycles[:, None] * np.arange(STRIDE))
+    return np.asarray((starts[:, :, None] * within[:, None, :]).reshape(len(cycles), -1)[:, :n])
