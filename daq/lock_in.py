@@ -257,38 +257,70 @@ def fit_tones(
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
-    """Add the normal equations of the rows of ``x`` to those of their sort."""
+    """Add the normal equations of the rows of ``x`` to those of their sort.
+
+    In each stretch of `RESYNC` values those of one sort stand together, so that the sums run along memory.
+    """
     n, channels = x.shape
-    k = cycles.shape[0]
+    k, sorts = cycles.shape[0], grams.shape[0]
     p = 2 * k + 1
-    row = np.empty(p)
-    row[0] = 1.0
+    rows = np.empty((p + channels, RESYNC + 8))  # not a power of two: rows must not share cache lines' places
+    ends = np.empty(sorts + 1, dtype=np.int64)
     step = np.exp(2j * np.pi * cycles)
     phasor = np.empty(k, dtype=np.complex128)
-    for i in range(n):
-        if i % RESYNC == 0:
-            for j in range(k):
-                phase = cycles[j] * (first + i)
-                phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
-        s = sort[i]
-        if s >= 0:
-            counts[s] += 1
-            for j in range(k):
-                row[2 * j + 1] = phasor[j].real
-                row[2 * j + 2] = -phasor[j].imag
-            gram = grams[s]
-            for a in range(p):
-                value = row[a]
-                for b in range(a + 1):
-                    gram[a, b] += value * row[b]
-            for c in range(channels):
-                v = x[i, c]
-                squares[s, c] += v * v
-                for a in range(p):
-                    sides[s, a, c] += v * row[a]
+    for begin in range(0, n, RESYNC):
+        size = min(RESYNC, n - begin)
+        ends[:] = 0
+        for i in range(begin, begin + size):
+            if sort[i] >= 0:
+                ends[sort[i] + 1] += 1
+        for s in range(sorts):
+            counts[s] += ends[s + 1]
+            ends[s + 1] += ends[s]
         for j in range(k):
-            phasor[j] *= step[j]
-    for s in range(grams.shape[0]):
+            phase = cycles[j] * (first + begin)
+            phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
+        for i in range(begin, begin + size):
+            s = sort[i]
+            if s >= 0:
+                at = ends[s]
+                ends[s] += 1
+                rows[0, at] = 1.0
+                for j in range(k):
+                    rows[2 * j + 1, at] = phasor[j].real
+                    rows[2 * j + 2, at] = -phasor[j].imag
+                for c in range(channels):
+                    rows[p + c, at] = x[i, c]
+            for j in range(k):
+                phasor[j] *= step[j]
+        start = 0
+        for s in range(sorts):
+            stop = ends[s]
+            if stop > start:
+                _add_products(rows, start, stop, grams[s], sides[s], squares[s])
+            start = stop
+    for s in range(sorts):
         for a in range(p):
             for b in range(a):
                 grams[s, b, a] = grams[s, a, b]
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-untyped-def]
+    """Add products summed over columns ``start`` to ``stop``: tones with tones, channels with tones and themselves."""
+    p = gram.shape[0]
+    for a in range(rows.shape[0]):
+        own = rows[a, start:stop]
+        for b in range(min(a + 1, p)):
+            other, total = rows[b, start:stop], 0.0
+            for i in range(own.size):
+                total += own[i] * other[i]
+            if a < p:
+                gram[a, b] += total
+            else:
+                side[b, a - p] += total
+        if a >= p:
+            total = 0.0
+            for i in range(own.size):
+                total += own[i] * own[i]
+            square[a - p] += total

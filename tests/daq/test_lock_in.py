@@ -84,3 +84,18 @@ def test_tones_that_cannot_be_told_apart_are_refused():
         fit_tones(x[:3], 0, RATE, [25.0, 50.0])
     with pytest.raises(ValueError, match="positive"):
         fit_tones(x, 0, RATE, [0.0])
+
+
+def test_sorts_are_summed_apart() -> None:
+    """Each sort's normal equations are those of its own values, however they are mixed, over several stretches."""
+    rng = np.random.default_rng(5)
+    x, sorts = rng.normal(size=(1300, 2)), rng.integers(-1, 4, 1300).astype(np.int8)
+    both = LockIn(1000.0, [20.0, 33.0], channels=2, sorts=4)
+    both.add(x, 77, sorts)
+    for sort in range(4):
+        own, alone = both.part([sort]), LockIn(1000.0, [20.0, 33.0], channels=2)
+        alone.add(x, 77, sorts == sort)
+        assert own.n == alone.n == int(np.sum(sorts == sort))
+        for channel in range(2):
+            np.testing.assert_allclose(own.solve(channel).amplitudes, alone.solve(channel).amplitudes, rtol=1e-10)
+            np.testing.assert_allclose(own.solve(channel).rms, alone.solve(channel).rms, rtol=1e-10)
