@@ -26,6 +26,7 @@ from daq.setup.setup import Setup
 FORMAT = "shakerbench recording"
 FORMAT_VERSION = 1
 CHUNK_SAMPLES = 65536
+PIECE_CHUNKS = 4  # written at a time, so that what each call of HDF5 costs counts little
 SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
 LONG_NAMES = {
     "continuity": "contact circuit voltage",
@@ -119,7 +120,7 @@ class ColumnWriter:
             got = {name: len(piece) for name, piece in pieces.items()}
             raise ValueError(f"wanted equal lengths of {list(self._sets)}, got {got}")
         for name, piece in pieces.items():
-            self._held[name].append(np.asarray(piece, self._sets[name].dtype))
+            self._held[name].append(np.ascontiguousarray(piece, self._sets[name].dtype))
         self._n_held += len(timestamps_ns)
         if self._n_held >= CHUNK_SAMPLES:
             self._write(self._n_held - self._n_held % CHUNK_SAMPLES)
@@ -131,7 +132,7 @@ class ColumnWriter:
             dataset.resize((self.n_samples + n,))
             dataset[self.n_samples :] = held[:n]
             self._crc[name] = crc32(held[:n], self._crc[name])
-            self._held[name] = [held[n:].copy()]
+            self._held[name] = [held[n:].copy()] if len(held) > n else []
         self._disk.check()
         self.n_samples += n
         self._n_held -= n

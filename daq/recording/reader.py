@@ -37,7 +37,8 @@ def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: NDArray[np.int64]
         index += lost[np.searchsorted(gaps[:, 0], index, side="right")]
     period_ns = 1e9 / rate_hz
     if period_ns.is_integer() and stop * period_ns < 2.0**52:
-        return index * int(period_ns)
+        index *= int(period_ns)
+        return index
     stamps: NDArray[np.int64] = np.rint(index * period_ns).astype(np.int64)
     return stamps
 

@@ -17,7 +17,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
 from daq.files.frame_writer import FrameWriter
 from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
@@ -261,7 +261,7 @@ def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]
             overwrite=source == target,
         )
         try:
-            for which, rows in frames.pieces(CHUNK_SAMPLES):
+            for which, rows in frames.pieces(PIECE_CHUNKS * CHUNK_SAMPLES):
                 damaged += frames.damaged_in(which, rows)
                 start = int(frames.blocks["first_sample"][which.start])
                 stamps = timestamps_ns(start, start + len(rows), recording.rate_hz, gaps)
