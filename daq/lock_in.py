@@ -6,6 +6,7 @@ sample 0 of the recording, whatever piece of it is handed in, masked or not.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -188,37 +189,59 @@ class LockIn:
     def inverse(self) -> Floats:
         """Inverse of the normal matrix; raises ``ValueError`` when the values cannot tell the tones apart."""
         if self._inverse is None:
-            gram = self.gram
-            p = gram.shape[0]
-            if self.n <= p:
-                raise ValueError(f"{self.n} values cannot fix {p} unknowns")
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-            scaled = gram * np.outer(scale, scale)
-            try:
-                inverted = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-            except np.linalg.LinAlgError:
-                inverted = np.full((p, p), np.inf)
-            if not np.abs(scaled).sum(axis=0).max() * np.abs(inverted).sum(axis=0).max() < 1e10:
-                raise ValueError(f"the tones {self.frequencies_hz} Hz cannot be told apart in {self.n} values")
-            self._inverse = inverted * np.outer(scale, scale)
+            self._inverse = _inverses(self.gram[None], np.array([self.n]), self.frequencies_hz)[0]
         return self._inverse
 
     def solve(self, channel: int = 0) -> ToneFit:
         """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
-        inverse, side = self.inverse(), self.rhs[:, channel]
-        solution = inverse @ side
-        sum_squares = max(float(self._squares[:, channel].sum() - solution @ side), 0.0)
-        variance = sum_squares / (self.n - side.size)
+        squares = self._squares[:, channel].sum(keepdims=True)
+        return self._solved(self.inverse()[None], self.rhs[None, :, channel], squares, np.array([self.n]))[0]
+
+    def solve_each(self, channel: int = 0) -> list[ToneFit]:
+        """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
+        inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
+        return self._solved(inverses, self._sides[:, :, channel], self._squares[:, channel], self._counts)
+
+    def _solved(
+        self, inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]
+    ) -> list[ToneFit]:
+        """Fits from inverses (m, 2k + 1, 2k + 1), right sides (m, 2k + 1), sums of squares (m,), and counts (m,)."""
+        solutions = (inverses @ sides[:, :, None])[:, :, 0]
+        sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
+        variances = sums / (counts - sides.shape[1])
         # column pairs are (cos, -sin), so the unknowns are Re z and Im z
-        return ToneFit(
-            frequencies_hz=self.frequencies_hz,
-            amplitudes=solution[1::2] + 1j * solution[2::2],
-            covariance=inverse[1:, 1:] * variance,
-            rms=float(np.sqrt(variance)),
-            offset=float(solution[0]),
-            offset_uncertainty=float(np.sqrt(inverse[0, 0] * variance)),
-            n=self.n,
-        )
+        return [
+            ToneFit(
+                frequencies_hz=self.frequencies_hz,
+                amplitudes=solution[1::2] + 1j * solution[2::2],
+                covariance=inverse[1:, 1:] * variance,
+                rms=math.sqrt(variance),
+                offset=float(solution[0]),
+                offset_uncertainty=math.sqrt(inverse[0, 0] * variance),
+                n=n,
+            )
+            for inverse, solution, variance, n in zip(
+                inverses, solutions, variances.tolist(), counts.tolist(), strict=True
+            )
+        ]
+
+
+def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floats) -> Floats:
+    """Inverses of normal matrices (m, p, p) of ``counts`` (m,) values; raises ``ValueError`` where one has none."""
+    p = grams.shape[1]
+    if np.any(counts <= p):
+        raise ValueError(f"{counts.min()} values cannot fix {p} unknowns")
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), 1e-300))
+    outer = scale[:, :, None] * scale[:, None, :]
+    scaled = grams * outer
+    try:
+        inverted = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        inverted = np.full(grams.shape, np.inf)
+    condition = np.abs(scaled).sum(axis=1).max(axis=1) * np.abs(inverted).sum(axis=1).max(axis=1)
+    if not np.all(condition < 1e10):
+        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[~(condition < 1e10)][0]} values")
+    return inverted * outer
 
 
 def fit_tones(
@@ -253,6 +276,31 @@ def fit_tones(
     lock_in = LockIn(rate_hz, frequencies_hz)
     lock_in.add(x, first_sample, mask)
     return lock_in.solve()
+
+
+def fit_tones_each(
+    x: npt.ArrayLike, edges: npt.NDArray[np.int64], rate_hz: float, frequencies_hz: npt.ArrayLike
+) -> list[ToneFit]:
+    """`fit_tones` of each of at most 127 successive stretches of the recording.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Samples ``edges[0], ..., edges[-1] - 1`` of the recording.
+    edges : int array, shape (m + 1,)
+        First sample of each stretch, and the end of the last.
+    rate_hz : float
+    frequencies_hz : array, shape (k,)
+
+    Raises
+    ------
+    ValueError
+        Too few samples in a stretch, or tones too close to be told apart.
+    """
+    lengths = np.diff(edges)
+    lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(lengths))
+    lock_in.add(x, int(edges[0]), np.repeat(np.arange(len(lengths), dtype=np.int8), lengths))
+    return lock_in.solve_each()
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.lock_in import ToneFit, fit_tones
+from daq.lock_in import ToneFit, fit_tones, fit_tones_each
 from daq.setup.setup import Forcing
 from daq.steps.changepoints import segments
 from daq.steps.forcing_detection import Read, Region, weights
@@ -30,6 +30,7 @@ SAME_ADVANCE = 1e-3  # radians a window
 PENALTY = 30.0
 _WINDOW_POINTS = 16
 _PIECES = 40
+_TOGETHER_WINDOWS, _TOGETHER_SAMPLES = 100, 1 << 17  # fitted in one go
 _DEEPEST = 6
 _LOOKED_AT = 16  # windows from which the noise's colour is taken
 
@@ -72,6 +73,20 @@ def fit(read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, 
     return fit_tones(read(start, stop), start, rate_hz, tones_hz(frequency_hz, forcing))
 
 
+def _fits(
+    read: Read, edges: NDArray[np.int64], rate_hz: float, frequency_hz: float, forcing: Forcing
+) -> list[ToneFit]:
+    """The forcing's tones in each of the windows between ``edges``."""
+    fits: list[ToneFit] = []
+    while len(edges) > 1:
+        n = int(np.searchsorted(edges, edges[0] + _TOGETHER_SAMPLES, side="right")) - 1
+        n = min(max(n, 1), _TOGETHER_WINDOWS, len(edges) - 1)
+        x = read(int(edges[0]), int(edges[n]))
+        fits += fit_tones_each(x, edges[: n + 1], rate_hz, tones_hz(frequency_hz, forcing))
+        edges = edges[n:]
+    return fits
+
+
 def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forcing) -> list[Region]:
     """Move the border between two touching regions to where the one frequency stops fitting and the other starts."""
     exact = list(near)
@@ -84,10 +99,10 @@ def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forci
         edges = _edges(low, high, rate_hz, min(left.frequency_hz, right.frequency_hz))
         misfit = np.array(
             [
-                [fit(read, a, b, rate_hz, side.frequency_hz, forcing).rms ** 2 for side in (left, right)]
-                for a, b in pairwise(edges)
+                [one.rms**2 for one in _fits(read, edges, rate_hz, side.frequency_hz, forcing)]
+                for side in (left, right)
             ]
-        ).reshape(-1, 2)
+        ).T.reshape(-1, 2)
         before = np.concatenate([[0.0], np.cumsum(misfit[:, 0])])
         after = np.concatenate([np.cumsum(misfit[::-1, 1])[::-1], [0.0]])
         border = int(edges[np.argmin(before + after)])
@@ -178,7 +193,7 @@ def frequency_correction(
     edges = pieces[:: max(1, len(pieces) // _PIECES)]
     if len(edges) < 3:
         return 0.0, np.inf
-    fits = [fit(read, a, b, rate_hz, frequency_hz, forcing) for a, b in pairwise(edges)]
+    fits = _fits(read, edges, rate_hz, frequency_hz, forcing)
     time = (edges[:-1] + edges[1:] - 1) / (2.0 * rate_hz)
     time = time - time.mean()
     estimates, information = [], []
@@ -207,7 +222,7 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     edges = _edges(region.start, region.stop, rate_hz, region.frequency_hz)
     if len(edges) < SHORTEST_WINDOWS + 1:
         return None
-    fits = [fit(read, a, b, rate_hz, region.frequency_hz, forcing) for a, b in pairwise(edges)]
+    fits = _fits(read, edges, rate_hz, region.frequency_hz, forcing)
     z = np.array([one.amplitudes for one in fits])
     amplitude = np.abs(z)
     rms, n = np.array([one.rms for one in fits]), np.array([one.n for one in fits])
