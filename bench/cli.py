@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("bench.commands.check", "Before a run: is the rig wired as its profile says?"),
     "calibrate": ("bench.commands.calibrate", "Measure a rig's scales and write them into its profile."),
     "ramp": ("bench.commands.ramp", "Run a profile's ramp and record it."),
+    "live": ("bench.commands.live", "A page to start, watch and stop runs, in a browser."),
     "import": ("bench.commands.import_", "Turn somebody's CSV, HDF5, NPZ or WAV into a recording."),
     "export": ("bench.commands.export", "Write a recording as CSV, NPZ or gzip HDF5."),
     "reprocess": ("bench.commands.reprocess", "Recording to flights, plate motion and pictures."),

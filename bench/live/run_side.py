@@ -47,10 +47,13 @@ class RunSide:
     ----------
     board
         Between run and page.
+    also
+        Called after each block too.
     """
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, also: Callable[[Status], None] | None = None) -> None:
         self._board = board
+        self._also = also or _silent
         self._request = StopRequest()
         self._progress: Callable[[Status], None] = _silent
         self._told_at = -math.inf
@@ -89,6 +92,7 @@ class RunSide:
         if now - self._told_at >= EVERY_S or told != self._told:
             self._told_at, self._told = now, told
             self._board.events.put(state_of(status, self._request))
+        self._also(status)
         self._progress(status)
 
     def end(self, summary: RunSummary | None, fault: str = "") -> None:

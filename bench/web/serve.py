@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import secrets
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import uvicorn
 
 from bench.web.access import LOOPBACK, Access, is_loopback
+from bench.web.application import make_app
+from bench.web.section import Place, load_sections
 from daq.setup.errors import InputError
 
 PORT = 8625
@@ -48,15 +53,30 @@ def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None
     raise InputError(f"--host {host} --port {ports[0]}: cannot listen there ({last}); name another --port")
 
 
-def serve(listening: socket.socket, access: Access, modules: Sequence[str], place: object) -> None:
-    """Serve the sections of ``modules`` (`bench.web.section.load_sections`) until the process is told to end."""
-    import uvicorn
+def serve(
+    listening: socket.socket,
+    access: Access,
+    modules: Sequence[str],
+    place: Place,
+    *,
+    on_ready: Callable[[], None] | None = None,
+    own_signals: bool = True,
+) -> None:
+    """Serve sections until the process is told to end.
 
-    from bench.web.application import make_app
-    from bench.web.section import Place, load_sections
-
-    if not isinstance(place, Place):
-        raise TypeError(f"wanted a Place, got {type(place).__name__}")
+    Parameters
+    ----------
+    listening, access
+        Of `bind`.
+    modules
+        Dotted names (`bench.web.section.load_sections`).
+    place
+        What the sections are made for.
+    on_ready
+        Called once pages are answered.
+    own_signals
+        Whether Ctrl-C and SIGTERM end the server.
+    """
     config = uvicorn.Config(
         make_app(access, load_sections(modules, place)),
         log_level="warning",
@@ -69,4 +89,27 @@ def serve(listening: socket.socket, access: Access, modules: Sequence[str], plac
         ws_per_message_deflate=False,  # increments are small and the machine has better to do
         timeout_graceful_shutdown=1,
     )
-    uvicorn.Server(config).run([listening])
+    _Server(config, on_ready, own_signals).run([listening])
+
+
+class _Server(uvicorn.Server):
+    """A server that tells when it is ready."""
+
+    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None] | None, own_signals: bool) -> None:
+        super().__init__(config)
+        self._on_ready, self._own_signals = on_ready, own_signals
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and tell."""
+        await super().startup(sockets)
+        if self.started and self._on_ready is not None:
+            self._on_ready()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Heed signals only where they are this process's own."""
+        if self._own_signals:
+            with super().capture_signals():
+                yield
+        else:
+            yield

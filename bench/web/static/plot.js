@@ -84,8 +84,8 @@ export class Axes {
     this.pen.fillRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
-  // Grid, frame, numbers and labels.
-  frame() {
+  // Grid, frame, numbers and labels; without numbers below where another panel follows.
+  frame(below = true) {
     const pen = this.pen, c = colours(), s = this.unit, o = this.options;
     const font = this.font * this.scale;
     pen.font = `${font}px ${getComputedStyle(document.body).fontFamily}`;
@@ -101,7 +101,7 @@ export class Axes {
     pen.strokeRect(this.left, this.top, this.width, this.height);
     pen.fillStyle = c.ink;
     pen.textAlign = "center"; pen.textBaseline = "top";
-    for (const x of xt.at) pen.fillText(number(x, xt.step), this.px(x), this.top + this.height + 3 * s);
+    if (below) for (const x of xt.at) pen.fillText(number(x, xt.step), this.px(x), this.top + this.height + 3 * s);
     pen.textAlign = "right"; pen.textBaseline = "middle";
     for (const y of yt.at) pen.fillText(number(y, yt.step), this.left - 4 * s, this.py(y));
     pen.textAlign = "center"; pen.textBaseline = "alphabetic";
