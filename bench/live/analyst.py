@@ -23,6 +23,7 @@ from daq.recorder.shared_ring import RingReader
 from rig.profile import Profile
 
 LOOK_S = 0.05
+NICE = 5  # behind the run, the recorder and the page
 AGAIN_S, AGAIN_PART = 0.4, 0.1  # a growing step is reduced again after that time, and that part more of it
 MOST_STEP_BYTES = 256 << 20  # of a step's frames kept; beyond, its flights stay as they were
 
@@ -31,7 +32,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
     """The process: until the run has ended and all is said, or nobody listens any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run's business
     if hasattr(os, "nice"):
-        os.nice(10)
+        os.nice(NICE)
     try:
         board = Board(board_name)
     except OSError:
