@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
+import numpy as np
+
 from bench.live.board import Board, Message
 from bench.live.prediction import predicted
 from bench.live.reduce import ReducedStep, reduce_step
@@ -39,9 +41,10 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
         return
     analyst = Analyst(profile, board, pipe, pictures)
     try:
-        while not analyst.done and _has_parent():
-            if not analyst.look():
-                time.sleep(LOOK_S)
+        with np.errstate(all="ignore"):  # of half a step nothing may be known; that is no news for a terminal
+            while not analyst.done and _has_parent():
+                if not analyst.look():
+                    time.sleep(LOOK_S)
     except (BrokenPipeError, ConnectionResetError):
         return  # nobody listens
     finally:

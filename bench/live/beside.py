@@ -124,5 +124,3 @@ def _print(*lines: str) -> None:
         sys.stderr.flush()
     except OSError:
         return  # the terminal is gone; the run goes on
-
-

@@ -6,6 +6,7 @@ was away too long is told how many it missed. If nobody reads, a message costs t
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -107,7 +108,7 @@ class Board:
             self._memory = SharedMemory(f"{NAME}-{os.getpid()}-{secrets.token_hex(3)}", create=True, size=size)
         else:
             self._memory = SharedMemory(name)
-        buffer = self._memory.buf
+        buffer: Any = self._memory.buf
         self.events = Lane(buffer, EVENT_SLOTS, EVENT_BYTES)
         self.commands = Lane(buffer[events:], COMMAND_SLOTS, COMMAND_BYTES)
 
@@ -120,13 +121,9 @@ class Board:
         """Let go of the memory; its maker also frees it."""
         self.events.release()
         self.commands.release()
-        try:
+        with contextlib.suppress(BufferError):  # a view of it is still being read; freed with the process
             self._memory.close()
-        except BufferError:
-            pass  # a view of it is still being read; freed with the process
         if self._owner:
             self._owner = False
-            try:
+            with contextlib.suppress(FileNotFoundError):  # already gone
                 self._memory.unlink()
-            except FileNotFoundError:
-                pass  # already gone

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.live.board import Board, Message
+from bench.live.decimate import MinMax, PlateHeight
 from bench.live.hub import Browser, Hub
 from bench.live.starting import run_check, run_profile
 from bench.live.watch import Watch
@@ -54,6 +55,8 @@ class Desk:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Look after the run while the server runs."""
+        MinMax(1, 1)
+        PlateHeight(1.0, 1.0, 1.0, 1.0)  # compiled before a run needs them
         if self._watched is not None:
             profile, board_name = self._watched
             with contextlib.suppress(OSError):

@@ -159,7 +159,7 @@ class Watch:
             si = {"scale": scale, "offset": offset, "unit": "V"}
             if name == "accelerometer":
                 per = profile.channels.accelerometer
-                si = {"scale": scale / per.volts_per_mps2, "offset": (offset - per.offset_v.value) / per.volts_per_mps2,
+                si = {"scale": scale / per.volts_per_mps2, "offset": (offset - (per.offset_v.value if per.offset_v else 0.0)) / per.volts_per_mps2,
                       "unit": "m/s\u00b2"}  # fmt: skip
             elif name == "continuity" and contact is not None and contact.coupling == "dc":
                 swing = contact.swing_v

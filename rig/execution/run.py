@@ -332,7 +332,7 @@ class _Run:
         return achieved_gamma(self._profile, measured) if measured else (math.nan, math.nan)
 
     def _record(self, blocks: list[Block]) -> None:
-        """Keep blocks: at once where they were measured or are watched, in batches where they can be simulated again."""
+        """Keep blocks: at once where measured or handed to another process, else in batches."""
         self._pending += blocks
         at_once = not self._backend.simulated or isinstance(self._writer, RecorderProcess)
         if at_once or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:

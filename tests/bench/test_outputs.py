@@ -19,7 +19,8 @@ from bench.outputs import CSV, HDF5, JSON, PACKED_CSV, PICTURE, Edited, File, Fo
 from daq.setup.errors import InputError
 
 READ = {
-    "profile", "profiles", "scenario", "replay", "resume", "runs", "recording", "recordings", "raw", "files", "like", "name",
+    "profile", "profiles", "scenario", "replay", "resume", "recording", "recordings", "raw", "files", "like", "name",
+    "runs",
 }  # fmt: skip
 """Parameters that name what a command reads."""
 STEERS = {

@@ -92,7 +92,10 @@ const handlers = {
     $("keep").hidden = !(m.mine && m.asked);
     buttons();
   },
-  checking(m) { $("findings").replaceChildren(el("div", `checking ${m.profile.split(/[\\/]/).pop()} ...`)); },
+  checking(m) {
+    checkedGreen = "";
+    buttons();
+    $("findings").replaceChildren(el("div", `checking ${m.profile.split(/[\\/]/).pop()} ...`)); },
   checked(m) {
     const rows = m.findings.map((f) => {
       const row = el("div");

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,7 +70,7 @@ def test_no_extreme_is_lost_whatever_the_pieces(n_bin: int, cuts: list[int]) -> 
     """Minima and maxima of each bin are those of all its samples, in whatever pieces they come."""
     codes = np.random.default_rng(1).integers(-32768, 32767, (120, 3)).astype(np.int16)
     minmax, edges = MinMax(n_bin, 3), [0, *sorted(cuts), 120]
-    found = np.concatenate([minmax.add(codes[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    found = np.concatenate([minmax.add(codes[a:b]) for a, b in itertools.pairwise(edges)])
     whole = codes[: len(codes) // n_bin * n_bin].reshape(-1, n_bin, 3)
     assert np.array_equal(found, np.stack([whole.min(axis=1), whole.max(axis=1)], axis=1))
 
@@ -127,12 +128,12 @@ def test_one_browser_holds_the_controls() -> None:
 
 
 def test_commands_become_requests(board: Board) -> None:
-    """Stops, pause, going on and notes from the mailbox become requests; the strongest stop stands, nonsense does not."""
+    """Stops, pause, going on and notes become requests; the strongest stop stands, nonsense does not."""
     request, other = StopRequest(), Board(board.name)
     side = RunSide(board)
     side._request = request
-    for command in ({"do": "pause"}, {"do": "note", "text": " dusty "}, {"do": "note", "text": " "}, {"do": "format c:"},
-                    {"do": "ramp_down"}, {"do": "finish"}):  # fmt: skip
+    notes = [{"do": "note", "text": text} for text in (" dusty ", " ")]
+    for command in [{"do": "pause"}, *notes, {"do": "format c:"}, {"do": "ramp_down"}, {"do": "finish"}]:
         side._obey(command)
     assert request.pause and request.notes == ["dusty"] and request.wanted is Stop.RAMP_DOWN
     side._obey({"do": "go_on"})
@@ -172,7 +173,7 @@ def reduced(path: Path) -> list:
 
 
 def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> None:
-    """Cycle, tones on target, and residuals of the ideal ball at its noise; the prediction passes through the flights."""
+    """Cycle, tones on target, and residuals of the ideal ball at its noise; the prediction meets the flights."""
     steps = reduced(recorded["ideal"])
     assert [s.label for s in steps][:2] == ["1-cycle", "1-cycle"]
     for step in steps:
@@ -180,7 +181,9 @@ def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> N
         assert tone["mps2"] == pytest.approx(tone["target_mps2"], rel=0.01)
         assert tone["deg"] == pytest.approx(tone["target_deg"], abs=0.5)
         compared = np.isfinite(step.residual_s)
-        assert compared.sum() > 5 and np.median(np.abs(step.residual_s[compared])) < 3 * np.median(step.noise_s[compared])
+        assert compared.sum() > 5 and np.median(np.abs(step.residual_s[compared])) < 3 * np.median(
+            step.noise_s[compared]
+        )
     setup = load("simulated")[0]
     portions = list(predicted(setup, (0.8, 2.2)))
     assert portions[-1]["part"] == 1.0
