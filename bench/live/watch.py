@@ -159,8 +159,9 @@ class Watch:
             si = {"scale": scale, "offset": offset, "unit": "V"}
             if name == "accelerometer":
                 per = profile.channels.accelerometer
-                si = {"scale": scale / per.volts_per_mps2, "offset": (offset - (per.offset_v.value if per.offset_v else 0.0)) / per.volts_per_mps2,
-                      "unit": "m/s\u00b2"}  # fmt: skip
+                rest_v = per.offset_v.value if per.offset_v is not None else 0.0
+                mps2_per_v = 1.0 / per.volts_per_mps2
+                si = {"scale": scale * mps2_per_v, "offset": (offset - rest_v) * mps2_per_v, "unit": "m/s\u00b2"}
             elif name == "continuity" and contact is not None and contact.coupling == "dc":
                 swing = contact.swing_v
                 si = {"scale": scale / swing, "offset": (offset - contact.closed_v.value) / swing,

@@ -190,8 +190,8 @@ function reduced(m) {
     const off = t.mps2 === null || !t.target_mps2 ? null : 100 * (t.mps2 / t.target_mps2 - 1);
     let turn = t.deg === null ? null : t.deg - t.target_deg;
     if (turn !== null) turn = ((turn + 540) % 360) - 180;
-    row.append(el("td", `${hz.toFixed(2)} Hz`));
-    for (const text of [`${fixed(t.mps2, 2)} / ${fixed(t.target_mps2, 2)}`, off === null ? "\u2013" : `${fixed(off, 2)} %`, `${fixed(t.deg, 1)}\u00b0 / ${fixed(t.target_deg, 1)}\u00b0`, `${fixed(turn, 2)}\u00b0`])
+    row.append(el("td", `${hz.toPrecision(4)} Hz`));
+    for (const text of [`${fixed(t.mps2, 2)} / ${fixed(t.target_mps2, 2)}`, off === null ? "\u2013" : `${fixed(off, 2)} %`, `${fixed(t.deg, 1)} / ${fixed(t.target_deg, 1)}\u00b0`, `${fixed(turn, 2)}\u00b0`])
       row.append(el("td", text, "number"));
     return row;
   }));

@@ -42,7 +42,7 @@ export class Axes {
   constructor(canvas, options = {}) {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d", { alpha: false });
-    this.options = { x: "", y: "", title: "", left: 54, right: 10, top: 18, bottom: 34, ...options };
+    this.options = { x: "", y: "", title: "", left: 54, right: 16, top: 18, bottom: 34, ...options };
     this.xlim = [0, 1];
     this.ylim = [0, 1];
     this.fit();
@@ -91,7 +91,7 @@ export class Axes {
     pen.font = `${font}px ${getComputedStyle(document.body).fontFamily}`;
     pen.lineWidth = Math.max(1, s);
     const xt = ticks(...this.xlim, Math.max(2, Math.floor(this.width / (5.2 * font))));
-    const yt = ticks(...this.ylim, Math.max(2, Math.floor(this.height / (2.2 * font))));
+    const yt = ticks(...this.ylim, Math.max(2, Math.min(4, Math.floor(this.height / (1.4 * font))), Math.floor(this.height / (2.6 * font))));
     pen.strokeStyle = c.grid;
     pen.beginPath();
     for (const x of xt.at) { const p = Math.round(this.px(x)) + 0.5; pen.moveTo(p, this.top); pen.lineTo(p, this.top + this.height); }
