@@ -24,12 +24,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("bench.commands.calibrate", "Measure a rig's scales and write them into its profile."),
     "ramp": ("bench.commands.ramp", "Run a profile's ramp and record it."),
     "live": ("bench.commands.live", "A page to start, watch and stop runs, in a browser."),
+    "explore": ("bench.commands.explore", "Let the rig choose its own steps until one explanation stands."),
     "import": ("bench.commands.import_", "Turn somebody's CSV, HDF5, NPZ or WAV into a recording."),
     "export": ("bench.commands.export", "Write a recording as CSV, NPZ or gzip HDF5."),
     "reprocess": ("bench.commands.reprocess", "Recording to flights, plate motion and pictures."),
     "compare": ("bench.commands.compare", "Hold a recording against the model, step by step."),
     "predict": ("bench.commands.predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
+    "batch": ("bench.commands.batch", "Folders of recordings, one row each; resumable, on many cores."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
     "info": ("bench.commands.info", "Contents of a recording: note, keys, profile, steps, state."),
     "verify": ("bench.commands.verify", "Check whether a recording is complete, stopped, incomplete or damaged."),
@@ -97,9 +99,18 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _use_effects(folder: str | None) -> None:
+    """Name the folder of kept effects for this process and those that it starts."""
+    if folder is not None:
+        os.environ["SHAKERBENCH_EFFECTS"] = folder
+
+
 @app.callback()
 def _options(
     version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
+    effects: str | None = typer.Option(
+        None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of kept effects, not the user's own."
+    ),
 ) -> None:
     """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""
 
@@ -113,6 +124,13 @@ def main() -> None:
         del os.environ["COLUMNS"]  # a terminal that does not know its width
     try:
         app(prog_name="bench")
+    except ValueError as error:
+        from model.effects.kept import EffectFileError
+
+        if not isinstance(error, EffectFileError):
+            raise
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(2)
     finally:
         sys.stdout.flush()
 

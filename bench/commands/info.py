@@ -57,6 +57,7 @@ def command(
 def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
     from daq.files.tables import STEP_DTYPE
+    from model.effects.kept import kept_files
 
     setup = opened.setup
     return {
@@ -81,6 +82,7 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             {"at_s": row["first_sample"] / opened.rate_hz, "unix_ns": int(row["unix_ns"]),
              "text": row["text"].decode(errors="replace")} for row in opened.notes
         ],
+        "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
     }
 
@@ -114,6 +116,7 @@ def _print(told: dict[str, Any]) -> None:
         "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
                    + (f"; {profile['description']}" if profile["description"] else ""),
         "declared": declared or "no effects",
+        "kept": ", ".join(k["name"] for k in told["kept_effects"]) or "no effects of your own on this computer",
         "steps": str(len(told["steps"])),
     }  # fmt: skip
     print_lines(*(f"  {key:<9} {value}" for key, value in lines.items()))
