@@ -113,7 +113,7 @@ export class Scope {
   // One panel a trace, over a common time axis.
   panels(start, zero) {
     const axes = this.axes, pen = axes.pen, c = colours(), [t0, t1] = axes.xlim;
-    const top = axes.top, height = axes.height, gap = 5 * axes.unit, each = (height - gap * (this.nTraces - 1)) / this.nTraces;
+    const top = axes.top, height = axes.height, gap = 12 * axes.unit, each = (height - gap * (this.nTraces - 1)) / this.nTraces;
     const first = Math.max(Math.max(0, this.n - this.size), Math.floor((t0 - start) / this.bin)), last = Math.min(this.n, Math.ceil((t1 - start) / this.bin));
     const columns = Math.max(1, Math.floor(axes.width / Math.max(1, axes.scale)));
     const bottom = axes.options.bottom;
