@@ -79,8 +79,12 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             "declared": setup.declared_values(),
         },
         "notes": [
-            {"at_s": row["first_sample"] / opened.rate_hz, "unix_ns": int(row["unix_ns"]),
-             "text": row["text"].decode(errors="replace")} for row in opened.notes
+            {
+                "at_s": row["first_sample"] / opened.rate_hz,
+                "unix_ns": int(row["unix_ns"]),
+                "text": row["text"].decode(errors="replace"),
+            }
+            for row in opened.notes
         ],
         "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
