@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("bench.commands.compare", "Hold a recording against the model, step by step."),
     "predict": ("bench.commands.predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
+    "report": ("bench.commands.report", "One page of recordings: verdict, figures, steps, pedigree; also PDF."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
     "info": ("bench.commands.info", "Contents of a recording: note, keys, profile, steps, state."),
     "verify": ("bench.commands.verify", "Check whether a recording is complete, stopped, incomplete or damaged."),

@@ -34,6 +34,9 @@ PACKED_CSV = Form("a table (CSV)", (".csv", ".csv.gz", ".txt"))
 NPZ = Form("arrays (NPZ)", (".npz",), only=True)
 HDF5 = Form("HDF5", (".h5", ".hdf5"))
 PROFILE = Form("a profile (TOML)", (".toml",))
+HTML = Form("a page (HTML)", (".html", ".htm"), only=True)
+PDF = Form("a page (PDF)", (".pdf",), only=True)
+LOOP = Form("a closed loop", (".loop",), only=True)
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 KNOWN = {suffix for form in (JSON, PACKED_CSV, NPZ, HDF5, PROFILE, PICTURE) for suffix in form.suffixes} | {
     ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",

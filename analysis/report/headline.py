@@ -1,0 +1,64 @@
+"""The verdict for a reader with ten seconds: what was found, how sure, what it may be instead, error before and after."""
+
+from __future__ import annotations
+
+from analysis.loop.result import ClosedLoop
+from analysis.report.narrative import gains, why_this_verdict
+from analysis.report.wording import microseconds, others_in_words, plain, probability, size_of
+
+LISTED = 3  # rival sets that are named
+
+
+def headline(loop: ClosedLoop) -> str:
+    """The verdict in plain sentences, the finding first; ends with a full stop."""
+    if loop.verdict == "explained":
+        return f"{_capital(_found(loop))}. {_errors(loop)} {_certainty(loop)} {_rivals(loop)}"
+    if loop.verdict == "nothing_missing":
+        declared = ", ".join(plain(n) for n in loop.setup.declared) or "no effect beyond the ideal ball"
+        return (
+            f"Nothing is missing: the declared model ({declared}) predicts landings on held-out steps to "
+            f"{microseconds(loop.after.landing_rms_us)} us rms, where noise alone gives "
+            f"{microseconds(loop.noise_floor_us)} us ({probability(loop.remainder.p_lack_of_fit)})."
+        )
+    best = f" Best so far, not believed: {_found(loop)}." if loop.effects else ""
+    why = _capital(why_this_verdict(loop)[0])
+    return f"Something is left that no named effect accounts for.{best} {_errors(loop)} {why}"
+
+
+def _found(loop: ClosedLoop) -> str:
+    named = [f"{plain(f.name)} ({size_of(f)})" if f.parameters else plain(f.name) for f in loop.effects]
+    listed = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
+    return f"{listed} {'explain' if len(named) > 1 else 'explains'} the recording"
+
+
+def _errors(loop: ClosedLoop) -> str:
+    if not loop.names:
+        return (
+            f"Landings on held-out steps are missed by {microseconds(loop.after.landing_rms_us)} us rms; noise alone "
+            f"gives {microseconds(loop.noise_floor_us)} us."
+        )
+    return (
+        f"Landings on held-out steps are missed by {microseconds(loop.after.landing_rms_us)} us rms instead of "
+        f"{microseconds(loop.before.landing_rms_us)} us; noise alone gives {microseconds(loop.noise_floor_us)} us."
+    )
+
+
+def _certainty(loop: ClosedLoop) -> str:
+    """Gain of the first effect on steps not fitted, and whether what is left looks like noise."""
+    left = f"what is left looks like noise ({probability(loop.remainder.p_lack_of_fit)})"
+    gain = gains(loop).get(plain(loop.effects[0].name))
+    if gain is None:
+        return f"{_capital(left)}."
+    return f"{_capital(plain(loop.effects[0].name))} predicts steps not fitted better by {gain[0]:.0f} +- {gain[1]:.0f} nats; {left}."
+
+
+def _rivals(loop: ClosedLoop) -> str:
+    others = others_in_words(loop)
+    if not others:
+        return "No other named set of effects does as well."
+    more = f" or {len(others) - LISTED} more" if len(others) > LISTED else ""
+    return f"The data cannot tell it from {' or '.join(others[:LISTED])}{more}."
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
