@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from analysis.loop.result import ClosedLoop
 from analysis.report.narrative import gains, why_this_verdict
 from analysis.report.wording import microseconds, others_in_words, plain, probability, size_of
 
 LISTED = 3  # rival sets that are named
+NOTABLE = 1.2  # fall of an error from which it is named beside that of landings
 
 
 def headline(loop: ClosedLoop) -> str:
@@ -32,15 +37,34 @@ def _found(loop: ClosedLoop) -> str:
 
 
 def _errors(loop: ClosedLoop) -> str:
+    """Errors before and after, against the noise: of landings, and of the kind of data that gained most."""
+    noise = f"noise alone gives {microseconds(loop.noise_floor_us)} us"
+    after, before = loop.after.landing_rms_us, loop.before.landing_rms_us
     if not loop.names:
+        return f"Landings on held-out steps are missed by {microseconds(after)} us rms; {noise}."
+    said = (
+        f"Landings on held-out steps are missed by {microseconds(after)} us rms instead of {microseconds(before)} us; "
+        f"{noise}."
+    )
+    fallen = [before / after, loop.before.takeoff_nmad_us / loop.after.takeoff_nmad_us, _plate_z(loop) / loop.remainder.plate_rms_z]
+    most = int(np.nanargmax([x if math.isfinite(x) else 0.0 for x in fallen]))
+    if most == 0 or fallen[most] < NOTABLE:
+        return said
+    if most == 1:
         return (
-            f"Landings on held-out steps are missed by {microseconds(loop.after.landing_rms_us)} us rms; noise alone "
-            f"gives {microseconds(loop.noise_floor_us)} us."
+            f"Take-offs are missed by {microseconds(loop.after.takeoff_nmad_us)} us instead of "
+            f"{microseconds(loop.before.takeoff_nmad_us)} us (robust; noise {microseconds(loop.takeoff_floor_us)} us). {said}"
         )
     return (
-        f"Landings on held-out steps are missed by {microseconds(loop.after.landing_rms_us)} us rms instead of "
-        f"{microseconds(loop.before.landing_rms_us)} us; noise alone gives {microseconds(loop.noise_floor_us)} us."
+        f"The plate is off by {loop.remainder.plate_rms_z:.1f} standard deviations rms instead of {_plate_z(loop):.1f}. "
+        f"{said}"
     )
+
+
+def _plate_z(loop: ClosedLoop) -> float:
+    """Rms residual of the plate's data under the declared model, in standard deviations; NaN without data."""
+    plate = loop.plate
+    return float(np.sqrt(np.mean((plate.before / plate.sigma) ** 2))) if len(plate) else float("nan")
 
 
 def _certainty(loop: ClosedLoop) -> str:

@@ -60,10 +60,11 @@ def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
             return None
         dots = [line for ax in figure.axes for line in ax.lines]
         named = [line for line in dots if hasattr(line, FLIGHT_ROWS)]
-        n = sum(len(line.get_xdata()) for line in dots)  # type: ignore[arg-type]
+        sizes = [0 if line.get_rasterized() else int(np.isfinite(line.get_xydata()).all(axis=1).sum()) for line in dots]
+        n = sum(sizes)
         if n > MOST_VECTOR_POINTS:
-            for line in dots:
-                line.set_rasterized(len(line.get_xdata()) > MANY)  # type: ignore[arg-type]
+            for line, size in zip(dots, sizes, strict=True):
+                line.set_rasterized(bool(line.get_rasterized()) or size > MANY)
         out = io.BytesIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
         points, known = _points(figure, named)
@@ -92,7 +93,7 @@ def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int
 def _remark(points: int, known: tuple[int, int]) -> str:
     words = []
     if points > MOST_VECTOR_POINTS:
-        words.append(f"{points} points are drawn as one picture; axes and text are vectors.")
+        words.append(f"Its {points} points are drawn as a picture; axes and text are vectors.")
     if known[0] < known[1]:
         words.append(f"The pointer knows {known[0]} of the {known[1]} points, evenly chosen.")
     return " ".join(words)

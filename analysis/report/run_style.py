@@ -12,7 +12,8 @@ h4{font-size:1rem;margin:1.4rem 0 .3rem}
 section h2{border-bottom:2px solid #12355b}
 .wide{overflow-x:auto} .meta{color:#343a40} .meta td:first-child{white-space:nowrap;font-weight:bold}
 table.small{font-size:.78em} table.small td,table.small th{padding:.15rem .35rem;vertical-align:top}
-table.steps td:nth-child(5),table.steps td:nth-child(6){text-align:left}
+.meta th{text-align:left}
+table.steps th:nth-child(5),table.steps th:nth-child(6),table.steps td:nth-child(5),table.steps td:nth-child(6){text-align:left}
 .badge{white-space:nowrap;vertical-align:middle}
 figure{margin:1.2rem 0;position:relative;break-inside:avoid} figure svg{width:100%;height:auto;display:block}
 figcaption{font-size:.85em;color:#343a40} .source{color:#5c677d}
@@ -40,7 +41,8 @@ CAPTIONS = {
     "history": "Flight times in order of time. Bars: the predicted cycle of each step. Plus signs: the step still settles.",
     "trajectory": "Plate and ball over a few periods, with the contact voltage below.",
     "motion": "The plate's gain and lag against the drive, one period of its acceleration, and its harmonics.",
-    "errors": "Landing error of each step (robust), before and after, with the noise floor. Diamonds: held-out steps.",
+    "errors": "Landing error of each step (robust), before (open squares) and after (dots), with the noise floor. "
+    "Diamonds: held-out steps.",
     "candidates": "Candidates added alone: gain on steps not fitted, with its standard error. Hatched: rejected.",
     "discovered": "What was discovered beyond the named effects, with its 95 % band.",
     "residuals": "Landings: measured minus predicted, against what might cause them.",
