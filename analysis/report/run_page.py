@@ -178,7 +178,7 @@ class _Pictures:
         if made is None:
             return ""
         key = f"{name}{self._number}"
-        caption = plain_html(" ".join(filter(None, (CAPTIONS[name], made.remark))))
+        caption = plain_html(" ".join(filter(None, (CAPTIONS.get(name, ""), made.remark))))
         source = html.escape(self._recording.path.name)
         mark = "simulated rig" if self._recording.attrs.get("simulated") else "measured"
         told = f"<figcaption>{caption} <span class='source'>{source}, {mark}.</span></figcaption>"

@@ -27,7 +27,8 @@ STEERS = {
     "use_height", "stale", "kind",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
-NAMES = {("export", "out"): "x.csv", ("predict", "figure"): "x.png", ("virtual", "log"): "x.npz"}
+NAMES = {("export", "out"): "x.csv", ("predict", "figure"): "x.png", ("virtual", "log"): "x.npz",
+         ("report", "out"): "x.html", ("report", "pdf"): "x.pdf"}  # fmt: skip
 """What an output has to be called where not every name will do."""
 
 

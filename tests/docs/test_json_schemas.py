@@ -74,6 +74,7 @@ ANSWERS = {
     "predict-diagram": "predict --c 2 --gamma-range 0.3 0.8 --steps 9",
     "predict-ramp": "predict --profile {0}/p.toml",
     "close-loop": "close-loop {0}/r.h5",
+    "report": "report {0}/r.h5 --out {0}/r.html --no-loop",
     "drop": "drop {0}/times.csv --no-pictures",
     "info": "info {0}/r.h5",
     "verify": "verify {0}/r.h5",
