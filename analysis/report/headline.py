@@ -1,4 +1,4 @@
-"""The verdict for a reader with ten seconds: what was found, how sure, what it may be instead, error before and after."""
+"""The verdict for a reader with ten seconds: what was found, how sure, what else it may be, errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def headline(loop: ClosedLoop) -> str:
         return (
             f"Nothing is missing: the declared model ({declared}) predicts landings on held-out steps to "
             f"{microseconds(loop.after.landing_rms_us)} us rms, where noise alone gives "
-            f"{microseconds(loop.noise_floor_us)} us ({probability(loop.remainder.p_lack_of_fit)})."
+            f"{microseconds(loop.noise_floor_us)} us."
         )
     best = f" Best so far, not believed: {_found(loop)}." if loop.effects else ""
     why = _capital(why_this_verdict(loop)[0])
@@ -46,18 +46,23 @@ def _errors(loop: ClosedLoop) -> str:
         f"Landings on held-out steps are missed by {microseconds(after)} us rms instead of {microseconds(before)} us; "
         f"{noise}."
     )
-    fallen = [before / after, loop.before.takeoff_nmad_us / loop.after.takeoff_nmad_us, _plate_z(loop) / loop.remainder.plate_rms_z]
+    fallen = [
+        before / after,
+        loop.before.takeoff_nmad_us / loop.after.takeoff_nmad_us,
+        _plate_z(loop) / loop.remainder.plate_rms_z,
+    ]
     most = int(np.nanargmax([x if math.isfinite(x) else 0.0 for x in fallen]))
     if most == 0 or fallen[most] < NOTABLE:
         return said
     if most == 1:
         return (
             f"Take-offs are missed by {microseconds(loop.after.takeoff_nmad_us)} us instead of "
-            f"{microseconds(loop.before.takeoff_nmad_us)} us (robust; noise {microseconds(loop.takeoff_floor_us)} us). {said}"
+            f"{microseconds(loop.before.takeoff_nmad_us)} us (robust; noise {microseconds(loop.takeoff_floor_us)} us). "
+            f"{said}"
         )
     return (
-        f"The plate is off by {loop.remainder.plate_rms_z:.1f} standard deviations rms instead of {_plate_z(loop):.1f}. "
-        f"{said}"
+        f"The plate is off by {loop.remainder.plate_rms_z:.1f} standard deviations rms instead of "
+        f"{_plate_z(loop):.1f}. {said}"
     )
 
 
@@ -73,7 +78,8 @@ def _certainty(loop: ClosedLoop) -> str:
     gain = gains(loop).get(plain(loop.effects[0].name))
     if gain is None:
         return f"{_capital(left)}."
-    return f"{_capital(plain(loop.effects[0].name))} predicts steps not fitted better by {gain[0]:.0f} +- {gain[1]:.0f} nats; {left}."
+    first = _capital(plain(loop.effects[0].name))
+    return f"{first} predicts steps not fitted better by {gain[0]:.0f} +- {gain[1]:.0f} nats; {left}."
 
 
 def _rivals(loop: ClosedLoop) -> str:

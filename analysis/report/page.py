@@ -239,6 +239,7 @@ def provenance_table(loop: ClosedLoop, software: dict[str, str]) -> str:
 
 
 def software_words(version: str, commit: str) -> str:
+    """Version and commit of the software, as text."""
     return f"shakerbench {version}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
 
 
@@ -293,7 +294,8 @@ def _bifurcation_sentence(first: FirstBifurcations | None, scale: GammaScale) ->
         low, high = scale.factor * first.measured.gamma_low, scale.factor * first.measured.gamma_high
         measured = f"{first.measured.type} between {scale.name} {low:.4f} and {high:.4f}"
     before, after = predicted(first.before), predicted(first.after)
-    return plain_html(f"First bifurcation: in the data {measured}; before: {before}; after: {after}.").join(("<p>", "</p>"))
+    words = f"First bifurcation: in the data {measured}; before: {before}; after: {after}."
+    return f"<p>{plain_html(words)}</p>"
 
 
 def _reasoning(loop: ClosedLoop) -> str:

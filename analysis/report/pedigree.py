@@ -112,7 +112,8 @@ def calibration_rows(recording: Recording) -> Rows:
     """Each quantity that can be calibrated: key, value, uncertainty, date, age when the run began, source, remark."""
     started = str(recording.attrs.get("started") or "")
     day = datetime.date.fromisoformat(started[:10]) if started else None
-    most, rows = recording.setup.calibration_days, []
+    most = recording.setup.calibration_days
+    rows: Rows = []
     for _, key, quantity in quantities(recording.setup):
         if quantity is None:
             rows.append((key, "-", "-", "-", "-", "", "not measured"))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import html
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -103,15 +104,21 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
     sentence = headline(loop) if loop is not None else f"{OPEN_VERDICT}: {run.without_loop}."
     name = recording.path.name
     colour = COLOURS[loop.verdict] if loop is not None else "#495057"
-    story = [] if loop is None else ["<h3>Residuals: before, after, and why</h3>", *_nested(loop_parts(loop, scale, pictures.loop))]
+    story = (
+        []
+        if loop is None
+        else ["<h3>Residuals: before, after, and why</h3>", *_nested(loop_parts(loop, scale, pictures.loop))]
+    )
     parts = [
         f"<section id='run{number}'><h2>{html.escape(name)} {badge(bool(recording.attrs.get('simulated')))}</h2>",
-        f"<p class='verdict' style='--c:{colour}'><b>{plain_html(sentence)}</b></p>",
+        f"<p class='verdict' style='--c:{colour}'>{_emphasised(sentence)}</p>",
         f"<p class='meta'>{plain_html(scale.definition)}</p>",
         "<h3>Measured and predicted</h3>",
         *(pictures.element(key) for key in ("bifurcation", "return_maps", "history", "trajectory")),
         "<h3>Steps</h3>",
-        step_table(recording, compared, loop, scale, flights) if compared is not None else "<p>No flights were seen.</p>",
+        step_table(recording, compared, loop, scale, flights)
+        if compared is not None
+        else "<p>No flights were seen.</p>",
         *story,
         "<h3>The plate</h3>",
         pictures.element("motion"),
@@ -133,6 +140,12 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
         name, bool(recording.attrs.get("simulated")), "\n".join(p for p in parts if p), row,
         None if loop is None else loop.verdict, sentence,
     )  # fmt: skip
+
+
+def _emphasised(words: str) -> str:
+    """The sentences as HTML, the first one bold."""
+    first, *others = re.split(r"(?<=[^. ]\.) (?=[A-Z])", words, maxsplit=1)
+    return " ".join([f"<b>{plain_html(first)}</b>", *map(plain_html, others)])
 
 
 def _nested(parts: Iterable[str]) -> list[str]:
@@ -230,7 +243,7 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -
 
 COMPARED = (
     "recording", "begun", "rig", "c", "gamma", "steps", "flights", "lost", "state", "verdict",
-    "landings before (us)", "after (us)", "noise (us)", "first bifurcation: measured", "model",
+    "landings before (µs)", "after (µs)", "noise (µs)", "first bifurcation: measured", "model",
 )  # fmt: skip
 
 

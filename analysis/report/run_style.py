@@ -7,17 +7,20 @@ from analysis.report.page import STYLE as PAGE_STYLE
 STYLE = (
     PAGE_STYLE
     + """
-body{max-width:60rem} h2{font-size:1.4rem;margin-top:3rem} h3{font-size:1.15rem;margin-top:2rem;border-bottom:1px solid #ccd}
+body{max-width:60rem} h2{font-size:1.4rem;margin-top:3rem}
+h3{font-size:1.15rem;margin-top:2rem;border-bottom:1px solid #ccd}
 h4{font-size:1rem;margin:1.4rem 0 .3rem}
 section h2{border-bottom:2px solid #12355b}
 .wide{overflow-x:auto} .meta{color:#343a40} .meta td:first-child{white-space:nowrap;font-weight:bold}
 table.small{font-size:.78em} table.small td,table.small th{padding:.15rem .35rem;vertical-align:top}
-.meta th{text-align:left}
-table.steps th:nth-child(5),table.steps th:nth-child(6),table.steps td:nth-child(5),table.steps td:nth-child(6){text-align:left}
+.meta th{text-align:left} .verdict{font-size:1.1rem} .verdict b{display:block;font-size:1.2rem;margin-bottom:.3rem}
+table.steps th:nth-child(5),table.steps th:nth-child(6),
+table.steps td:nth-child(5),table.steps td:nth-child(6){text-align:left}
 .badge{white-space:nowrap;vertical-align:middle}
 figure{margin:1.2rem 0;position:relative;break-inside:avoid} figure svg{width:100%;height:auto;display:block}
 figcaption{font-size:.85em;color:#343a40} .source{color:#5c677d}
-.flight{position:absolute;z-index:2;background:#fff;border:1px solid #12355b;border-radius:3px;font:12px/1.35 sans-serif;
+.flight{position:absolute;z-index:2;background:#fff;border:1px solid #12355b;border-radius:3px;
+font:12px/1.35 sans-serif;
 padding:.25rem .5rem;box-shadow:0 1px 4px #0004;white-space:nowrap;pointer-events:none}
 .flight.pinned{pointer-events:auto;cursor:pointer;border-style:dashed}
 @page{size:A4;margin:15mm 14mm}
@@ -34,11 +37,12 @@ padding:.25rem .5rem;box-shadow:0 1px 4px #0004;white-space:nowrap;pointer-event
 )
 
 CAPTIONS = {
-    "bifurcation": "Bifurcation diagram: flight times against gamma, measured (dark dots; crosses: double hit or unsure) "
-    "over the prediction for the plate's motion as measured (light). Shaded: flight times forbidden to the ideal ball.",
+    "bifurcation": "Bifurcation diagram: flight times against gamma, measured (dark dots; crosses: double hit or "
+    "unsure) over the prediction for the plate's motion as measured (light). Shaded: flight times forbidden to the ideal ball.",
     "return_maps": "Return maps of the steps with most modes: each flight time against the one before (dots), and the "
     "predicted cycle (open squares).",
-    "history": "Flight times in order of time. Bars: the predicted cycle of each step. Plus signs: the step still settles.",
+    "history": "Flight times in order of time. Bars: the predicted cycle of each step. Plus signs: the step "
+    "still settles.",
     "trajectory": "Plate and ball over a few periods, with the contact voltage below.",
     "motion": "The plate's gain and lag against the drive, one period of its acceleration, and its harmonics.",
     "errors": "Landing error of each step (robust), before (open squares) and after (dots), with the noise floor. "

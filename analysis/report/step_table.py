@@ -16,9 +16,9 @@ from daq.recording import Recording
 
 HEADS = (
     "step", "gamma set", "reached", "+-", "measured", "model", "flights", "mean flight time (ms)", "over model",
-    "rms to model (us)",
+    "rms to model (µs)",
 )  # fmt: skip
-ERRORS = ("landing error before (us)", "after (us)")
+ERRORS = ("landing error before (µs)", "after (µs)")
 
 
 def step_table(
@@ -46,8 +46,12 @@ def step_table(
             cells += [_number(before.get(own.step, math.nan), 1), _number(after.get(own.step, math.nan), 1)]
         rows.append("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in cells) + "</tr>")
     head = "".join(f"<th>{plain_html(h)}</th>" for h in heads)
-    note = "<p class='meta'>*: held out; never fitted. Errors are robust (1.4826 times the median of their size)." if held else ""
-    return f"<div class='wide'><table class='small steps'><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+    body = "".join(rows)
+    note = "*: held out; never fitted. Errors are robust (1.4826 times the median of their size)."
+    return (
+        f"<div class='wide'><table class='small steps'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+        + (f"<p class='meta'>{note}</p>" if held else "")
+    )
 
 
 def _number(value: float, digits: int) -> str:

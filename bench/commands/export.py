@@ -38,7 +38,8 @@ class Kind(enum.StrEnum):
 
 
 FORMS = {
-    "csv": PACKED_CSV, "npz": NPZ, "h5": HDF5, "parquet": PARQUET, "nc": NETCDF, "mat": MATLAB, "uff": UFF, "tdms": TDMS,
+    "csv": PACKED_CSV, "npz": NPZ, "h5": HDF5, "parquet": PARQUET, "nc": NETCDF, "mat": MATLAB, "uff": UFF,
+    "tdms": TDMS,
 }  # fmt: skip
 OTHER_ENDINGS = {"hdf5": "h5", "pq": "parquet", "unv": "uff"}
 
@@ -54,8 +55,9 @@ def command(
     """Write a recording as CSV (also .csv.gz), NPZ, Parquet, NetCDF, MATLAB 7.3, UFF58, TDMS, or HDF5 with gzip.
 
     CSV, NPZ, Parquet and MATLAB hold time_s and each channel in volts, HDF5, NetCDF and TDMS the codes with their
-    scale. Parquet, NetCDF and TDMS need the extra interchange. h5 is for readers without the LZ4 plugin. A sound card's recording keeps the
-    card's own rate; --rate 20000 writes a view at 20 kHz (needs the package soxr).
+    scale; each can be imported again but Parquet. Parquet, NetCDF and TDMS need the extra interchange. h5 is for
+    readers without the LZ4 plugin. A sound card's recording keeps the card's own rate; --rate 20000 writes a view at
+    20 kHz (needs the package soxr).
 
     Example: bench export run.h5 --to csv --out run.csv
     """

@@ -12,7 +12,7 @@ from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, writ
 
 
 def command(
-    raw: Path = typer.Argument(..., metavar="RAW", help="CSV (also .gz), HDF5, NPZ, WAV, MAT, UFF58, TDMS or MDF4 file."),
+    raw: Path = typer.Argument(..., metavar="RAW", help="CSV (also .gz), HDF5, NPZ, WAV, MAT, UFF58, TDMS, MDF4."),
     profile: Path = typer.Option(..., "--profile", "-p", metavar="P.toml", help="What was measured with what."),
     out: Path = typer.Option(..., "--out", "-o", metavar="REC.h5", help="Recording to create; never overwritten."),
     mapping: list[str] = typer.Option(

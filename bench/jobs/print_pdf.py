@@ -71,7 +71,9 @@ def _run(found: str, page: Path, made: Path, profile: Path) -> None:
     try:
         done = subprocess.run(call, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False)
     except subprocess.TimeoutExpired:
-        raise InputError(f"{page}: {found} did not print it within {LONGEST_S:.0f} s; print it from a browser") from None
+        raise InputError(
+            f"{page}: {found} did not print it within {LONGEST_S:.0f} s; print it from a browser"
+        ) from None
     if done.returncode != 0 or not made.is_file():
         last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         raise InputError(f"{page}: {found} could not print it ({last}); open the page in a browser and print it there")

@@ -75,7 +75,7 @@ def report(
                 loop, source, why = _loop(recording, flights, save=save_loop, say=say, bar=bar)
             run = Run(recording, found, flights, loop, why)
             n = int((~flights.has(FlightFlag.FALSE)).sum())
-            section = section_of(run, number, lambda what, part: bar(what, 0.8 + 0.2 * part))  # noqa: B023
+            section = section_of(run, number, lambda what, part: bar(what, 0.8 + 0.2 * part))
             out.append(Reported(path, section, found.state, n, found.lost_samples, source))
     return out
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) 
     n = recording.n_samples
     with h5py.File(part, "w", userblock_size=HEADER_BYTES, libver=("earliest", "v110")) as file:
         columns: dict[str, Callable[[int, int], Any]] = {"time_s": lambda a, b: recording.timestamps_ns(a, b) * 1e-9}
-        columns |= {f"{c}_v": lambda a, b, c=c: recording.read_v(c, a, b) for c in recording.channels}
+        columns |= {f"{channel}_v": partial(recording.read_v, channel) for channel in recording.channels}
         chunk = (1, max(1, min(CHUNK_SAMPLES, n)))
         for name in columns:  # MATLAB counts the axes of a matrix in the opposite order
             item = file.create_dataset(name, (1, n), "<f8", chunks=chunk, compression="gzip", compression_opts=4)

@@ -25,7 +25,9 @@ Progress = Callable[[int], None]
 
 def export_uff58(recording: Recording, part: Path, tell: Progress) -> None:
     """Write the file, piece by piece; a piece ends where samples were lost."""
-    cuts = sorted({0, recording.n_samples, *map(int, recording.gaps[:, 0]), *range(0, recording.n_samples, CHUNK_SAMPLES)})
+    cuts = sorted(
+        {0, recording.n_samples, *map(int, recording.gaps[:, 0]), *range(0, recording.n_samples, CHUNK_SAMPLES)}
+    )
     lost = {int(first): int(n) for first, n in recording.gaps}
     with part.open("wb") as file:
         for a, b in pairwise(cuts):

@@ -21,7 +21,7 @@ from daq.setup.errors import InputError
 
 
 def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
-    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .nc .mat, .npz, .wav, .uff, .tdms, .mf4.
+    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .mat, .npz, .wav, .uff, .tdms, .mf4.
 
     Parameters
     ----------

@@ -36,7 +36,9 @@ class UffSource(HeldSource):
                 f"{path}: has {size >> 20} MiB; a universal file is read into memory, and wanted is one of at most "
                 f"{MOST_BYTES >> 20} MiB: split it by time, or export TDMS or HDF5 instead."
             )
-        sets = [s for s in _sets(path) if s.get("type") == 58 and s.get("func_type") in (0, 1) and s["data"] is not None]
+        sets = [
+            s for s in _sets(path) if s.get("type") == 58 and s.get("func_type") in (0, 1) and s["data"] is not None
+        ]
         if not sets:
             raise InputError(f"{path}: holds no data set 58 with a time response; export the time signals themselves.")
         if len(sets) > MOST_OBJECTS:
@@ -74,7 +76,7 @@ def _sets(path: Path) -> list[dict[str, Any]]:
         ) from error
     try:
         found = pyuff.UFF(str(path)).read_sets()
-    except Exception as error:  # noqa: BLE001 (pyuff raises bare Exception for everything)
+    except Exception as error:  # pyuff raises the base class for everything
         raise InputError(f"{path}: cannot be read as a universal file ({error}).") from error
     return [found] if isinstance(found, dict) else list(found)
 
@@ -107,5 +109,3 @@ def _seconds(one: dict[str, Any]) -> Floats:
     if whole > 0 and abs(step * whole - 1.0) < HALF_DIGIT:
         step = 1.0 / whole
     return np.asarray(float(one["abscissa_min"]) + np.arange(n) * step)
-
-

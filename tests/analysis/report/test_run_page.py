@@ -72,8 +72,8 @@ def test_the_page_stands_alone(measured: tuple[Recording, Flights], closed_loop:
     """Verdict first, every part below, figures as SVG with named points, and nothing loaded from elsewhere."""
     recording, flights = measured
     text = page_of(Run(recording, VerifyReport("complete"), flights, closed_loop), tmp_path / "r.html")
-    places = [text.index(word) for word in ("class='verdict'", ">Measured and predicted<", ">Steps<", ">Why<", ">The rig<",
-                                            ">Calibrations<", ">The data<")]  # fmt: skip
+    heads = ("Measured and predicted", "Steps", "Why", "The rig", "Calibrations", "The data")
+    places = [text.index(word) for word in ("class='verdict'", *(f">{head}<" for head in heads))]
     assert places == sorted(places)
     assert text.count("<svg") >= 8 and text.count("data-points=") >= 4
     tags = Page(text).tags

@@ -69,7 +69,7 @@ def test_parquet_opens_as_a_table(recording: Recording, tmp_path: Path) -> None:
 
 
 def test_netcdf_opens_in_xarray(recording: Recording, tmp_path: Path) -> None:
-    """Coordinates, units and exact volts in xarray; the stored numbers are the codes; time is an unlimited dimension."""
+    """Coordinates, units and exact volts in xarray; the stored numbers are the codes; time is unlimited."""
     xarray = pytest.importorskip("xarray")
     export(recording, tmp_path / "x.nc", "nc")
     with xarray.open_dataset(tmp_path / "x.nc", engine="h5netcdf") as data:
@@ -156,7 +156,7 @@ def test_tdms_names_are_recognised(recording: Recording, tmp_path: Path) -> None
 
 
 def test_a_universal_file_of_text_and_six_digits(tmp_path: Path) -> None:
-    """Somebody's ASCII set at 48 kHz has an increment of six digits: the rate that is meant is taken; units are read."""
+    """Somebody's ASCII set at 48 kHz has an increment of six digits: the rate meant is taken; units are read."""
     pyuff = pytest.importorskip("pyuff")
     t = np.arange(3000) / RATE_HZ
     common = {"type": 58, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0, "abscissa_spacing": 1, "x": t}
@@ -189,9 +189,7 @@ def test_mdf4_comes_in(recording: Recording, tmp_path: Path) -> None:
             np.testing.assert_array_equal(back.read_v(name), recording.read_v(name))
 
 
-@pytest.mark.parametrize(
-    ("module", "name"), [("pyuff", "x.uff"), ("nptdms", "x.tdms"), ("asammdf", "x.mf4")]
-)
+@pytest.mark.parametrize(("module", "name"), [("pyuff", "x.uff"), ("nptdms", "x.tdms"), ("asammdf", "x.mf4")])
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, name: str) -> None:
     """Without its library an import says what to install."""
     (tmp_path / name).write_bytes(b"something")
@@ -200,9 +198,7 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         open_source(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("module", "kind"), [("pyarrow", "parquet"), ("h5netcdf", "nc"), ("nptdms", "tdms")]
-)
+@pytest.mark.parametrize(("module", "kind"), [("pyarrow", "parquet"), ("h5netcdf", "nc"), ("nptdms", "tdms")])
 def test_a_missing_extra_leaves_no_file(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, kind: Kind
 ) -> None:
