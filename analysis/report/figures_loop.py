@@ -42,7 +42,9 @@ def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
     ax.semilogy(gamma, floor, "_", ms=11, mew=2.0, color=FLOOR, label="noise floor")
     for name, side, colour in sides(loop):
         error = _by_step(loop, side.landing_residual_s, lambda x: 1.4826 * np.median(np.abs(x)))
-        mark: dict[str, Any] = {"mfc": "none", "marker": "s", "ms": 6.5} if colour == BEFORE else {"marker": "o", "ms": 4}
+        mark: dict[str, Any] = (
+            {"mfc": "none", "marker": "s", "ms": 6.5} if colour == BEFORE else {"marker": "o", "ms": 4}
+        )
         ax.semilogy(gamma[~held], error[~held], ls="", color=colour, label=name, **mark)
         size = 8 if colour == BEFORE else 5
         ax.semilogy(

@@ -91,9 +91,7 @@ def _draw(
     axes[0, 0].set_title(f"{event}: measured minus predicted", loc="left", fontsize=10)
 
 
-def _panel(
-    ax: Any, x: Array, residual_us: Array, flights: NDArray[np.int64], colour: str, floor_us: float
-) -> None:
+def _panel(ax: Any, x: Array, residual_us: Array, flights: NDArray[np.int64], colour: str, floor_us: float) -> None:
     """One covariate: residuals (triangles: beyond the axis), medians of equal shares, the noise floor."""
     known = np.isfinite(x) & np.isfinite(residual_us)
     x, y = x[known], residual_us[known]

@@ -38,7 +38,8 @@ padding:.25rem .5rem;box-shadow:0 1px 4px #0004;white-space:nowrap;pointer-event
 
 CAPTIONS = {
     "bifurcation": "Bifurcation diagram: flight times against gamma, measured (dark dots; crosses: double hit or "
-    "unsure) over the prediction for the plate's motion as measured (light). Shaded: flight times forbidden to the ideal ball.",
+    "unsure) over the prediction for the plate's motion as measured (light). Shaded: flight times forbidden to "
+    "the ideal ball.",
     "return_maps": "Return maps of the steps with most modes: each flight time against the one before (dots), and the "
     "predicted cycle (open squares).",
     "history": "Flight times in order of time. Bars: the predicted cycle of each step. Plus signs: the step "

@@ -49,8 +49,8 @@ def step_table(
     body = "".join(rows)
     note = "*: held out; never fitted. Errors are robust (1.4826 times the median of their size)."
     return (
-        f"<div class='wide'><table class='small steps'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-        + (f"<p class='meta'>{note}</p>" if held else "")
+        f"<div class='wide'><table class='small steps'><thead><tr>{head}</tr></thead>"
+        f"<tbody>{body}</tbody></table></div>" + (f"<p class='meta'>{note}</p>" if held else "")
     )
 
 
