@@ -43,7 +43,8 @@ HTML = Form("a page (HTML)", (".html", ".htm"), only=True)
 PDF = Form("a page (PDF)", (".pdf",), only=True)
 LOOP = Form("a closed loop", (".loop",), only=True)
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
-FORMS = (JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, LOOP, PICTURE)
+PYTHON = Form("an effect (Python)", (".py",), only=True)
+FORMS = (JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, LOOP, PICTURE, PYTHON)
 KNOWN = {suffix for form in FORMS for suffix in form.suffixes} | {
     ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",
     ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
