@@ -172,9 +172,7 @@ def refine_short_contacts(
     )
 
 
-def _prior(
-    impacts: Impacts, start: int, sample: float, shape: EdgeShape, rate_hz: float
-) -> tuple[float, float] | None:
+def _prior(impacts: Impacts, start: int, sample: float, shape: EdgeShape, rate_hz: float) -> tuple[float, float] | None:
     """RC's fall by the accelerometer's impact at this contact, in samples of the window; None without an impact."""
     if not impacts.time_s.size:
         return None

@@ -105,9 +105,7 @@ def test_levels_are_those_measured_not_those_declared() -> None:
 
 @pytest.mark.parametrize("bits", [0, 12])
 @pytest.mark.parametrize("tau_samples", [0.7, 3.0])
-def test_edges_of_a_sampled_comparator_behind_an_rc_tell_nothing_between_samples(
-    tau_samples: float, bits: int
-) -> None:
+def test_edges_of_a_sampled_comparator_behind_an_rc_tell_nothing_between_samples(tau_samples: float, bits: int) -> None:
     """Edges that all have the same shape are timed to the middle of a sample, with the uncertainty of a sample."""
     rng = np.random.default_rng(4)
     true = np.cumsum(rng.uniform(3e-3, 9e-3, 200))
