@@ -22,7 +22,7 @@ from analysis.report.gamma import gamma_scale
 from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, join
-from analysis.residuals.prediction_errors import near_grazing
+from analysis.residuals.prediction_errors import near_grazing, noise_quantiles_us
 from analysis.residuals.whitening import Whitener
 from analysis.statistics import MAD_TO_SIGMA
 from analysis.thresholds import FROZEN
@@ -67,11 +67,12 @@ def verdict_of(parts: list[Observations], step: int, upcoming: tuple[float, ...]
     world = ForwardModel(seen, resolve(seen.setup.declared_values()))
     if not seen.scored.any():
         return out
-    found, spread_us, out["floor_us"] = goodness_of_fit(world, {}), *_sizes_us(world)
+    found = goodness_of_fit(world, {})
+    spread_us, out["floor_us"], chance_us = _sizes_us(world)
     enough = found.p_lack_of_fit < FROZEN.lack_p and max(found.ratio, found.plate_rms_z) > FROZEN.lack_ratio
     sizes = f"landings scatter by {spread_us:.2g} \u00b5s, noise {out['floor_us']:.2g} \u00b5s"
     out["lines"] = [f"{len(seen.steps)} steps, {int(seen.scored.sum())} flights; {sizes}"]
-    if not enough and not spread_us > FROZEN.max_rms_over_floor * out["floor_us"]:
+    if not enough and not spread_us > chance_us:
         out["headline"] = "within noise of the declared model"
         return out
     out |= {"within": False, "headline": "more than noise: the declared model misses something"}
@@ -83,14 +84,15 @@ def verdict_of(parts: list[Observations], step: int, upcoming: tuple[float, ...]
     return out
 
 
-def _sizes_us(world: ForwardModel) -> tuple[float, float]:
-    """Scatter of the landings that can be judged, and its noise."""
+def _sizes_us(world: ForwardModel) -> tuple[float, float, float]:
+    """Scatter of the landings that can be judged, its noise, and what noise alone hardly ever exceeds."""
     kept = world.evidence.scored & ~near_grazing(world, {})
     kept = kept if kept.any() else world.evidence.scored
     residual, noise = world.residuals({}).landing_s[kept], world.uncertainty({}).landing_total_s[kept]
     seen = residual[np.isfinite(residual)]
     scatter = MAD_TO_SIGMA * float(np.median(np.abs(seen))) if len(seen) else math.nan
-    return 1e6 * scatter, 1e6 * float(np.median(noise))
+    chance_us = noise_quantiles_us(world, {}, np.flatnonzero(kept))[0]
+    return 1e6 * scatter, 1e6 * float(np.median(noise)), chance_us
 
 
 def _promising(world: ForwardModel) -> list[Promising]:

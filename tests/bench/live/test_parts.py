@@ -196,7 +196,8 @@ def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> N
 def test_verdict_while_it_runs(recorded: dict[str, Path]) -> None:
     """An ideal ball is within noise; friction that was not declared is more, and friction is among its candidates."""
     ideal = [s.observations for s in reduced(recorded["ideal"])]
-    assert verdict_of(ideal, 3, ())["within"]
+    for n in range(1, len(ideal) + 1):
+        assert verdict_of(ideal[:n], n - 1, ())["within"]
     rubbing = [s.observations for s in reduced(recorded["friction"])]
     verdict = verdict_of(rubbing[:3], 2, (2.2,))
     assert not verdict["within"] and verdict["floor_us"] < 20
