@@ -61,6 +61,7 @@ def as_json(loop: ClosedLoop, next_run: dict[str, object] | None = None) -> dict
         "notes": list(loop.notes),
         "flights": len(loop.flights),
         "sources": list(loop.paths),
+        "source_ids": [source.identity for source in loop.sources],
     }
 
 
