@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    folder: Path = typer.Argument(Path("."), metavar="[DIR]", help="Folder of the recordings, with those in it."),
+    folder: Path = typer.Argument(Path(), metavar="[DIR]", help="Folder of the recordings, with those in it."),
     profile_name: str = typer.Option("", "--profile", metavar="NAME", help="Part of the profile's name."),
     c: int | None = typer.Option(None, "--c", help="Ratio of the tones."),
     gamma: tuple[float, float] | None = typer.Option(None, "--gamma", help="A range that the run's gammas touch."),

@@ -138,7 +138,8 @@ class Catalogue:
               ELSE q.identity = runs.identity AND q.identity <> '' AND q.path = (
                 SELECT l.path FROM loops AS l WHERE l.identity = runs.identity ORDER BY l.at DESC, l.path LIMIT 1) END
             WHERE runs.date IS NOT NULL {chosen} ORDER BY q.name, runs.date"""
-        return [dict(row) for row in self._all(text, list(ids))]
+        rows = [dict(row) for row in self._all(text, list(ids))]
+        return rows + list(_fitted_sensitivities(rows))
 
     def file_of(self, row: Row) -> Path:
         """The file of a run; never one outside the folder.
@@ -293,6 +294,17 @@ class Catalogue:
     def _all(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
         with self._lock:
             return self._connection.execute(text, values).fetchall()
+
+
+def _fitted_sensitivities(rows: list[Row]) -> Iterator[Row]:
+    """The accelerometer's sensitivity by a verdict: as stated, times the factor by which it reads too much."""
+    stated = {row["id"]: row for row in rows if row["name"] == "accelerometer.sensitivity"}
+    for row in rows:
+        if row["name"] == "accelerometer_gain.relative" and row["id"] in stated and row["origin"] == "verdict":
+            by = stated[row["id"]]
+            sigma = None if row["sigma"] is None else abs(by["value"]) * row["sigma"]
+            value = by["value"] * (1.0 + row["value"])
+            yield by | {"value": value, "sigma": sigma, "origin": "verdict"}
 
 
 def _storable(value: Any) -> Any:

@@ -118,6 +118,6 @@ def unit_of(effect: str, parameter: str) -> str:
     from model.effects.registry import effect as named
 
     try:
-        return next((p.unit for p in named(effect).parameters if p.name == parameter), "")
+        return next((p.unit for p in named(effect).effect.parameters if p.name == parameter), "")
     except (KeyError, ValueError):
         return ""
