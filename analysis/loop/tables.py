@@ -76,10 +76,10 @@ def source_of(path: Path) -> Source:
     with open_recording(path) as opened:
         setup, attrs = opened.setup, opened.attrs
         rig = f"{setup.name} ({setup.description})" if setup.description else setup.name
-        texts = (str(attrs.get(key, "")) for key in ("note", "software_version", "software_commit"))
+        note, version, commit = (str(attrs.get(key, "")) for key in ("note", "software_version", "software_commit"))
         started, backend = str(attrs.get("started", "")), str(attrs.get("backend", ""))
         simulated = bool(attrs.get("simulated", False))
-        return Source(path.name, rig, started, backend, simulated, *texts, identity=stored_id(opened))
+        return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened))
 
 
 def first_bifurcations(

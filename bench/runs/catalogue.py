@@ -150,7 +150,7 @@ class Catalogue:
             Where it is gone, or leads elsewhere.
         """
         try:
-            path = (self.folder / row["path"]).resolve(strict=True)
+            path = self.folder.joinpath(str(row["path"])).resolve(strict=True)
         except (OSError, RuntimeError) as error:
             raise InputError(f"{row['path']}: is no longer there") from error
         if not path.is_relative_to(self.folder):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ from daq.setup.setup import Setup
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 STEPS_SHOWN = 2000
+HELD_S = 10.0
+"""How long a recording is held open after the last look at its samples."""
 
 
 class Scope:
@@ -34,6 +38,9 @@ class Scope:
 
     def __init__(self, pyramid: Path, recording: Path) -> None:
         self._pyramid, self._file, self._state = Pyramid(pyramid), recording, _state(recording)
+        self._lock = threading.Lock()
+        self._held: Recording | None = None
+        self._later: threading.Timer | None = None
         with self._opened() as opened:
             self._setup: Setup = opened.setup
             place = opened.timestamps_ns
@@ -66,7 +73,8 @@ class Scope:
 
     def view(self, start_s: float, stop_s: float, width: int) -> dict[str, Any]:
         """A stretch as JSON has it; None where a column has no sample (raises ValueError, InputError)."""
-        seen = self._pyramid.view(start_s, stop_s, width, self._opened)
+        with self._lock:
+            seen = self._pyramid.view(start_s, stop_s, width, self._kept)
         samples = seen.samples_per_point == 1.0
         channels = {
             name: {"low": _plain(low)} if samples else {"low": _plain(low), "high": _plain(seen.high_v[name])}
@@ -80,6 +88,26 @@ class Scope:
             "channels": channels,
             "lost": seen.lost.tolist(),
         }
+
+    def close(self) -> None:
+        """Let go of the recording."""
+        with self._lock:
+            if self._later is not None:
+                self._later.cancel()
+            if self._held is not None:
+                self._held.close()
+            self._held = self._later = None
+
+    def _kept(self) -> AbstractContextManager[Recording]:
+        """The recording, held open while one zooms: opening it takes longer than reading a stretch."""
+        if self._later is not None:
+            self._later.cancel()
+        if self._held is None:
+            self._held = self._opened()
+        self._later = threading.Timer(HELD_S, self.close)
+        self._later.daemon = True
+        self._later.start()
+        return nullcontext(self._held)
 
     def _opened(self) -> Recording:
         """The recording as its pyramid was made of it: quickly where it is whole."""

@@ -21,7 +21,7 @@ from starlette.routing import Route
 
 from bench.runs.catalogue import Catalogue, Row
 from bench.runs.prepare import Workshop
-from bench.runs.query import ENDS, SORTS, VERDICTS, Query
+from bench.runs.query import ENDS, VERDICTS, Query
 from bench.runs.remarks import with_note, with_tags
 from bench.runs.scope import Scope
 from bench.web.html import fill, join
@@ -43,7 +43,7 @@ def section(place: Place) -> Section:
     routes = [
         Route("/runs", pages.table),
         Route("/runs/compare", pages.compare),
-        Route("/runs/api/list", pages.list),
+        Route("/runs/api/list", pages.rows),
         Route("/runs/api/quantities", pages.quantities),
         Route("/runs/api/{id}", pages.details),
         Route("/runs/api/{id}/open", pages.open),
@@ -73,6 +73,8 @@ class Pages:
             yield
         finally:
             with self._lock:
+                for scope in self._scopes.values():
+                    scope.close()
                 if self._workshop is not None:
                     self._workshop.close()
                 if self._catalogue is not None:
@@ -120,16 +122,14 @@ class Pages:
         scripts = [f"/static/{NAME}/compare.js"]
         return HTMLResponse(page(request, "Runs compared", body, scripts=scripts, styles=STYLES, name="wide"))
 
-    def list(self, request: Request) -> Response:
+    def rows(self, request: Request) -> Response:
         """Rows of the table for the query in the address."""
         catalogue = self.catalogue
         if time.monotonic() - self._updated_s > FRESH_S:
             _asked(catalogue.update)
             self._updated_s = time.monotonic()
         query = _asked(lambda: _query(request))
-        return _json(
-            {"said": catalogue.said or None, "runs": catalogue.runs(query), **catalogue.counts(), "sorts": list(SORTS)}
-        )
+        return _json({"said": catalogue.said or None, "runs": catalogue.runs(query), **catalogue.counts()})
 
     def details(self, request: Request) -> Response:
         """One run: its row, its notes and every verdict on it."""
@@ -219,6 +219,8 @@ class Pages:
         path = _asked(lambda: self.workshop.pyramid(row, file))
         if path is None:
             return None
+        if scope is not None:
+            scope.close()
         made: Scope = _asked(lambda: Scope(path, file))
         self._scopes[row["id"]] = made
         return made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,9 @@ class Pyramid:
         """Length of the recording, lost samples included."""
         return self.layout.places / self.layout.rate_hz
 
-    def view(self, start_s: float, stop_s: float, width: int, opened: Callable[[], Recording]) -> View:
+    def view(
+        self, start_s: float, stop_s: float, width: int, opened: Callable[[], AbstractContextManager[Recording]]
+    ) -> View:
         """Extremes in ``width`` columns between two times; the samples where there are no more than columns.
 
         Parameters
@@ -109,7 +112,7 @@ class Pyramid:
         low, high = {}, {}
         if not each:
             column = ((place - first) / per_column).astype(np.int64)
-            place = first + (np.arange(width) + 0.5) * per_column
+            place = np.asarray(first + (np.arange(width) + 0.5) * per_column, np.float64)
         for name, (factor, offset), (least, most) in zip(names, volts, ranges, strict=True):
             if not each:
                 into = empty_extremes(width, least.dtype)
@@ -155,7 +158,9 @@ class Pyramid:
         longest = int(layout.starts[stretch + 1] - layout.starts[stretch]) - 1
         return int(layout.first_buckets[level][stretch]) + min(max(sample, 0), longest) // layout.bucket(level)
 
-    def _samples(self, first: int, last: int, opened: Callable[[], Recording]) -> tuple[Floats, list[tuple[Any, Any]]]:
+    def _samples(
+        self, first: int, last: int, opened: Callable[[], AbstractContextManager[Recording]]
+    ) -> tuple[Floats, list[tuple[Any, Any]]]:
         """Places of the samples between two places, and their codes by channel."""
         layout = self.layout
         k0, k1 = self._stretch(first), self._stretch(last - 1)

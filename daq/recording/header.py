@@ -167,8 +167,8 @@ def _apart(found: dict[str, list[str]]) -> Iterator[tuple[Path, Header | Unread]
 
 def _taken(told: dict[str, Any]) -> Header | Unread:
     """The value that the process sent as JSON."""
-    kind = Header if "attrs" in told else Unread
-    return kind(**{key: tuple(x) if isinstance(x, list) else x for key, x in told.items()})
+    values: dict[str, Any] = {key: tuple(x) if isinstance(x, list) else x for key, x in told.items()}
+    return Header(**values) if "attrs" in values else Unread(**values)
 
 
 def look(names: list[str], found: dict[str, list[str]], tell: Tell) -> dict[str, Any]:

@@ -20,11 +20,12 @@ from daq.setup.errors import InputError
 
 READ = {
     "profile", "profiles", "scenario", "replay", "resume", "recording", "recordings", "raw", "files", "like", "name",
+    "folder",
 }  # fmt: skip
 """Parameters that name what a command reads."""
 STEERS = {
     "note", "set_", "mapping", "channel", "channel_column", "server", "effect", "sweep", "grid", "cluster",
-    "use_height", "stale", "kind",
+    "use_height", "stale", "kind", "profile_name", "tag", "tags", "text", "verdict", "ended", "since", "until", "sort",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
 NAMES = {("export", "out"): "x.csv", ("predict", "figure"): "x.png", ("virtual", "log"): "x.npz"}
