@@ -84,7 +84,8 @@ LEFT JOIN loops ON runs.identity <> '' AND loops.rowid = (
 
 def sql(query: Query) -> tuple[str, list[Any]]:
     """The statement of a query, and its values."""
-    where, values = [], []
+    where: list[str] = []
+    values: list[Any] = []
 
     def add(condition: str, *given: Any) -> None:
         where.append(condition)

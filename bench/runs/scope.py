@@ -18,7 +18,7 @@ from daq.setup.setup import Setup
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 STEPS_SHOWN = 2000
-HELD_S = 10.0
+HELD_S = 60.0
 """How long a recording is held open after the last look at its samples."""
 
 
@@ -41,7 +41,7 @@ class Scope:
         self._lock = threading.Lock()
         self._held: Recording | None = None
         self._later: threading.Timer | None = None
-        with self._opened() as opened:
+        with self._lock, self._kept() as opened:
             self._setup: Setup = opened.setup
             place = opened.timestamps_ns
             self._steps = [

@@ -112,7 +112,8 @@ class Layout:
     @cached_property
     def _offsets(self) -> dict[tuple[int, int, int], int]:
         places = [(k, c, m) for k in range(self.levels) for c in range(len(self.channels)) for m in (0, 1)]
-        at, found = 0, {}
+        at = 0
+        found: dict[tuple[int, int, int], int] = {}
         for place, following in pairwise([*places, (self.levels, 0, 0)]):
             found[place] = at
             at += int(self.first_buckets[place[0]][-1]) * self.dtype(place[1]).itemsize

@@ -83,12 +83,21 @@ class Drift {
   }
 }
 
+// What drifts on a bench comes first.
+const ranks = [/^accelerometer\.sensitivity/, /friction|damping|drag/, /restitution/, /^drive\./];
+const rank = (name) => { const k = ranks.findIndex((one) => one.test(name)); return k < 0 ? ranks.length : k; };
+
 async function drifts() {
   const place = byId("drifts"), every = byId("every").checked || !ids.length;
   const { quantities } = await ask(`/runs/api/quantities${every ? "" : `?ids=${ids.join(",")}`}`);
   const named = Map.groupBy ? Map.groupBy(quantities, (q) => q.name) : quantities.reduce((m, q) => m.set(q.name, [...(m.get(q.name) ?? []), q]), new Map());
+  const others = byId("others");
   place.replaceChildren();
-  for (const [name, rows] of named) new Drift(place, name, rows);
+  others.replaceChildren();
+  const first = [...named].filter(([name]) => rank(name) < ranks.length).sort((a, b) => rank(a[0]) - rank(b[0]));
+  for (const [name, rows] of first) new Drift(place, name, rows);
+  for (const [name, rows] of named) if (rank(name) === ranks.length) new Drift(others, name, rows);
+  others.parentElement.hidden = !others.childElementCount;
   if (!named.size) place.append(make("p", "No profile or verdict of these runs states one.", { class: "faint" }));
   place.dataset.done = [...named.keys()].join(" ");
 }
