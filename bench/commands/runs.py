@@ -25,8 +25,11 @@ def command(
     until: str = typer.Option("", "--until", metavar="DATE", help="To that day, or month, or year."),
     text: str = typer.Option("", "--text", help="Words in file name, profile, notes, tags or verdict."),
     lost: bool = typer.Option(False, "--lost", help="Only runs that lost samples."),
-    sort: str = typer.Option("date", "--sort", help="date, name, profile, c, gamma, steps, length, lost, ended, "
-                             "verdict, note or tags; -KEY: backwards."),
+    sort: str = typer.Option(
+        "date",
+        "--sort",
+        help="date, name, profile, c, gamma, steps, length, lost, ended, verdict, note or tags; -KEY: backwards.",
+    ),
     limit: int = typer.Option(-1, "--limit", min=-1, help="So many rows at most; -1: all."),
     rescan: bool = typer.Option(False, "--rescan", help="Make the catalogue anew from the files."),
     verify: bool = typer.Option(False, "--verify", help="Compare every byte with the checksums, not only tables."),
@@ -39,7 +42,7 @@ def command(
     Only new and changed files are read. The catalogue is kept in DIR/.shakerbench and can be removed at any time.
 
     Example: bench runs runs --tag new-spring --sort -gamma
-    """  # fmt: skip
+    """
     from bench.outputs import JSON, File, check_outputs
     from bench.runs.catalogue import Catalogue
     from bench.runs.query import Query
@@ -114,11 +117,18 @@ def cells(row: Row) -> list[str]:
     low, high = row["gamma_low"], row["gamma_high"]
     gamma = "-" if low is None else f"{low:.3f}" if high - low < 5e-4 else f"{low:.3f}-{high:.3f}"
     return [
-        (row["date"] or "-")[:16].replace("T", " "), row["path"],
-        (row["profile"] or "-") + (" (simulated)" if row["simulated"] else ""), _known(row["c"]), gamma,
-        str(row["steps"]), _known(row["lost_samples"]), row["ended"], row["loop"]["summary"] if row["loop"] else "-",
-        _line(row["added_note"] or row["note"]), " ".join(row["tags"]),
-    ]  # fmt: skip
+        (row["date"] or "-")[:16].replace("T", " "),
+        row["path"],
+        (row["profile"] or "-") + (" (simulated)" if row["simulated"] else ""),
+        _known(row["c"]),
+        gamma,
+        str(row["steps"]),
+        _known(row["lost_samples"]),
+        row["ended"],
+        row["loop"]["summary"] if row["loop"] else "-",
+        _line(row["added_note"] or row["note"]),
+        " ".join(row["tags"]),
+    ]
 
 
 def _known(value: int | None) -> str:

@@ -94,7 +94,7 @@ class Layout:
 
     def bucket(self, level: int) -> int:
         """Samples in a bucket of a level."""
-        return BUCKET * FACTOR**level
+        return int(BUCKET * FACTOR**level)
 
     def dtype(self, channel: int) -> np.dtype[Any]:
         """Type of a channel's samples."""
