@@ -62,8 +62,13 @@ def test_text_is_escaped(own: TestClient) -> None:
     assert fill("{}{}", Html("<b>"), "<b>") == "<b>&lt;b&gt;"
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:8625", "127.0.0.1.evil.example:8625", "",
-                                  "127.0.0.1", "127.0.0.1:80", "user@127.0.0.1:8625", "[::1]:8625", "127.0.0.1:8625/x"])  # fmt: skip
+STRANGE_HOSTS = [
+    "evil.example", "evil.example:8625", "127.0.0.1.evil.example:8625", "", "127.0.0.1", "127.0.0.1:80",
+    "user@127.0.0.1:8625", "[::1]:8625", "127.0.0.1:8625/x",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("host", STRANGE_HOSTS)
 def test_strange_host_is_refused(own: TestClient, host: str) -> None:
     """A name that was made to lead to this machine (DNS rebinding) gets no page."""
     assert own.get("/one", headers={"host": host}).status_code == 421
