@@ -214,8 +214,12 @@ class ForwardModel:
         tones: NDArray[np.complex128] | None = None,
         rows: Array | None = None,
         kick: tuple[float, float] = (0.0, 0.0),
+        near: Predicted | None = None,
     ) -> Predicted:
-        """One event ahead at ``values``; times as the instrument would show them."""
+        """One event ahead at ``values``; times as the instrument would show them.
+
+        ``near`` is a prediction of almost the same: a plate mode keeps its share in the measured tones.
+        """
         ev = self.evidence
         step = ev.measured.step
         shift = self.per_step(values, "contact_delay_s", 0.0)[step]
@@ -239,6 +243,7 @@ class ForwardModel:
             Detection(gap, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps),
             kick=kick,
             probe=self.ringing,
+            mode=near,
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
@@ -288,9 +293,9 @@ class ForwardModel:
         tuple of bool arrays, shape (n,)
             Events whose own landing, the one before, and the one two before has been moved.
         """
-        index = np.arange(len(self.evidence))
+        index, near = np.arange(len(self.evidence)), self.predicted(values)
         for colour in range(3):
-            moved = self.predict(values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0))
+            moved = self.predict(values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0), near=near)
             yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -336,7 +341,8 @@ class ForwardModel:
         moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
         for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
             by = wider[:, j // 2, None] * steps.spread_mps2[:, j]
-            moves.append(({"tones": steps.plate.acceleration_mps2 + by}, {"tones": steps.plate.acceleration_mps2 - by}))
+            z = steps.plate.acceleration_mps2
+            moves.append(({"tones": z + by, "near": base}, {"tones": z - by, "near": base}))
         moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in self._kicks(values)]
         for there, back_again in moves:  # the nonlinear part of so large a change counts as noise of each event
             ahead, behind = self.predict(values, **there), self.predict(values, **back_again)
