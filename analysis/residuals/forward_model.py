@@ -14,6 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import INEXACT, Ringing
@@ -126,6 +127,7 @@ class ForwardModel:
         self.from_rest = (
             evidence.scored & ~evidence.measured.relaunched
         )  # take-offs after a rest, seen by the contact circuit
+        self.covariates: dict[str, Array] = {}  # computed where an effect follows one
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
     def start(self, values: Values) -> dict[ParameterId, float]:
@@ -140,15 +142,24 @@ class ForwardModel:
             if not key.endswith(TREND):
                 out[offsets()[name, key]] = value
         drifting = [(k, v) for k, v in point.items() if k[1].endswith(TREND) and v != 0.0]
-        if not drifting:
+        followed = [x for x in _followed() if any(name == x[0] for name, _ in point)]
+        if not drifting and not followed:
             return out
         out = np.repeat(out[None, :], len(self.evidence), axis=0)
+        for _, column, covariate in followed:
+            out[:, column] = self._covariate(covariate)
         for (name, key), value in drifting:
             parameter = effect(name).effect.parameter(key.removesuffix(TREND))
             column = offsets()[name, parameter.name]
             trend = out[:, column] + value * self._run_part_events
             out[:, column] = np.clip(trend, parameter.low, parameter.high)
         return out
+
+    def _covariate(self, name: str) -> Array:
+        """A quantity of each flight as measured, by the declared calibrations, (n,); NaN where it is not known."""
+        if not self.covariates:
+            self.covariates.update(covariates(self, {}))
+        return self.covariates[name]
 
     def by_step(self, values: Values) -> dict[str, dict[str, Array]]:
         """Parameters in each step, by effect and parameter, for the plate data."""
@@ -383,6 +394,20 @@ def _having(hook: str) -> tuple[Registered, ...]:
 def plate_hooks() -> frozenset[str]:
     """Hooks that change the expected value of plate data."""
     return frozenset({"harmonics", *PLAIN_HOOKS_OF_KIND})
+
+
+@functools.cache
+def _followed() -> tuple[tuple[str, int, str], ...]:
+    """Parameters that stand for a quantity of the flight: effect, place in the row, and name of the covariate."""
+    out = []
+    for r in registry():
+        for i, q in enumerate(r.effect.parameters):
+            if q.covariate and q.covariate not in COVARIATES:
+                known = ", ".join(k for k, c in COVARIATES.items() if c.ahead)
+                raise ValueError(f"effect {r.effect.name}: no covariate is called {q.covariate!r}; known are {known}")
+            if q.covariate:
+                out.append((r.effect.name, r.offset + i, q.covariate))
+    return tuple(out)
 
 
 @functools.cache
