@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.residuals.forward_model import ForwardModel, Memory
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.memory import Memory
 from analysis.residuals.noise_model import EXCESSES_S, excess_noise, log_odds, robust_loss
 from analysis.residuals.plate_observables import expected
 
