@@ -96,9 +96,18 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _use_effects(folder: str | None) -> None:
+    """Name the folder of kept effects for this process and those that it starts."""
+    if folder is not None:
+        os.environ["SHAKERBENCH_EFFECTS"] = folder
+
+
 @app.callback()
 def _options(
     version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
+    effects: str | None = typer.Option(
+        None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of kept effects, not the user's own."
+    ),
 ) -> None:
     """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""
 
@@ -112,6 +121,13 @@ def main() -> None:
         del os.environ["COLUMNS"]  # a terminal that does not know its width
     try:
         app(prog_name="bench")
+    except ValueError as error:
+        from model.effects.kept import EffectFileError
+
+        if not isinstance(error, EffectFileError):
+            raise
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(2)
     finally:
         sys.stdout.flush()
 

@@ -35,6 +35,7 @@ NPZ = Form("arrays (NPZ)", (".npz",), only=True)
 HDF5 = Form("HDF5", (".h5", ".hdf5"))
 PROFILE = Form("a profile (TOML)", (".toml",))
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
+PYTHON = Form("an effect (Python)", (".py",), only=True)
 KNOWN = {suffix for form in (JSON, PACKED_CSV, NPZ, HDF5, PROFILE, PICTURE) for suffix in form.suffixes} | {
     ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",
     ".mov", ".jpg", ".jpeg", ".tif", ".tiff",

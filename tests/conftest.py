@@ -23,6 +23,8 @@ from rig.profile import Profile, parse_profile
 if TYPE_CHECKING:
     from analysis.loop.result import ClosedLoop
 
+os.environ["SHAKERBENCH_EFFECTS"] = ""  # no effects that whoever runs the tests keeps
+
 Started = tuple[Profile, str, subprocess.Popen[str]]
 
 

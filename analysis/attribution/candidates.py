@@ -36,13 +36,18 @@ def candidates_of(world: ForwardModel) -> list[Candidate]:
         e = entry.effect
         if e.nuisance or not e.library or not entry.hooks or e.name in declared:
             continue
-        for variant in e.variants or (tuple(q.name for q in e.parameters),):
+        for variant in e.variants or (tuple(q.name for q in e.parameters if not q.covariate),):
             keys = tuple((e.name, q) for q in variant)
             out.append(Candidate((e.name,), keys, tuple(_starts(world.evidence, e, variant))))
     drifting = [(r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.drifts]
     out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
-    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in world.base]
+    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in world.base if not _follows(name, q)]
     return out
+
+
+def _follows(name: str, q: str) -> bool:
+    """Whether a parameter stands for a quantity of the flight."""
+    return bool(effect(name).effect.parameter(q.removesuffix(TREND)).covariate)
 
 
 def _starts(seen: Observations, e: Effect, variant: Sequence[str]) -> list[Point]:

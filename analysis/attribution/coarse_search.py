@@ -59,7 +59,8 @@ def subsample(world: ForwardModel, train: NDArray[np.bool_], most: int = MOST_EV
     before: NDArray[np.int64] = np.cumsum(scored) - scored
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
     scored &= before - first[ev.measured.step] < share
-    return ForwardModel(replace(ev, scored=scored, measured=replace(ev.measured, wanted=scored)), world.declared)
+    few = replace(ev, scored=scored, measured=replace(ev.measured, wanted=scored))
+    return ForwardModel(few, world.declared, like=world)
 
 
 class CoarseSearch:

@@ -19,6 +19,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.describe import describe
 from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
+from analysis.discovery.symbolic import FittedForm, search_forms
 from analysis.discovery.terms import label
 from analysis.parallel import THREADS
 from analysis.residuals.covariates import covariates
@@ -69,6 +70,10 @@ class Discovery:
         Other covariates that do as well on held-out steps.
     after, noise_floor_us
         Errors on the reserved steps with the term, and the rms that noise alone leaves of landings there.
+    of, within_flight
+        Name of the covariate for programs, and whether it varies within the flight.
+    forms, suggested
+        Formulas fitted in its place, best first, and the name of the one to prefer to the curve; empty: the curve.
     """
 
     term: str
@@ -88,6 +93,15 @@ class Discovery:
     tied_covariates: tuple[str, ...]
     after: Errors
     noise_floor_us: float
+    of: str = ""
+    within_flight: bool = False
+    forms: tuple[FittedForm, ...] = ()
+    suggested: str = ""
+
+    @property
+    def form(self) -> FittedForm | None:
+        """The suggested formula."""
+        return next((form for form in self.forms if form.name == self.suggested), None)
 
 
 def discover(
@@ -200,6 +214,9 @@ def _discovery(
         tuple(names),
         held_out_errors(world, fitted.values, rows, left_out),
         noise_floors_us(world, fitted.values, rows)[0],
+        curve.term.of,
+        not curve.term.columns,
+        *search_forms(best, tables, limits),
     )
 
 

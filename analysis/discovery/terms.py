@@ -252,8 +252,8 @@ class AugmentedModel(ForwardModel):
     """
 
     def __init__(self, world: ForwardModel, curves: Sequence[Curve], dwell_s: Array) -> None:
-        super().__init__(world.evidence, world.declared)
-        self.without = world
+        super().__init__(world.evidence, world.declared, like=world)
+        self.without, self.covariates = world, world.covariates
         self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
 
     def rows(self, values: Values) -> Array:

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ValidationError
 from analysis.loop.result import ClosedLoop
 from daq.setup.errors import InputError
 
-FORMAT, VERSION = "shakerbench closed loop", 1
+FORMAT, VERSION = "shakerbench closed loop", 2
 
 
 def save_verdict(loop: ClosedLoop, path: Path) -> None:

@@ -8,10 +8,14 @@ from typing import Any
 
 from analysis.attribution.hypothesis import Rejected
 from analysis.discovery.discover import Discovery
-from analysis.loop.result import ClosedLoop
+from analysis.discovery.symbolic import FittedForm
+from analysis.loop.kept_term import KeptTerm
+from analysis.loop.result import AddedEffect, ClosedLoop
 
 
-def as_json(loop: ClosedLoop, next_run: dict[str, object] | None = None) -> dict[str, Any]:
+def as_json(
+    loop: ClosedLoop, next_run: dict[str, object] | None = None, kept: KeptTerm | None = None
+) -> dict[str, Any]:
     """The verdict as JSON values.
 
     Parameters
@@ -20,20 +24,14 @@ def as_json(loop: ClosedLoop, next_run: dict[str, object] | None = None) -> dict
         The closed loop.
     next_run
         Ranked next runs, see `analysis.loop.design.ranking_json`.
+    kept
+        The discovered term as a kept effect.
     """
     return {
         "verdict": loop.verdict,
-        "effects": [
-            {
-                "name": e.name,
-                "parameters": {
-                    k: {"value": _finite(v), "low": _finite(lo), "high": _finite(hi)}
-                    for k, (v, lo, hi) in e.parameters.items()
-                },
-            }
-            for e in loop.effects
-        ],
+        "effects": [_effect(e) for e in loop.effects],
         "discovered": [] if loop.discovered is None else [_discovery(loop.discovered)],
+        "kept": None if kept is None else _kept(kept),
         "tie_set": [list(names) for names in loop.ties],
         "before": _row(loop.before),
         "after": _row(loop.after),
@@ -72,6 +70,38 @@ def rejected_json(x: Rejected | None) -> dict[str, Any] | None:
     return {"names": list(x.names), **gains, "reason": x.reason}
 
 
+def _effect(e: AddedEffect) -> dict[str, Any]:
+    intervals = {
+        k: {"value": _finite(v), "low": _finite(lo), "high": _finite(hi)} for k, (v, lo, hi) in e.parameters.items()
+    }
+    return {"name": e.name, "parameters": intervals}
+
+
+def _kept(kept: KeptTerm) -> dict[str, Any]:
+    return {
+        "name": kept.name,
+        "file": kept.file,
+        "form": kept.form or None,
+        "verdict": kept.verdict,
+        "effects": [_effect(e) for e in kept.effects],
+        "before": _row(kept.before),
+        "after": _row(kept.after),
+        "noise_floor_us": _finite(kept.noise_floor_us),
+    }
+
+
+def _form(form: FittedForm) -> dict[str, Any]:
+    rows = zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
+    return {
+        "name": form.name,
+        "expression": form.expression,
+        "parameters": {n: {"value": _finite(v), "sigma": _finite(s), "unit": unit} for n, v, s, unit in rows},
+        "loss_nats": _finite(form.loss),
+        "standard_error": _finite(form.error),
+        "as_good": form.as_good,
+    }
+
+
 def _discovery(found: Discovery) -> dict[str, Any]:
     return {
         "term": found.term,
@@ -85,6 +115,8 @@ def _discovery(found: Discovery) -> dict[str, Any]:
         "high": found.high.tolist(),
         "similar_effects": [name for name, _ in found.similar_effects],
         "tied_covariates": list(found.tied_covariates),
+        "forms": [_form(form) for form in found.forms],
+        "suggested_form": found.suggested or None,
     }
 
 

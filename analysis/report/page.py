@@ -17,12 +17,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import Bifurcation, ClosedLoop, FirstBifurcations
 from analysis.loop.verdict_json import as_json
 from analysis.report.figures_loop import draw_candidates, draw_errors
 from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
 from analysis.report.figures_terms import draw_discovery
 from analysis.report.gamma import GammaScale, gamma_scale
+from analysis.report.kept import forms_table, kept_section
 from analysis.report.narrative import reasoning
 from analysis.report.style import badge_text, save_picture
 from analysis.report.wording import (
@@ -51,6 +53,7 @@ table{border-collapse:collapse;margin:.6rem 0}
 td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #e3e7ee}
 th:first-child,td:first-child{text-align:left} img{width:100%;margin:.5rem 0} code{font-size:.9em}
 .verdict{font-size:1.25rem;padding:.6rem 1rem;border-left:6px solid var(--c);background:#f5f7fa}
+td.form{text-align:left}
 .meta{font-size:.9em} .meta td{text-align:left;vertical-align:top}
 .badge{color:#fff;padding:.1rem .5rem;font-size:.8rem;border-radius:4px;background:#2d6a4f}
 .simulated{background:#a4161a}
@@ -60,7 +63,9 @@ COLOURS = {"explained": "#2d6a4f", "unexplained": "#a4161a", "nothing_missing": 
 Progress = Callable[[str, float], None]
 
 
-def write_report(loop: ClosedLoop, folder: Path, *, progress: Progress | None = None) -> Path:
+def write_report(
+    loop: ClosedLoop, folder: Path, *, progress: Progress | None = None, kept: KeptTerm | None = None
+) -> Path:
     """Write ``report.html``, ``report.json`` and the figures into ``folder``; returns the page's path.
 
     Parameters
@@ -71,6 +76,8 @@ def write_report(loop: ClosedLoop, folder: Path, *, progress: Progress | None = 
         Made where it does not exist.
     progress
         Called with what is being done and the fraction done.
+    kept
+        The discovered term as a kept effect, and the loop with it.
 
     Raises
     ------
@@ -96,20 +103,21 @@ def write_report(loop: ClosedLoop, folder: Path, *, progress: Progress | None = 
         pictures["discovered"] = partial(draw_discovery, loop.discovered)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "report.json").write_text(json.dumps(_payload(loop, software), indent=1) + "\n", encoding="utf-8")
+        payload = json.dumps(_payload(loop, software, kept), indent=1)
+        (folder / "report.json").write_text(payload + "\n", encoding="utf-8")
         for i, (name, draw) in enumerate(pictures.items()):
             say(f"report: figure of {name}", i / len(pictures))
             save_picture(folder, name, badge, draw)
         page = folder / "report.html"
-        page.write_text(_page(loop, software, folder), encoding="utf-8")
+        page.write_text(_page(loop, software, folder, kept), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page
 
 
-def _payload(loop: ClosedLoop, software: dict[str, str]) -> dict[str, Any]:
+def _payload(loop: ClosedLoop, software: dict[str, str], kept: KeptTerm | None) -> dict[str, Any]:
     """The verdict with the first bifurcation and the provenance."""
-    return as_json(loop) | {
+    return as_json(loop, kept=kept) | {
         "first_bifurcation": _bifurcations_json(loop.first_bifurcations),
         "recordings": [asdict(source) for source in loop.sources],
         "report": software,
@@ -141,7 +149,7 @@ def _picture(folder: Path, name: str) -> str:
     return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
 
 
-def _page(loop: ClosedLoop, software: dict[str, str], folder: Path) -> str:
+def _page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: KeptTerm | None = None) -> str:
     """The page, with the figures in ``folder`` put in."""
     scale = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     simulated = any(m.simulated for m in loop.sources)
@@ -167,6 +175,8 @@ def _page(loop: ClosedLoop, software: dict[str, str], folder: Path) -> str:
         _reasoning(loop),
         _picture(folder, "candidates"),
         _picture(folder, "discovered"),
+        forms_table(loop.discovered) if loop.discovered is not None else "",
+        kept_section(kept) if kept is not None else "",
         "<h2>What else it could be</h2>",
         _alternatives(loop),
         "<h2>What remains</h2>",

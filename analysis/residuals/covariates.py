@@ -10,12 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.residuals.forward_model import ForwardModel, Values
 from model.integrator.one_step import PlateSteps
+
+if TYPE_CHECKING:
+    from analysis.residuals.forward_model import ForwardModel, Values
 
 Array = NDArray[np.float64]
 

@@ -7,31 +7,34 @@ tones), propagated through the prediction; it is never taken from the scatter of
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import INEXACT, Ringing
-from analysis.residuals.plate_observables import expected, power_uncertainty
+from analysis.residuals.plate_observables import PLAIN_HOOKS_OF_KIND, expected, power_uncertainty
 from model.effects.base import PLATE_ONLY_HOOKS
-from model.effects.registry import effect, offsets, registry, row
+from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.one_step import Detection, Predicted, one_ahead
 
 Array = NDArray[np.float64]
 ParameterId = tuple[str, str]
 Values = Mapping[ParameterId, float]
+Own = tuple[tuple[ParameterId, float], ...]
+_T = TypeVar("_T")
 
 TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
-MOST_CACHED = 64  # predictions
+MOST_KEPT = {"flights": 64, "plate": 512}  # results that are kept: of predictions, and of plate data and hooks
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,22 @@ class Residuals:
     predicted: Predicted
 
 
+class Memory:
+    """Results by their key, forgotten together when they are too many; threads may use it at once."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._kept = most, dict[Hashable, Any]()
+
+    def recall(self, key: Hashable, make: Callable[[], _T]) -> _T:
+        """The result kept under ``key``; made, and kept, where there is none."""
+        found = self._kept.get(key)
+        if found is None:
+            if len(self._kept) >= self._most:
+                self._kept.clear()
+            found = self._kept[key] = make()
+        return cast(_T, found)
+
+
 class ForwardModel:
     """Observations with everything that turns parameter values into residuals.
 
@@ -77,20 +96,38 @@ class ForwardModel:
         The observations.
     base
         Declared effects, by effect and parameter: the model before anything is added.
+    like
+        A forward model of the same plate: what depends on the plate alone is taken from it.
+
+    Attributes
+    ----------
+    memory : Memory
+        Of what depends on the flights: whoever computes it keeps it here.
     """
 
-    def __init__(self, evidence: Observations, base: Mapping[str, Mapping[str, float]]) -> None:
+    def __init__(
+        self,
+        evidence: Observations,
+        base: Mapping[str, Mapping[str, float]],
+        like: ForwardModel | None = None,
+    ) -> None:
         self.evidence, self.declared = evidence, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
         self.gravity = evidence.setup.g_mps2.value
-        self.ringing = None if evidence.modulation is None else Ringing.of(evidence.modulation, evidence.steps.plate)
-        at_work = (evidence.plate, evidence.steps.plate, self.gravity)
-        self.loading = None if self.ringing is None else self.ringing.loading(*at_work)
+        if like is None:
+            known = evidence.modulation
+            self.ringing = None if known is None else Ringing.of(known, evidence.steps.plate)
+            at_work = (evidence.plate, evidence.steps.plate, self.gravity)
+            self.loading = None if self.ringing is None else self.ringing.loading(*at_work)
+            self._plate_memory = Memory(MOST_KEPT["plate"])
+        else:
+            self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
+        self.memory = Memory(MOST_KEPT["flights"])
         self._nothing = row({}, self.gravity)
         self.from_rest = (
             evidence.scored & ~evidence.measured.relaunched
         )  # take-offs after a rest, seen by the contact circuit
-        self._cache: dict[tuple[object, ...], Predicted] = {}
+        self.covariates: dict[str, Array] = {}  # computed where an effect follows one
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
     def start(self, values: Values) -> dict[ParameterId, float]:
@@ -105,9 +142,12 @@ class ForwardModel:
             if not key.endswith(TREND):
                 out[offsets()[name, key]] = value
         drifting = [(k, v) for k, v in point.items() if k[1].endswith(TREND) and v != 0.0]
-        if not drifting:
+        followed = [x for x in _followed() if any(name == x[0] for name, _ in point)]
+        if not drifting and not followed:
             return out
         out = np.repeat(out[None, :], len(self.evidence), axis=0)
+        for _, column, covariate in followed:
+            out[:, column] = self._covariate(covariate)
         for (name, key), value in drifting:
             parameter = effect(name).effect.parameter(key.removesuffix(TREND))
             column = offsets()[name, parameter.name]
@@ -115,38 +155,67 @@ class ForwardModel:
             out[:, column] = np.clip(trend, parameter.low, parameter.high)
         return out
 
+    def _covariate(self, name: str) -> Array:
+        """A quantity of each flight as measured, by the declared calibrations, (n,); NaN where it is not known."""
+        if not self.covariates:
+            self.covariates.update(covariates(self, {}))
+        return self.covariates[name]
+
     def by_step(self, values: Values) -> dict[str, dict[str, Array]]:
         """Parameters in each step, by effect and parameter, for the plate data."""
         point = self.start(values)
-        m = len(self.evidence.steps)
-        out: dict[str, dict[str, Array]] = {}
-        for name in {k[0] for k in point}:
-            table = {q.name: np.full(m, q.null_value) for q in effect(name).effect.parameters}
-            for (n, key), value in point.items():
-                if n == name and not key.endswith(TREND):
-                    table[key] = np.full(m, value)
-            for (n, key), value in point.items():
-                if n == name and key.endswith(TREND):
-                    table[key.removesuffix(TREND)] = (
-                        table[key.removesuffix(TREND)] + value * self.evidence.steps.run_part
-                    )
-            out[name] = table
-        return out
+        return {name: self._in_steps(name, _own(name, point)) for name in {k[0] for k in point}}
+
+    def _in_steps(self, name: str, own: Own) -> dict[str, Array]:
+        """Parameters of one effect in each step."""
+        m, run_part = len(self.evidence.steps), self.evidence.steps.run_part
+        table = {q.name: np.full(m, q.null_value) for q in effect(name).effect.parameters}
+        table |= {key: np.full(m, value) for (_, key), value in own if not key.endswith(TREND)}
+        for (_, key), value in own:
+            if key.endswith(TREND):
+                table[key.removesuffix(TREND)] = table[key.removesuffix(TREND)] + value * run_part
+        return table
+
+    def _hook_in_steps(self, entry: Registered, hook: str, own: Own) -> Array:
+        """Values of a plain hook of one effect in each step, (m,) or (m, j)."""
+
+        def made() -> Array:
+            table = self._in_steps(entry.effect.name, own)
+            if any(key.endswith(TREND) for (_, key), _ in own):
+                rows = zip(*table.values(), strict=True)
+                return np.array([entry.hooks[hook](dict(zip(table, row, strict=True))) for row in rows])
+            once = np.asarray(entry.hooks[hook]({q: float(x[0]) for q, x in table.items()}))
+            return np.tile(once, (len(self.evidence.steps), *([1] * once.ndim)))
+
+        return self._plate_memory.recall((hook, entry.effect.name, own), made)
+
+    def _with_hook(self, values: Values, hook: str) -> Iterator[tuple[Registered, Own]]:
+        """Effects at work that have a hook, with their own parameters."""
+        point = self.start(values)
+        for entry in _having(hook):
+            if own := _own(entry.effect.name, point):
+                yield entry, own
 
     def per_step(self, values: Values, hook: str, nothing: float) -> Array:
         """Product (around 1) or sum (around 0) of a plain hook over the effects, (m,)."""
         total = np.full(len(self.evidence.steps), nothing)
-        point = self.start(values)
-        names = [r for r in registry() if hook in r.hooks and any(k[0] == r.effect.name for k in point)]
-        if names:
-            tables = self.by_step({k: v for k, v in point.items() if k[0] in {r.effect.name for r in names}})
-            for entry in names:
-                table = tables[entry.effect.name]
-                one = np.array(
-                    [entry.hooks[hook](dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
-                )
-                total = total * one if nothing == 1.0 else total + one
+        for entry, own in self._with_hook(values, hook):
+            one = self._hook_in_steps(entry, hook, own)
+            total = total * one if nothing == 1.0 else total + one
         return total
+
+    def _expected(self, values: Values) -> Array:
+        """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""
+        point, total = self.start(values), np.zeros(len(self.evidence.plate))
+        for name in dict.fromkeys(name for name, _ in point):
+            if plate_hooks() & effect(name).hooks.keys():
+                total = total + self._expected_of(name, _own(name, point))
+        return total
+
+    def _expected_of(self, name: str, own: Own) -> Array:
+        return self._plate_memory.recall(
+            (name, own), lambda: expected(self.evidence.plate, {name: self._in_steps(name, own)})
+        )
 
     def predict(
         self,
@@ -184,16 +253,20 @@ class ForwardModel:
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
+    def predicted(self, values: Values) -> Predicted:
+        """`predict` at ``values``, kept: what touches plate data only needs no new flight."""
+        return self.memory.recall(("predicted", self.flying(values)), lambda: self.predict(values))
+
+    def flying(self, values: Values) -> Own:
+        """All parameters that touch a flight."""
+        return tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
+
     def _modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
         if self.evidence.modulation is None:
             return None
-        for name, table in self.by_step(values).items():
-            hook = effect(name).hooks.get("modulation")
-            if hook is None:
-                continue
-            found = [hook(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
-            depth, omega = np.array(found).T
+        for entry, own in self._with_hook(values, "modulation"):
+            depth, omega = self._hook_in_steps(entry, "modulation", own).T
             if np.any(depth):
                 return self.evidence.modulation, depth, float(omega[0]) / (2.0 * np.pi)
         return None
@@ -234,19 +307,10 @@ class ForwardModel:
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
         """Measured minus predicted at ``values``."""
         ev = self.evidence
-        if rows is None:
-            flying = tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
-            found = self._cache.get(flying)
-            if found is None:
-                if len(self._cache) > MOST_CACHED:
-                    self._cache.clear()
-                found = self._cache[flying] = self.predict(values)
-            p = found
-        else:
-            p = self.predict(values, rows=rows)
+        p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
-        predicted, inexact = expected(ev.plate, self.by_step(values)), np.zeros(len(ev.plate))
+        predicted, inexact = self._expected(values), np.zeros(len(ev.plate))
         if self.ringing is not None:
             mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
             predicted = predicted + mode
@@ -261,9 +325,12 @@ class ForwardModel:
 
     def uncertainty(self, values: Values) -> Uncertainty:
         """Uncertainty of the residuals at ``values``, by finite differences of the prediction itself."""
+        return self.memory.recall(("uncertainty", self.flying(values)), lambda: self._uncertainty(values))
+
+    def _uncertainty(self, values: Values) -> Uncertainty:
         ev = self.evidence
         n = len(ev)
-        base = self.predict(values)
+        base = self.predicted(values)
         open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2 + _finite(base.ambiguity_s) ** 2
         for moved, rows in self.moved_landings(values, np.full(n, EDGE_STEP_S)):
             for back in (1, 2):
@@ -304,6 +371,37 @@ def _finite(x: Array) -> Array:
 def edge_slope(difference: Array) -> Array:
     """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
     return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)
+
+
+def _own(name: str, point: Values) -> Own:
+    """Parameters of one effect among those of a point."""
+    return tuple(item for item in point.items() if item[0][0] == name)
+
+
+@functools.cache
+def _having(hook: str) -> tuple[Registered, ...]:
+    """Effects that define a hook."""
+    return tuple(r for r in registry() if hook in r.hooks)
+
+
+@functools.cache
+def plate_hooks() -> frozenset[str]:
+    """Hooks that change the expected value of plate data."""
+    return frozenset({"harmonics", *PLAIN_HOOKS_OF_KIND})
+
+
+@functools.cache
+def _followed() -> tuple[tuple[str, int, str], ...]:
+    """Parameters that stand for a quantity of the flight: effect, place in the row, and name of the covariate."""
+    out = []
+    for r in registry():
+        for i, q in enumerate(r.effect.parameters):
+            if q.covariate and q.covariate not in COVARIATES:
+                known = ", ".join(k for k, c in COVARIATES.items() if c.ahead)
+                raise ValueError(f"effect {r.effect.name}: no covariate is called {q.covariate!r}; known are {known}")
+            if q.covariate:
+                out.append((r.effect.name, r.offset + i, q.covariate))
+    return tuple(out)
 
 
 @functools.cache

@@ -21,6 +21,8 @@ FREEDOM = 5.0  # degrees of freedom of Student's t: robust, and close to normal 
 T_PEAK = 0.3796  # density of that t at its centre
 LARGEST_EXCESS_S = 2e-2
 NEVER = -np.inf
+EXCESSES_S = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, LARGEST_EXCESS_S, 45)])
+EXCESSES_OF_PLATE = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)])  # in the median uncertainty
 
 
 def log_odds(sigma_s: Array, period_s: Array) -> Array:
@@ -44,11 +46,13 @@ def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[fl
     """Excess noise: scatter beyond the uncertainty by maximum likelihood on a grid, and the loss with it."""
     if len(residual_s) == 0:
         return LEAST_EXCESS_S, 0.0
-    grid = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, LARGEST_EXCESS_S, 45)])
-    total = np.sqrt(sigma_s[None, :] ** 2 + grid[:, None] ** 2)
-    loss = np.sum(robust_loss(residual_s[None, :] / total, log_odds(total, period_s)) + np.log(total), axis=1)
+    variance = sigma_s[None, :] ** 2 + EXCESSES_S[:, None] ** 2
+    far = 1.0 + (residual_s**2 / FREEDOM)[None, :] / variance
+    outlier = OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK / period_s
+    # `robust_loss` and the logarithm of the width in one: the cube is that of five degrees of freedom
+    loss = -np.sum(np.log(1.0 / (far * far * far * np.sqrt(variance)) + outlier), axis=1)
     best = int(np.argmin(loss))
-    return float(grid[best]), float(loss[best])
+    return float(EXCESSES_S[best]), float(loss[best])
 
 
 def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
@@ -56,8 +60,9 @@ def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple
     out = sigma.copy()
     for k in np.unique(kind):
         rows = kind == k
-        grid = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)]) * np.median(sigma[rows])
-        total = np.sqrt(sigma[rows][None, :] ** 2 + grid[:, None] ** 2)
-        loss = robust_loss(residual[rows][None, :] / total) + np.log(total)
-        out[rows] = total[np.argmin(loss.sum(axis=1))]
+        grid = EXCESSES_OF_PLATE * np.median(sigma[rows])
+        variance = sigma[rows][None, :] ** 2 + grid[:, None] ** 2
+        far = 1.0 + (residual[rows] ** 2 / FREEDOM)[None, :] / variance
+        loss = np.log(far * far * far * np.sqrt(variance))  # as in `excess_noise`, without outliers
+        out[rows] = np.sqrt(variance[np.argmin(loss.sum(axis=1))])
     return out, np.log(out / sigma)

@@ -69,10 +69,14 @@ def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> ND
     Either the uncertainty is `GRAZING_RATIO` times the median one, or the prediction jumps by `GRAZING_SIGMAS` of that
     when an earlier landing or a tone of the plate is off by `GRAZING_SIGMAS`: the graze is met or missed.
     """
+    return world.memory.recall(("grazing", world.flying(values)), lambda: _grazing(world, values))
+
+
+def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:
     ev = world.evidence
     total = world.uncertainty(values).landing_total_s
     usual = GRAZING_RATIO * float(np.median(total[ev.scored])) if ev.scored.any() else np.inf
-    base = world.predict(values)
+    base = world.predicted(values)
     out = total >= usual
     for sign in (-GRAZING_SIGMAS, GRAZING_SIGMAS):
         for moved, rows in world.moved_landings(values, sign * ev.landing_sigma_s):

@@ -70,6 +70,11 @@ class Whitener:
     @classmethod
     def of(cls, world: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
         """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
+        key = ("whitener", lean, tuple(sorted(world.start(values).items())))
+        return world.memory.recall(key, lambda: cls._made(world, values, lean))
+
+    @classmethod
+    def _made(cls, world: ForwardModel, values: Values, lean: bool) -> Whitener:
         ev = world.evidence
         u, r = world.uncertainty(values), world.residuals(values)
         opening, landing = np.flatnonzero(world.from_rest), np.flatnonzero(ev.scored)

@@ -14,6 +14,7 @@ from bench.outputs import Overwrite
 if TYPE_CHECKING:
     from analysis.loop.close_loop import FittedLoop
     from analysis.loop.design import Ranked
+    from analysis.loop.kept_term import KeptTerm
     from analysis.loop.result import ClosedLoop
 
 Output = tuple[str, Callable[[], None]]
@@ -31,17 +32,24 @@ def command(
     until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What that rig hides."),
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
+    keep_term: str | None = typer.Option(
+        None, "--keep-term", metavar="NAME", help="Keep a discovered term as an effect of that name, and try it."
+    ),
     overwrite: Overwrite = False,
 ) -> None:
     """Find where measurement and model part, name the missing effect, and report the error before and after.
 
     Example: bench close-loop run.h5 --report report --improved better.toml
 
+    A term discovered outside the library becomes an effect by --keep-term sticky_rod: a file in the folder of kept
+    effects, which every later call finds by its name. The loop is closed again with it; --improved is then of that.
+
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
     from analysis.loop.close_loop import fit_loop
     from bench.jobs.adaptive_runs import until_clear as repeat
+    from bench.jobs.keep_term import place_for
     from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
@@ -58,6 +66,7 @@ def command(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
             File("--next-run", next_run, PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
         )  # fmt: skip
+        kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
         _check_recordings(recordings)
         if until_clear:
             loop, fitted, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
@@ -71,8 +80,13 @@ def command(
         fail(f"{error}; name a file that can be read", EXIT_USAGE)
     if not quiet:
         show(loop)
-    writers = _Writers(loop, fitted, recordings[0], text, say)
-    complete = keep(writers.outputs(json, report, improved, next_run))
+    writers = _Writers(loop, fitted, recordings, text, say)
+    if kept_as is not None:
+        steps: list[Output] = [("kept term", lambda: writers.keep_term(kept_as, profile, improved, quiet=quiet))]
+        improved = None
+    else:
+        steps = []
+    complete = keep([*steps, *writers.outputs(json, report, improved, next_run)])
     if failure:
         fail(failure, EXIT_FAILED)
     if not complete:
@@ -85,10 +99,16 @@ class _Writers:
 
     loop: ClosedLoop
     fitted: FittedLoop
-    recording: Path
+    recordings: list[Path]
     text: str | None
     say: Callable[[str], None]
     ranked: list[Ranked] = field(default_factory=list)
+    kept: KeptTerm | None = None
+
+    @property
+    def recording(self) -> Path:
+        """The first recording."""
+        return self.recordings[0]
 
     def outputs(
         self, json: str | None, report: Path | None, improved: Path | None, next_run: Path | None
@@ -103,6 +123,14 @@ class _Writers:
             out.append(("next run's profile", lambda: self.next_run(next_run)))
         return out
 
+    def keep_term(self, path: Path, profile: Path | None, improved: Path | None, *, quiet: bool) -> None:
+        from analysis.report.kept import kept_in_words
+        from bench.jobs.keep_term import keep_term
+
+        self.kept, lines = keep_term(self.loop, path, self.recordings, profile, improved, quiet=quiet)
+        for line in (*kept_in_words(self.kept), *lines):
+            self.say(line)
+
     def rank(self) -> None:
         from bench.profiles.next_run import possible_runs
 
@@ -115,14 +143,14 @@ class _Writers:
         from analysis.loop.verdict_json import as_json
         from bench.terminal.console import write_json
 
-        write_json(as_json(self.loop, ranking_json(self.ranked)), json)
+        write_json(as_json(self.loop, ranking_json(self.ranked), self.kept), json)
 
     def report(self, folder: Path, *, quiet: bool) -> None:
         from analysis.report.page import write_report
         from bench.terminal.progress import progress_bar
 
         with progress_bar(quiet) as bar:
-            page = write_report(self.loop, folder, progress=bar)
+            page = write_report(self.loop, folder, progress=bar, kept=self.kept)
         self.say(f"report: {page}")
 
     def improved(self, path: Path) -> None:

@@ -57,6 +57,7 @@ def command(
 def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
     from daq.files.tables import STEP_DTYPE
+    from model.effects.kept import kept_files
 
     setup = opened.setup
     return {
@@ -77,6 +78,7 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             "tone_ratio": setup.forcing.ratio,
             "declared": setup.declared_values(),
         },
+        "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
     }
 
@@ -110,6 +112,7 @@ def _print(told: dict[str, Any]) -> None:
         "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
                    + (f"; {profile['description']}" if profile["description"] else ""),
         "declared": declared or "no effects",
+        "kept": ", ".join(k["name"] for k in told["kept_effects"]) or "no effects of your own on this computer",
         "steps": str(len(told["steps"])),
     }  # fmt: skip
     print_lines(*(f"  {key:<9} {value}" for key, value in lines.items()))

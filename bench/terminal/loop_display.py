@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from analysis.loop.result import ClosedLoop
+from analysis.report.kept import form_in_words
 from analysis.report.narrative import why_this_verdict
 from analysis.report.wording import microseconds, moved_calibrations, others_in_words, rejected_in_words, verdict_line
 from daq.setup.errors import InputError
@@ -22,6 +23,8 @@ def show(loop: ClosedLoop) -> None:
         out.print(f"  {line}", soft_wrap=True)
     if loop.discovered is not None:
         out.print(f"  discovered: {loop.discovered.description}", soft_wrap=True)
+        if form := form_in_words(loop.discovered):
+            out.print(f"  {form}", soft_wrap=True, markup=False)
     if loop.rejected is not None:
         out.print(f"  {rejected_in_words(loop)}", soft_wrap=True)
     others = others_in_words(loop)

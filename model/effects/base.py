@@ -47,6 +47,14 @@ Row = NDArray[np.float64]
 """The row of all parameters, the local g last."""
 
 COMPILED_HOOKS = ("force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")
+SIGNATURES = {
+    "force": "s, h, v, u, p, k",
+    "dry_friction": "h, speed, direction, p, k",
+    "takeoff_threshold": "dwell_s, p, k",
+    "rebound": "v, p, k",
+    "plate_mode": "p, k",
+}
+"""Arguments of the compiled hooks."""
 PLAIN_HOOKS = (
     "transfer",
     "accelerometer_factor",
@@ -105,6 +113,10 @@ class Parameter:
         True where its trend alone is a candidate from the first round on.
     carries_term
         Kind of smooth term whose value this number can take, another one in each flight.
+    covariate
+        Quantity of the flight that stands here, another one in each flight that was measured; never fitted. It is a
+        name of `analysis.residuals.covariates.COVARIATES`, and NaN where a flight's own is not known. Where no flight
+        was measured (free-running predictions) the null value stands here.
     meaning
         For a person, in a few words.
     """
@@ -126,6 +138,7 @@ class Parameter:
     power: float = 1.0
     drifts: bool = False
     carries_term: Term = ""
+    covariate: str = ""
     meaning: str = ""
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""The library of effects: the files of this folder and those of installed packages, and the row of their parameters.
+"""The library of effects: the files of this folder, of installed packages and of the user, and their parameters' row.
 
 Effects are read once and checked as they are read: a file that would be an effect without effect is refused.
 """
@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model.effects
-from model.effects.base import COMPILED_HOOKS, PLAIN_HOOKS, Effect, Parameter, Registered
+from model.effects import kept
+from model.effects.base import COMPILED_HOOKS, PLAIN_HOOKS, SIGNATURES, Effect, Parameter, Registered
+from model.effects.kept import EffectFileError
 
 __all__ = [
     "Effect", "Parameter", "Registered", "effect", "null_row", "offsets", "registry", "resolve", "row", "trend_name",
 ]  # fmt: skip
 
-NOT_EFFECTS = frozenset({"base", "registry", "routing"})
+NOT_EFFECTS = frozenset({"base", "curves", "kept", "registry", "routing"})
 ENTRY_POINTS = "shakerbench.effects"
 
 
@@ -34,19 +36,25 @@ def registry() -> tuple[Registered, ...]:
 
     Raises
     ------
-    ValueError
-        For a file without ``EFFECT``, a name that is not its file's or is taken, an unknown hook, an effect without
-        hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not exist.
+    EffectFileError
+        A `ValueError`: for a file without ``EFFECT``, a name that is not its file's or is taken, an unknown hook, an
+        effect without hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not
+        exist.
     """
     found: dict[str, tuple[Effect, str, dict[str, Any]]] = {}
-    for name in _modules():
-        module = importlib.import_module(name)
+    for module in _modules():
         e, hooks = _checked(module)
         if e.name in found:
-            raise ValueError(
-                f"{_file(module)}: effect {e.name} exists already in {found[e.name][1]}; rename one of them"
-            )
-        found[e.name] = (e, name, hooks)
+            raise _taken(_file(module), e.name, found[e.name][1])
+        found[e.name] = (e, module.__name__, hooks)
+    for path in kept.kept_files():
+        if path.stem in found or path.stem in NOT_EFFECTS:
+            raise _taken(str(path), path.stem, found[path.stem][1] if path.stem in found else "model.effects")
+        module = kept.load(path)
+        e, hooks = _checked(module)
+        for hook in hooks.keys() & SIGNATURES.keys():
+            kept.check_signature(str(path), hook, hooks[hook], SIGNATURES[hook])
+        found[e.name] = (e, module.__name__, hooks)
     for e, name, _ in found.values():
         _refuse_unknown(name, "confused_with or special_cases", {*e.confused_with, *e.special_cases}, found)
     out, offset = [], 0
@@ -57,32 +65,36 @@ def registry() -> tuple[Registered, ...]:
     return tuple(out)
 
 
-def _modules() -> Iterator[str]:
-    """Names of the modules that hold an effect each."""
+def _modules() -> Iterator[ModuleType]:
+    """Installed modules that hold an effect each."""
     for info in pkgutil.iter_modules(model.effects.__path__):
         if info.name not in NOT_EFFECTS:
-            yield f"{model.effects.__name__}.{info.name}"
+            yield importlib.import_module(f"{model.effects.__name__}.{info.name}")
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        yield point.module
+        yield importlib.import_module(point.module)
+
+
+def _taken(file: str, name: str, where: str) -> EffectFileError:
+    return EffectFileError(f"{file}: effect {name} exists already in {where}; rename one of them")
 
 
 def _checked(module: ModuleType) -> tuple[Effect, dict[str, Any]]:
     """Effect and hooks of a file; refused where they cannot be meant."""
     file, e = _file(module), getattr(module, "EFFECT", None)
     if not isinstance(e, Effect):
-        raise ValueError(f"{file}: wanted EFFECT = Effect(...), found {'nothing' if e is None else repr(e)}")
+        raise EffectFileError(f"{file}: wanted EFFECT = Effect(...), found {'nothing' if e is None else repr(e)}")
     own = module.__name__.rpartition(".")[2]
     if e.name != own:
-        raise ValueError(f"{file}: the effect is called {e.name!r}; wanted the file's name, {own!r}")
+        raise EffectFileError(f"{file}: the effect is called {e.name!r}; wanted the file's name, {own!r}")
     known = COMPILED_HOOKS + PLAIN_HOOKS
     for name in _functions(module):
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"hooks are {', '.join(known)}"
-            raise ValueError(f"{file}: no hook is called {name!r}; {hint} (a function of its own begins with _)")
+            raise EffectFileError(f"{file}: no hook is called {name!r}; {hint} (a function of its own begins with _)")
     hooks = {k: getattr(module, k) for k in known if hasattr(module, k)}
     if not hooks and not e.is_trend:
-        raise ValueError(f"{file}: wanted at least one hook, found none; hooks are {', '.join(known)}")
+        raise EffectFileError(f"{file}: wanted at least one hook, found none; hooks are {', '.join(known)}")
     names = {q.name for q in e.parameters}
     _refuse_unknown(file, "variants", {q for variant in e.variants for q in variant}, names)
     _refuse_unknown(file, "tied", {q for group in e.tied.values() for q in group}, names)
@@ -103,7 +115,9 @@ def _file(module: ModuleType) -> str:
 def _refuse_unknown(file: str, field: str, named: set[str], known: Mapping[str, object] | set[str]) -> None:
     """Refuse names that do not exist."""
     for name in sorted(named - set(known)):
-        raise ValueError(f"{file}: {field} names {name!r}, which does not exist; known are {', '.join(sorted(known))}")
+        raise EffectFileError(
+            f"{file}: {field} names {name!r}, which does not exist; known are {', '.join(sorted(known))}"
+        )
 
 
 @functools.cache

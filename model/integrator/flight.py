@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from model.integrator.hermite import crossing, first_touch, hermite5, standstill
 from model.integrator.hooks import dry_friction, force, takeoff_threshold
-from model.integrator.plate import STEPS_PER_PERIOD, mode_at, tones_at
+from model.integrator.plate import STEPS_PER_PERIOD, mode_at, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Floats, Law, Mode, Plate, Start, StepEnds, compiled, inlined
 
 FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
@@ -23,7 +23,13 @@ def pull(t: float, s: float, h: float, tones: Floats, mode: Mode, p: Floats) -> 
     """Relative acceleration of a ball that does not move along the rod, friction left out, m/s^2."""
     _, v, a = tones_at(t, tones)
     _, qv, qa = mode_at(s, mode)
-    return float(-p[-1] - a - qa + force(0.0, h, 0.0, v + qv, p))
+    return pull_of(v + qv, a + qa, h, p)
+
+
+@compiled
+def pull_of(v: float, a: float, h: float, p: Floats) -> float:
+    """`pull` where the plate has the velocity ``v`` and the acceleration ``a``."""
+    return float(-p[-1] - a + force(0.0, h, 0.0, v, p))
 
 
 @compiled
@@ -48,9 +54,12 @@ def wait(t0: float, h: float, s0: float, dwell0: float, plate: Plate, law: Law) 
     last, over_before, f_before = 0.0, 0.0, 0.0
     fine = law.step_s / WAIT_PARTS
     n = int(LONGEST_PERIODS * STEPS_PER_PERIOD * WAIT_PARTS)
+    turning = law.turning
+    moving = start_turning(t0 - fine, s0 - fine, fine, tones, mode, turning)
     for i in range(n):
         s = i * fine
-        f = pull(t0 + s, s0 + s, h, tones, mode, p)
+        _, v, a = turned(moving, turning)
+        f = pull_of(v, a, h, p)
         over = f - up - (takeoff_threshold(dwell0 + s, p) if h == 0.0 else 0.0)
         direction = 1.0 if over > 0.0 else (-1.0 if h > 0.0 and f < -down else 0.0)
         if direction != 0.0:
@@ -82,12 +91,16 @@ def _effects(s: float, h: float, v: float, u: float, direction: float, p: Floats
 
 
 @inlined
-def _coasting(s: float, start: Start, tones: Floats, mode: Mode, g: float) -> tuple[float, float, float, float]:
-    """Under gravity alone, s after ``start``: height, velocity, the plate's velocity, relative acceleration."""
-    x, xd, xdd = tones_at(start.t + s, tones)
-    q, qd, qdd = mode_at(start.s + s, mode)
-    h = start.h + start.v * s - 0.5 * g * s * s - (x - start.x - start.xd * s) - (q - start.q - start.qd * s)
-    return h, start.v - g * s - (xd - start.xd) - (qd - start.qd), xd + qd, -g - xdd - qdd
+def _coasting(
+    s: float, start: Start, plate: tuple[float, float, float], g: float
+) -> tuple[float, float, float, float]:
+    """Under gravity alone, s after ``start``: height, velocity, the plate's velocity, relative acceleration.
+
+    ``plate`` is its displacement, velocity and acceleration then.
+    """
+    x, xd, xdd = plate
+    h = start.h + start.v * s - 0.5 * g * s * s - (x - start.x - start.xd * s)
+    return h, start.v - g * s - (xd - start.xd), xd, -g - xdd
 
 
 @inlined
@@ -96,20 +109,18 @@ def _runge_kutta(
     step: float,
     deviation: tuple[float, float],
     f0: float,
-    end: tuple[float, float, float],
-    start: Start,
+    middle: tuple[float, float, float, float],
+    end: tuple[float, float, float, float],
     direction: float,
-    tones: Floats,
-    mode: Mode,
     p: Floats,
     acting: tuple[bool, bool],
 ) -> tuple[float, float]:
-    """The deviation from coasting and its rate after a step; ``end`` is `_coasting` there."""
+    """The deviation from coasting and its rate, a step after s; ``middle`` and ``end`` are `_coasting` there."""
     dev, devd = deviation
-    hb1, vb1, ue = end
+    hbm, vbm, um, _ = middle
+    hb1, vb1, ue, _ = end
     half = 0.5 * step
-    sm, se = start.s + (s + half), start.s + (s + step)
-    hbm, vbm, um, _ = _coasting(s + half, start, tones, mode, p[-1])
+    sm, se = s + half, s + step
     d1, e1 = devd, f0
     vv = vbm + devd + half * e1
     e2 = _effects(sm, hbm + dev + half * d1, vv, vv + um, direction, p, acting)
@@ -138,7 +149,7 @@ def segment(
     g = p[-1]
     x0, xd0, xdd0 = tones_at(t0, tones)
     q0, qd0, qdd0 = mode_at(s0, mode)
-    start = Start(t0, s0, h0, v0, x0, xd0, q0, qd0)
+    start = Start(h0, v0, x0 + q0, xd0 + qd0)
     dev, devd = 0.0, 0.0
     h, v = h0, v0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
@@ -152,17 +163,21 @@ def segment(
     a = -g - xdd0 - qdd0 + f0
     opened = -1.0
     step = law.step_s * FIRST_STEP_PART
+    halved = (law.forced or law.rubbed) and not constant
+    turning = law.turning
+    moving = start_turning(t0, s0, 0.5 * step if halved else step, tones, mode, turning)
     s = 0.0
     limit = LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s
     while s < limit:
         se = s + step
-        hb1, vb1, ue, ab1 = _coasting(se, start, tones, mode, g)
+        middle = _coasting(s + 0.5 * step, start, turned(moving, turning), g) if halved else (0.0, 0.0, 0.0, 0.0)
+        end = _coasting(se, start, turned(moving, turning), g)
+        hb1, vb1, ue, ab1 = end
         f1 = 0.0
         if constant:  # the deviation is known in closed form
             dev, devd, f1 = 0.5 * fr * se * se, fr * se, fr
-        elif law.forced or law.rubbed:
-            end = hb1, vb1, ue
-            dev, devd = _runge_kutta(s, step, (dev, devd), f0, end, start, direction, tones, mode, p, acting)
+        elif halved:
+            dev, devd = _runge_kutta(s0 + s, step, (dev, devd), f0, middle, end, direction, p, acting)
             f1 = _effects(s0 + se, hb1 + dev, vb1 + devd, vb1 + devd + ue, direction, p, acting)
         h1, v1 = hb1 + dev, vb1 + devd
         a1 = ab1 + f1
@@ -177,7 +192,9 @@ def segment(
         if touch >= 0.0:
             return 1, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened
         s, h, v, a, f0 = se, h1, v1, a1, f1
-        step = min(2.0 * step, law.step_s)
+        if step < law.step_s:  # by halves of it, exactly
+            step *= 2.0
+            turn_twice_as_far(moving, turning)
     return 0, s0 + s, h, v, opened
 
 

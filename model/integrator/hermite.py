@@ -2,61 +2,78 @@
 
 from __future__ import annotations
 
-from model.integrator.records import StepEnds, compiled
+from model.integrator.records import StepEnds, compiled, inlined
+
+MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
+CLOSE = 1e-13  # part of a step to which a root is found
 
 
-@compiled
-def hermite5(z: float, ends: StepEnds) -> tuple[float, float]:
-    """Height and velocity of the quintic at the part z in [0, 1] of the step."""
+@inlined
+def _coefficients(ends: StepEnds) -> tuple[float, float, float, float, float, float]:
+    """Coefficients of the quintic in the part z of the step."""
     d, h0, v0, a0, h1, v1, a1 = ends
     c0, c1, c2 = h0, v0 * d, 0.5 * a0 * d * d
     e = h1 - c0 - c1 - c2
     f = v1 * d - c1 - 2.0 * c2
     k = a1 * d * d - 2.0 * c2
-    c3 = 10.0 * e - 4.0 * f + 0.5 * k
-    c4 = -15.0 * e + 7.0 * f - k
-    c5 = 6.0 * e - 3.0 * f + 0.5 * k
+    return c0, c1, c2, 10.0 * e - 4.0 * f + 0.5 * k, -15.0 * e + 7.0 * f - k, 6.0 * e - 3.0 * f + 0.5 * k
+
+
+@compiled
+def hermite5(z: float, ends: StepEnds) -> tuple[float, float]:
+    """Height and velocity of the quintic at the part z in [0, 1] of the step."""
+    c0, c1, c2, c3, c4, c5 = _coefficients(ends)
     h = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
-    v = (c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))) / d
+    v = (c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))) / ends.d
     return h, v
 
 
 @compiled
 def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
-    """Where in [lo, hi] the quintic crosses ``level``; its value minus level must differ in sign at the ends."""
-    flo = hermite5(lo, ends)[0] - level
-    for _ in range(60):
-        mid = 0.5 * (lo + hi)
-        fm, vm = hermite5(mid, ends)
-        fm -= level
-        if (fm > 0.0) == (flo > 0.0):
-            lo, flo = mid, fm
+    """Where in [lo, hi] the quintic crosses ``level``; its value minus level must differ in sign at the ends.
+
+    Newton's method, by bisection wherever it would leave the bracket.
+    """
+    c0, c1, c2, c3, c4, c5 = _coefficients(ends)
+    c0 -= level
+    positive = c0 + lo * (c1 + lo * (c2 + lo * (c3 + lo * (c4 + lo * c5)))) > 0.0
+    z = 0.5 * (lo + hi)
+    for _ in range(MOST_STEPS):
+        f = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
+        slope = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))
+        if (f > 0.0) == positive:
+            lo = z
         else:
-            hi = mid
-        if vm != 0.0:
-            z = mid - fm / (vm * ends.d)
-            if lo < z < hi:
-                fz = hermite5(z, ends)[0] - level
-                if (fz > 0.0) == (flo > 0.0):
-                    lo, flo = z, fz
-                else:
-                    hi = z
-        if hi - lo < 1e-13:
-            break
-    return 0.5 * (lo + hi)
+            hi = z
+        on = z - f / slope if slope != 0.0 else lo
+        if not lo < on < hi:
+            on = 0.5 * (lo + hi)
+        if abs(on - z) < CLOSE:
+            return on
+        z = on
+    return z
 
 
 @compiled
 def standstill(ends: StepEnds) -> float:
     """Where in [0, 1] the quintic's velocity vanishes; the velocities at the ends differ in sign."""
+    _, c1, c2, c3, c4, c5 = _coefficients(ends)
     lo, hi = 0.0, 1.0
-    for _ in range(44):
-        z = 0.5 * (lo + hi)
-        if (hermite5(z, ends)[1] > 0.0) == (ends.v1 > 0.0):
+    z = 0.5
+    for _ in range(MOST_STEPS):
+        v = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))
+        slope = 2.0 * c2 + z * (6.0 * c3 + z * (12.0 * c4 + z * 20.0 * c5))
+        if (v > 0.0) == (ends.v1 > 0.0):
             hi = z
         else:
             lo = z
-    return 0.5 * (lo + hi)
+        on = z - v / slope if slope != 0.0 else lo
+        if not lo < on < hi:
+            on = 0.5 * (lo + hi)
+        if abs(on - z) < CLOSE:
+            return on
+        z = on
+    return z
 
 
 @compiled

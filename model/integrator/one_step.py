@@ -36,9 +36,14 @@ def _columns(hook: str) -> NDArray[np.intp]:
     )
 
 
+@functools.cache
+def _nothing(hook: str) -> Array:
+    """The null values of `_columns`."""
+    return null_row(0.0)[_columns(hook)]
+
+
 def _active(rows: Array, hook: str) -> bool:
-    columns = _columns(hook)
-    return bool(np.any(rows[..., columns] != null_row(0.0)[columns]))
+    return bool(np.any(rows[..., _columns(hook)] != _nothing(hook)))
 
 
 def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
@@ -51,9 +56,10 @@ def _tones(omega_radps: Array, acceleration_mps2: NDArray[np.complex128]) -> Arr
     return np.stack([omega_radps, acceleration_mps2.real, acceleration_mps2.imag], axis=-1)
 
 
-def _of_each(value: Array | float, n: int) -> Array:
-    """One number, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
-    values = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), n))
+def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
+    """One value, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
+    one = np.asarray(value)
+    values = np.array(np.broadcast_to(one, n), dtype=one.dtype if one.dtype == np.bool_ else np.float64)
     values.flags.writeable = False
     return values
 
@@ -233,7 +239,7 @@ class _Problem:
                 _for_kernel(m.linked),
                 _for_kernel(wanted),
                 _for_kernel(m.step),
-                np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1),
+                _of_each(np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1), n),
                 _of_each(d.gap_m, n),
                 _of_each(d.weak_mps, n),
             ),
@@ -275,7 +281,7 @@ def one_ahead(
         How the plate's tones were measured; without one, all the time.
     """
     n = len(measured.landing_s)
-    rows = _for_kernel(rows if len(rows) == n and rows.ndim == 2 else np.broadcast_to(rows, (n, rows.shape[-1])))
+    rows = _for_kernel(rows.reshape(-1, rows.shape[-1]))
     problem = _Problem(measured, plate, rows, Detection() if detection is None else detection, kick)
     tones, own = plate.acceleration_mps2, plate.acceleration_mps2.shape[1] - plate.derived
     amplitudes = np.zeros((len(tones), own), dtype=np.complex128)
@@ -356,6 +362,6 @@ def simulate(
     rows = row(effects, g_mps2)
     out = np.empty((flights, 6))
     tones = _tones(plate.omega_radps, plate.acceleration)
-    law = Law(_for_kernel(rows), 0.0, _active(rows, "force"), _active(rows, "dry_friction"))
+    law = Law(_for_kernel(rows), 0.0, _active(rows, "force"), _active(rows, "dry_friction"), np.empty((0, 6)))
     out = out[: predict.simulate(float(start[0]), float(start[1]), period_s, tones, law, unseen_s, out)]
     return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from model.integrator.hooks import plate_mode, rebound
-from model.integrator.records import Floats, Mode, Plate, Probe, compiled
+from model.integrator.records import Floats, Mode, Plate, Probe, compiled, inlined
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
 MINOR = 1e-3  # part of the largest displacement below which a tone needs no finer steps
@@ -26,6 +26,68 @@ def tones_at(t: float, tones: Floats) -> tuple[float, float, float]:
         v += (tones[k, 2] * c + tones[k, 1] * s) / tones[k, 0]
         x -= acc / (tones[k, 0] * tones[k, 0])
     return x, v, a
+
+
+@compiled
+def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turning: Floats) -> int:
+    """Phasors of what moves at time t, s after the mode's state, and their turns in a time d; how many they are.
+
+    ``turning`` (k + 1, 6) holds each phasor, its turn, and what gives velocity and displacement: nodes of an even grid
+    then need no trigonometry. The first is the mode's displacement, zero where it does not ring.
+    """
+    q, qd, om, ze = mode
+    turning[0, :2] = 0.0
+    if q != 0.0 or qd != 0.0:
+        od = om * math.sqrt(1.0 - ze * ze)
+        back, on = math.exp(-ze * om * s), math.exp(-ze * om * d)
+        b, c, sn = -(qd + ze * om * q) / od, math.cos(od * s), math.sin(od * s)
+        turning[0, 0], turning[0, 1] = back * (q * c - b * sn), back * (b * c + q * sn)
+        turning[0, 2], turning[0, 3] = on * math.cos(od * d), on * math.sin(od * d)
+        turning[0, 4], turning[0, 5] = -ze * om, od
+    n = 1
+    for k in range(tones.shape[0]):
+        om, re, im = tones[k, 0], tones[k, 1], tones[k, 2]
+        if re == 0.0 and im == 0.0:
+            continue
+        c, sn = math.cos(om * t), math.sin(om * t)
+        turning[n, 0], turning[n, 1] = re * c - im * sn, im * c + re * sn
+        turning[n, 2], turning[n, 3] = math.cos(om * d), math.sin(om * d)
+        turning[n, 4] = 1.0 / om
+        n += 1
+    return n
+
+
+@inlined
+def turned(n: int, turning: Floats) -> tuple[float, float, float]:
+    """Displacement, velocity and acceleration of tones and mode after one more turn of ``turning``."""
+    x, v, a = 0.0, 0.0, 0.0
+    for k in range(1, n):
+        re, im, c, s = turning[k, 0], turning[k, 1], turning[k, 2], turning[k, 3]
+        re, im = re * c - im * s, im * c + re * s
+        turning[k, 0], turning[k, 1] = re, im
+        slow = turning[k, 4]
+        a += re
+        v += im * slow
+        x -= re * (slow * slow)
+    re, im = turning[0, 0], turning[0, 1]
+    if re != 0.0 or im != 0.0:
+        c, s = turning[0, 2], turning[0, 3]
+        re, im = re * c - im * s, im * c + re * s
+        turning[0, 0], turning[0, 1] = re, im
+        fades, od = turning[0, 4], turning[0, 5]
+        rate = fades * re - od * im
+        x += re
+        v += rate
+        a += 2.0 * fades * rate - (fades * fades + od * od) * re
+    return x, v, a
+
+
+@inlined
+def turn_twice_as_far(n: int, turning: Floats) -> None:
+    """Double the time of a turn."""
+    for k in range(n):
+        c, s = turning[k, 2], turning[k, 3]
+        turning[k, 2], turning[k, 3] = c * c - s * s, 2.0 * s * c
 
 
 @compiled
@@ -155,24 +217,30 @@ def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, p
     firsts, span_s, omega, projection, observed_s = probe
     first, last = firsts[m], firsts[m + 1]
     r = first + np.searchsorted(span_s[first:last, 1], t0)
+    own, ends = np.empty((2, tones.shape[0], 2), dtype=np.complex128)
+    moving = 0  # tones that press on the mode through the ball, their rates and what they answer
+    for j in range(tones.shape[0] if resting else 0):
+        if tones[j, 1] == 0.0 and tones[j, 2] == 0.0:
+            continue
+        stiff = (1.0 + ratio) * (om * om - tones[j, 0] * tones[j, 0])
+        push = complex(stiff, 2.0 * ze * om * (1.0 + ratio) * tones[j, 0])
+        own[moving, 0] = complex(0.0, tones[j, 0])
+        own[moving, 1] = ratio * tones[j, 0] * tones[j, 0] * complex(tones[j, 1], tones[j, 2]) / push
+        moving += 1
     while r < last and span_s[r, 0] < t1:
         a, b = max(t0, span_s[r, 0]), min(t1, span_s[r, 1])
         observed_s[r] += b - a
         free_a, free_b = size * np.exp(decay * (a - t0)), size * np.exp(decay * (b - t0))
+        for j in range(moving):
+            ends[j, 0], ends[j, 1] = own[j, 1] * np.exp(own[j, 0] * a), own[j, 1] * np.exp(own[j, 0] * b)
         for k in range(omega.shape[1]):
             back = complex(0.0, -omega[m, k])
             at_a, at_b = np.exp(back * a), np.exp(back * b)
             total = _integral(decay + back, free_a * at_a, free_b * at_b, b - a)
             total += _integral(np.conj(decay) + back, np.conj(free_a) * at_a, np.conj(free_b) * at_b, b - a)
-            for j in range(tones.shape[0] if resting else 0):
-                if tones[j, 1] == 0.0 and tones[j, 2] == 0.0:
-                    continue
-                stiff = (1.0 + ratio) * (om * om - tones[j, 0] * tones[j, 0])
-                push = complex(stiff, 2.0 * ze * om * (1.0 + ratio) * tones[j, 0])
-                answer = ratio * tones[j, 0] * tones[j, 0] * complex(tones[j, 1], tones[j, 2]) / push
-                own = complex(0.0, tones[j, 0])
-                own_a, own_b = answer * np.exp(own * a), answer * np.exp(own * b)
-                total += _integral(own + back, own_a * at_a, own_b * at_b, b - a)
-                total += _integral(back - own, np.conj(own_a) * at_a, np.conj(own_b) * at_b, b - a)
+            for j in range(moving):
+                turn, own_a, own_b = own[j, 0], ends[j, 0], ends[j, 1]
+                total += _integral(turn + back, own_a * at_a, own_b * at_b, b - a)
+                total += _integral(back - turn, np.conj(own_a) * at_a, np.conj(own_b) * at_b, b - a)
             projection[r, k] += 0.5 * total
         r += 1

@@ -94,16 +94,18 @@ def one_ahead(
 ) -> None:
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
-    ``rows`` (n, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity wherever the
+    ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity wherever the
     chain of flights begins anew. A measured flight's own launch and impact are found where an elastic impact or a plate
     mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
+    turning = np.empty((steps.tones.shape[1] + 1, 6))
     for i in range(events.landing.shape[0]):
-        m, p, landing, bounces = events.step[i], rows[i], events.landing[i], events.bounces[i]
+        p = rows[i if len(rows) > 1 else 0]
+        m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
         om, ze, ratio = plate_mode(p)
         bare = Plate(steps.tones[m], Mode(0.0, 0.0, om, ze))
-        law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed)
+        law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed, turning)
         out[i, 6], out[i, 9] = -1.0, 0.0
         passed, chained = 0, last.chained + 1
         if not events.linked[i]:
@@ -141,7 +143,7 @@ def simulate(
     p = bare.p
     om, ze, _ = plate_mode(p)
     plate = Plate(tones, Mode(0.0, 0.0, om, ze))
-    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed)
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)))
     seen = Visibility(0.0, unseen_s, 0.0, 0.0)
     t = start_s
     for i in range(out.shape[0]):

@@ -49,12 +49,16 @@ class Plate(NamedTuple):
 
 
 class Law(NamedTuple):
-    """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction."""
+    """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction.
+
+    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`.
+    """
 
     p: Floats
     step_s: float
     forced: bool
     rubbed: bool
+    turning: Floats
 
 
 class Visibility(NamedTuple):
@@ -83,16 +87,12 @@ class StepEnds(NamedTuple):
 
 
 class Start(NamedTuple):
-    """The start of a segment: time, time since take-off, height and velocity, and the plate's tones and mode there."""
+    """The start of a segment: height and velocity, and displacement and velocity of the plate, its mode included."""
 
-    t: float
-    s: float
     h: float
     v: float
     x: float
     xd: float
-    q: float
-    qd: float
 
 
 class Flight(NamedTuple):

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import math
 
-from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, pull, wait
+from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, pull, pull_of, wait
 from model.integrator.hooks import dry_friction, rebound, takeoff_threshold
-from model.integrator.plate import STEPS_PER_PERIOD, loaded, mode_at, mode_under_ball, strike, tones_at, with_state
+from model.integrator.plate import (
+    STEPS_PER_PERIOD,
+    loaded,
+    mode_at,
+    mode_under_ball,
+    start_turning,
+    strike,
+    tones_at,
+    turned,
+    with_state,
+)
 from model.integrator.records import Flight, Law, Plate, Visibility, compiled
 
 TAIL_PART = 2e-4  # part of a period: a shorter bounce begins the tail of a chatter, summed in closed form
@@ -178,10 +188,14 @@ def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
     n = int(back / law.step_s) * 4
     d = back / n
     later = t_open + 4.0 * d
-    above = pull(later, later - t_open, 0.0, tones, mode, p) - level
+    turning = law.turning
+    moving = start_turning(later + d, later + d - t_open, -d, tones, mode, turning)
+    _, v, a = turned(moving, turning)
+    above = pull_of(v, a, 0.0, p) - level
     for _ in range(n + 4):
         t = later - d
-        over = pull(t, t - t_open, 0.0, tones, mode, p) - level
+        _, v, a = turned(moving, turning)
+        over = pull_of(v, a, 0.0, p) - level
         if above > 0.0 >= over:
             lo, hi, below = t, later, over
             for k in range(MOST_SECANTS):

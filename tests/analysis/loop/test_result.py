@@ -149,7 +149,7 @@ def test_a_file_that_holds_no_closed_loop_is_refused(tmp_path: Path) -> None:
     with h5py.File(other, "w") as file:
         file.attrs["format"] = "something else"
     with h5py.File(damaged, "w") as file:
-        file.attrs.update(format="shakerbench closed loop", version=1)
+        file.attrs.update(format="shakerbench closed loop", version=2)
         file["values"] = "{}"
     for path in (text, other, damaged):
         with pytest.raises(InputError, match=f"{path.name}: wanted a closed loop"):

@@ -1,0 +1,273 @@
+"""Search for a short formula that does as well as a discovered curve.
+
+Each form starts where it comes nearest to the curve, and is then fitted to the events themselves, by the likelihood
+that the curve was fitted by. It is judged, as the curve is, on steps that its fit did not see.
+
+References
+----------
+M. Schmidt and H. Lipson, Science 324, 81 (2009): laws as the shortest formulas that data allow.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.discovery.forms import SIZES, Form, forms_for
+from analysis.discovery.search import CURVE_FOLDS, RefinedTerm
+from analysis.discovery.stack import StackedResiduals
+from analysis.discovery.terms import AugmentedModel, Curve
+from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
+from analysis.thresholds import Thresholds
+from model.effects.smooth_force import KNOTS
+
+Array = NDArray[np.float64]
+
+FITTED = 8  # forms nearest to the curve that are fitted to the events, and with them all of one parameter
+JUDGED = 6  # of these, how many are judged on held-out steps
+TAILS = (0.8, 0.65, 0.5, 0.5, 0.5)  # quantiles of the residuals that set the robust width, a pass each
+HALVINGS, ENOUGH_NATS = 4, 0.2  # of a step that does not lower the loss; gain of a pass below which the fit ends
+LEAP_S = 1e-3  # a larger change means another event: its derivative is set to zero
+NUDGE = 1e-3  # finite difference, of a parameter's unit
+LEAST_BAND = 0.02  # of the curve's spread: the least width of its band where a form is started
+PARAMETER_NATS = 4.0  # what a parameter costs, as among named effects
+
+
+@dataclass(frozen=True)
+class FittedForm:
+    """A formula fitted in place of a discovered curve.
+
+    Attributes
+    ----------
+    name, expression
+        Of `analysis.discovery.forms.Form`; ``x`` is the covariate in SI units.
+    parameters, kinds, units
+        Names, kinds and units of its parameters.
+    values, sigmas
+        As fitted, SI, with standard deviations.
+    loss, error
+        Held-out loss over that of the curve, nats (negative: better), with its standard error.
+    as_good
+        Whether held-out steps do not tell it from the curve, or prefer it.
+    """
+
+    name: str
+    expression: str
+    parameters: tuple[str, ...]
+    kinds: tuple[str, ...]
+    units: tuple[str, ...]
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    loss: float
+    error: float
+    as_good: bool
+
+    @property
+    def penalised(self) -> float:
+        """Loss over the curve with the cost of the parameters, nats."""
+        return self.loss + PARAMETER_NATS * len(self.values)
+
+
+def search_forms(
+    best: RefinedTerm, tables: Mapping[str, Array], limits: Thresholds
+) -> tuple[tuple[FittedForm, ...], str]:
+    """Formulas fitted in place of a curve, least penalised loss first, and the name of the one to prefer to it.
+
+    Parameters
+    ----------
+    best
+        The curve, fitted jointly with everything else; calibrations stay where that fit put them.
+    tables
+        Covariates of every flight.
+    limits
+        Thresholds of ties.
+
+    Returns
+    -------
+    tuple of FittedForm
+        Those judged on held-out steps.
+    str
+        Of those as good as the curve, the name of the one of least penalised loss; empty where there is none.
+    """
+    fits = _FormFits(best, tables)
+    near = sorted(((form, *fits.nearest(form)) for form in forms_for(best.curve.term, fits.span)), key=lambda p: p[2])
+    chosen = [p for i, p in enumerate(near) if i < FITTED or len(p[0].parameters) == 1]
+    fitted = sorted((fits.fit(form, start) for form, start, _ in chosen), key=lambda p: p.penalised)[:JUDGED]
+    judged = [(p, fits.held_out(p)) for p in fitted]
+    spline = best.explanation.losses["events"]
+    leads = [LogScoreDifference.of(loss, spline, fits.train) for _, loss in judged]
+    good = [not lead.exceeds(limits.tie_nats, limits.tie_sigmas) for lead in leads]
+    forms = [fits.result(p, lead.gain, lead.error, ok) for (p, _), lead, ok in zip(judged, leads, good, strict=True)]
+    losses = [loss for (_, loss), ok in zip(judged, good, strict=True) if ok]
+    able = [form for form in forms if form.as_good]
+    suggested = ""
+    if able:
+        top = min(losses, key=lambda loss: float(loss[fits.train].sum()))
+        costs = [PARAMETER_NATS * len(form.values) for form in able]
+        suggested = able[penalised_best(top, losses, costs, fits.train)].name
+    return tuple(sorted(forms, key=lambda form: form.penalised)), suggested
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A form at its fitted values, with residuals, their slopes in the parameters' units, and the training loss."""
+
+    form: Form
+    values: Array
+    r: Array
+    slopes: Array
+    loss: float
+
+    @property
+    def penalised(self) -> float:
+        return self.loss + PARAMETER_NATS * len(self.values)
+
+
+class _FormFits:
+    """Fits of forms in place of one curve."""
+
+    def __init__(self, best: RefinedTerm, tables: Mapping[str, Array]) -> None:
+        self.curve, self.band, self.augmented = best.curve, best.band, best.world
+        self.train, self.values = best.explanation.fitted.fitter.train, best.explanation.fitted.values
+        self.stack = StackedResiduals.of(best.world, self.values, self.train)
+        self.span = (float(best.curve.knots[0]), float(best.curve.knots[-1]))
+        inside = np.linspace(*self.span, KNOTS)
+        self.x = tables[best.curve.term.of] if best.curve.term.columns else inside
+
+    # -- a form near the curve ---------------------------------------------------------------------------------------
+    def nearest(self, form: Form) -> tuple[Array, float]:
+        """Values at which a form comes nearest to the curve, and its squared distance over the curve's band."""
+        x = self.curve.points
+        y = self.curve.at(x)
+        weight = 1.0 / np.hypot(self.band, LEAST_BAND * max(float(np.ptp(y)), float(np.max(np.abs(y))), 1e-12))
+        best: tuple[Array, float] = np.zeros(len(form.parameters)), np.inf
+        for shape in itertools.product(*(self._grid(kind) for _, kind in form.parameters if kind not in SIZES)):
+            columns = np.column_stack([form.at(x, (*unit, *shape)) for unit in np.eye(form.sizes)])
+            size = np.linalg.lstsq(columns * weight[:, None], y * weight, rcond=None)[0]
+            far = float(np.mean(((columns @ size - y) * weight) ** 2))
+            if far < best[1]:
+                best = np.array([*size, *shape]), far
+        return best
+
+    def _grid(self, kind: str) -> Array:
+        """Values of a shape parameter that are tried."""
+        low, high = self.span
+        if kind == "width":
+            return (high - low) * np.geomspace(0.03, 3.0, 12)
+        if kind == "place":
+            return np.linspace(low, high, 24)[:-1]
+        return np.array([0.25, 0.5, 0.75, 1.5, 2.0, 3.0])
+
+    def _units(self, form: Form) -> Array:
+        """Size of each parameter that is one unit of its coordinate."""
+        reach = max(abs(self.span[0]), abs(self.span[1]))
+        y = max(float(np.max(np.abs(self.curve.values))), 10.0 * self.curve.term.nudge)
+        wide = self.span[1] - self.span[0]
+        unit = {"value": y, "slope": y / reach, "curvature": y / reach**2, "width": wide, "place": wide, "power": 1.0}
+        return np.array([unit[kind] for _, kind in form.parameters])
+
+    def _kept(self, form: Form, values: Array) -> Array:
+        """Values within what their kinds allow."""
+        low, high = self.span
+        wide = high - low
+        bounds = {"width": (0.01 * wide, 10.0 * wide), "place": (low - wide, high + wide), "power": (0.1, 6.0)}
+        ends = np.array([bounds.get(kind, (-np.inf, np.inf)) for _, kind in form.parameters])
+        return np.clip(values, ends[:, 0], ends[:, 1])
+
+    # -- a form fitted to the events ---------------------------------------------------------------------------------
+    def residuals(self, form: Form, values: Array) -> Array:
+        """Stacked residuals with the form in place of the curve."""
+        return self.stack.residuals(self._with(form, values), self.values)
+
+    def _with(self, form: Form, values: Array) -> AugmentedModel:
+        table = form.at(self.x, values)[:, None]
+        curve = Curve(self.curve.term, self.curve.knots, np.ones(1), table)
+        return AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
+
+    def _slopes(self, form: Form, values: Array, r: Array) -> Array:
+        """Derivatives of the residuals by the parameters in their units, (k, parameters)."""
+        out = np.empty((len(r), len(values)))
+        for i, unit in enumerate(self._units(form)):
+            moved = values.copy()
+            moved[i] += NUDGE * unit
+            change = self.residuals(form, moved) - r
+            change[np.abs(change) > LEAP_S] = 0.0
+            out[:, i] = change / NUDGE
+        return out
+
+    def fit(self, form: Form, start: Array) -> _Fit:
+        """Gauss-Newton on the robust loss of the training steps."""
+        stack, unit = self.stack, self._units(form)
+        values = self._kept(form, start)
+        r = self.residuals(form, values)
+        slopes = self._slopes(form, values, r)
+        for tail in TAILS:
+            width = stack.widths(r, tail)
+            now, gained = _loss(stack, r, width), 0.0
+            step = _step(stack, r, slopes, width)
+            for half in range(HALVINGS):
+                moved = self._kept(form, values + 0.5**half * step * unit)
+                r_moved = self.residuals(form, moved)
+                gained = now - _loss(stack, r_moved, width)
+                if gained > 0.0:
+                    values, r = moved, r_moved
+                    slopes = self._slopes(form, values, r)
+                    break
+            if gained < ENOUGH_NATS and tail == TAILS[-1]:
+                break
+        return _Fit(form, values, r, slopes, stack.loss(r))
+
+    def held_out(self, p: _Fit) -> Array:
+        """Loss of the events by step, each step's with the values that the others give, (m,)."""
+        ev = self.augmented.evidence
+        apart, held = np.flatnonzero(self.train), p.r.copy()
+        for i in range(CURVE_FOLDS):
+            fold = np.isin(ev.measured.step, apart[i::CURVE_FOLDS])[self.stack.event]
+            rest = self.stack.without(fold)
+            step = _step(rest, p.r, p.slopes, rest.widths(p.r))
+            other = self._kept(p.form, p.values + step * self._units(p.form))
+            held[fold] = self.residuals(p.form, other)[fold]
+        return self.stack.by_step(held, ev.measured.step, len(ev.steps))
+
+    def result(self, p: _Fit, loss: float, error: float, as_good: bool) -> FittedForm:
+        """A fitted form as names and numbers."""
+        covariance = np.linalg.pinv(_normal(self.stack, p.r, p.slopes, self.stack.widths(p.r))[0], rcond=1e-14)
+        sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self._units(p.form)
+        up = -1.0 if self.curve.term.name == "force" and self.curve.term.columns else 1.0  # fitted as a pull
+        sign = np.array([up if kind in SIZES else 1.0 for _, kind in p.form.parameters])
+        form = p.form
+        return FittedForm(
+            form.name,
+            form.expression,
+            form.names,
+            tuple(kind for _, kind in form.parameters),
+            form.units(self.curve.term),
+            tuple((sign * p.values).tolist()),
+            tuple(sigmas.tolist()),
+            loss,
+            error,
+            as_good,
+        )
+
+
+def _normal(stack: StackedResiduals, r: Array, slopes: Array, width: Array) -> tuple[Array, Array]:
+    """Normal equations of a weighted step."""
+    z, j = r / width, slopes / width[:, None]
+    weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
+    return (j * weight[:, None]).T @ j, -(j.T @ (weight * z))
+
+
+def _step(stack: StackedResiduals, r: Array, slopes: Array, width: Array) -> Array:
+    """Step of the parameters in their units."""
+    normal, pull = _normal(stack, r, slopes, width)
+    normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(pull))
+    return np.asarray(np.linalg.lstsq(normal, pull, rcond=1e-10)[0])
+
+
+def _loss(stack: StackedResiduals, r: Array, width: Array) -> float:
+    return float(np.sum(robust_loss(r / width, log_odds(width, stack.period_s))[stack.train]))

@@ -1,0 +1,110 @@
+"""A discovered term kept as an effect: its file, and the loop closed again with it in the library."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from analysis.loop.kept_term import KeptTerm, check_new, effect_source
+from analysis.loop.result import AddedEffect, ClosedLoop
+from analysis.residuals.prediction_errors import Errors
+from bench.outputs import PYTHON, File, check_outputs
+from daq.files.whole_file import write_whole
+from daq.setup.errors import InputError
+from model.effects import kept
+
+Again = tuple[str, str, tuple[AddedEffect, ...], Errors, Errors, float]
+"""Verdict, the same in words, effects, errors before and after, and noise floor of the second loop."""
+
+
+def place_for(name: str, *, overwrite: bool) -> Path:
+    """The file of a new kept effect, checked before any work; its folder is made.
+
+    A file that is to be replaced is left out of the library of this process.
+
+    Raises
+    ------
+    InputError
+        For what is no name, a name that is taken, and a place that cannot be written.
+    """
+    if not name.isidentifier():
+        check_new(name)
+    folders = kept.folders()
+    if not folders:
+        raise InputError(
+            f"--keep-term {name}: {kept.VARIABLE} names no folder for kept effects; name one there, or by "
+            "bench --effects FOLDER close-loop ..."
+        )
+    path = folders[0] / f"{name}.py"
+    try:
+        folders[0].mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--keep-term {name}: {folders[0]} cannot be made ({error}); name another folder") from error
+    check_outputs(File("--keep-term", path, PYTHON), overwrite=overwrite)
+    if overwrite:
+        kept.leave_out(path)
+    check_new(name)
+    return path
+
+
+def keep_term(
+    loop: ClosedLoop,
+    path: Path,
+    recordings: Sequence[Path],
+    profile: Path | None,
+    improved: Path | None,
+    *,
+    quiet: bool,
+) -> tuple[KeptTerm, list[str]]:
+    """Write the discovered term of ``loop`` as the effect ``path``, and close the loop again with it.
+
+    Parameters
+    ----------
+    loop
+        A closed loop with a discovered term.
+    path
+        The effect's file.
+    recordings, profile
+        As the loop was closed with.
+    improved
+        Improved profile of the loop with the effect; None: none is written.
+    quiet
+        Whether no progress is shown.
+
+    Returns
+    -------
+    KeptTerm
+        What became of it.
+    list of str
+        Lines about the improved profile.
+
+    Raises
+    ------
+    InputError
+        Where there is no term that can be kept.
+    """
+    write_whole(path, effect_source(loop, path.stem))
+    # the library is read, and its kernels are compiled, once in a process: the new effect needs another
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        again, lines = pool.submit(_again, list(recordings), profile, improved, quiet).result()
+    found = loop.discovered
+    form = found.suggested if found is not None else ""
+    return KeptTerm(path.stem, str(path), form, *again), lines
+
+
+def _again(recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool) -> tuple[Again, list[str]]:
+    """The loop closed with the library as it is now: verdict, words, effects, errors, floor; lines about a profile."""
+    from analysis.loop.close_loop import close_loop
+    from analysis.report.wording import verdict_line
+    from bench.profiles.find import load_measuring
+    from bench.profiles.improved import write_improved
+    from bench.terminal.progress import progress_bar
+
+    setup, text = (None, None) if profile is None else load_measuring(profile)
+    with progress_bar(quiet) as bar:
+        loop = close_loop(recordings, setup=setup, progress=bar)
+    lines = [] if improved is None else write_improved(loop, recordings[0], improved, text)
+    words = (loop.verdict, verdict_line(loop), loop.effects, loop.before, loop.after, loop.noise_floor_us)
+    return words, lines
