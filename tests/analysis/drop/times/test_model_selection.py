@@ -1,4 +1,4 @@
-"""The set of models of models on impact times of known truth."""
+"""Candidate models on impact times of known truth."""
 
 from types import ModuleType
 
@@ -106,3 +106,11 @@ def test_an_irregular_bounce_is_left_out(synthetic: ModuleType) -> None:
     verdict = judge(drops, G, np.random.default_rng(0))
     assert verdict.left_out.sum() + drops[0].bounces.broken.sum() == 1
     assert verdict.candidate("constant_restitution").fit.theta[0] == pytest.approx(0.88, abs=1e-3)
+
+
+def test_a_restitution_that_rises_with_speed_is_not_explained() -> None:
+    """Taps of a hand, each interval 20 ms shorter than the last, follow a law that no ball has; it is said."""
+    events = np.cumsum(0.4 - 0.02 * np.arange(15))
+    verdict = judge([Drop("taps", bounces_of(events, "taps"))], G, np.random.default_rng(1))
+    assert verdict.chosen == "unexplained"
+    assert any("gain energy" in words or "would rise" in words for words in verdict.doubts)
