@@ -2,8 +2,9 @@
 
 Run ``python -m benchmarks.analysis.drop_films``. Drops are integrated by an adaptive Runge-Kutta method (DOP853) with
 events; blocks are polygons seen through a camera that is rolled, tilted and has a lens, filled at eight times the
-resolution. Truths and seeds are drawn before anything is analysed, and every film counts. With ``--hard`` the films are, in turn: a tall block at 30 frames a second, a strong
-lens, repeated frames, a camera held in the hand, a rolling shutter.
+resolution. Truths and seeds are drawn before anything is analysed, and every film counts. With ``--hard`` the films
+are, in turn: a tall block at 30 frames a second, a strong lens, repeated frames, a camera held in the hand, a rolling
+shutter.
 """
 
 from __future__ import annotations
@@ -157,6 +158,7 @@ def film(target: Path, scene: Scene, rng: np.random.Generator) -> tuple[float, N
     writer.set(cv2.VIDEOWRITER_PROP_QUALITY, scene.quality)
     shaking = cv2.GaussianBlur(rng.normal(0.0, 1.0, (int(seconds * scene.fps) + 1, 2)), (1, 31), 0.0, sigmaY=8.0)
     shaking *= scene.shake_px / max(float(shaking.std()), 1e-9)
+    shown = np.zeros((rows, columns, 3), dtype=np.uint8)
     for k in range(int(seconds * scene.fps)):
         if scene.repeat_every and k % scene.repeat_every == scene.repeat_every - 1:
             writer.write(shown)
@@ -178,7 +180,8 @@ def film(target: Path, scene: Scene, rng: np.random.Generator) -> tuple[float, N
         picture = cv2.GaussianBlur(picture, (0, 0), scene.defocus_px) + rng.normal(0.0, scene.noise, picture.shape)
         if scene.shake_px:
             move = np.array([[1.0, 0.0, shaking[k, 0]], [0.0, 1.0, shaking[k, 1]]])
-            picture = cv2.warpAffine(picture, move, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+            size = (columns, rows)
+            picture = cv2.warpAffine(picture, move, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
         shown = cv2.cvtColor(np.clip(picture, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
         writer.write(shown)
     writer.release()
