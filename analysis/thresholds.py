@@ -14,10 +14,14 @@ class Thresholds:
 
     Attributes
     ----------
-    gain_nats, gain_sigmas
-        Least held-out gain of an effect, in nats and in standard errors of the per-step differences.
+    best_of_all_p
+        Largest probability that the best of all candidates gains so much by chance, for an effect to be named.
+    first_effect_nats, first_effect_sigmas
+        Least held-out gain of the first effect, in nats and in standard errors of the per-step differences.
     next_effect_nats, next_effect_sigmas
         The same for every further effect: one cause must nearly fail before two are named.
+    gain_nats, gain_sigmas
+        Gain that is beyond doubt without a null of its own: of a richer form, of a term, at a detection limit.
     worse_nats, worse_sigmas
         Rise of a channel's held-out loss beyond which an effect is refused; both must be exceeded.
     tolerated_plate_loss
@@ -36,6 +40,8 @@ class Thresholds:
         Every so-many-th step is held out from all fits and all selection.
     reserve_factor
         Times `next_effect_nats` below which a further effect must also gain on the reserved steps.
+    reserve_sigmas
+        Standard deviations, of a log-likelihood ratio, by which reserved steps may lie below what the others promise.
     lack_p
         Probability under which the remainder is more than noise.
     lack_ratio
@@ -56,6 +62,9 @@ class Thresholds:
         Correlation of its mark on the flights above which a named effect is reported as similar to a smooth term.
     """
 
+    best_of_all_p: float = 1e-3
+    first_effect_nats: float = 6.0
+    first_effect_sigmas: float = 1.5
     gain_nats: float = 12.0
     gain_sigmas: float = 2.0
     next_effect_nats: float = 15.0
@@ -72,6 +81,7 @@ class Thresholds:
     idle_rms: float = 0.15
     reserve_every: int = 4
     reserve_factor: float = 2.0
+    reserve_sigmas: float = 2.0
     lack_p: float = 1e-4
     lack_ratio: float = 1.25
     plate_rms_z: float = 1.6

@@ -160,6 +160,7 @@ def closed_loop() -> ClosedLoop:
 
     Tests that need another verdict replace fields of it; nothing is fitted.
     """
+    from analysis.attribution.hypothesis import ChanceTest
     from analysis.loop.result import (
         AddedEffect,
         Bifurcation,
@@ -176,7 +177,7 @@ def closed_loop() -> ClosedLoop:
     )
     from analysis.residuals.covariates import COVARIATES
     from analysis.residuals.lack_of_fit import GoodnessOfFit
-    from analysis.residuals.prediction_errors import Errors
+    from analysis.residuals.prediction_errors import Errors, GivenOpenings
     from analysis.thresholds import FROZEN
     from daq.setup.setup import Setup
 
@@ -220,8 +221,10 @@ def closed_loop() -> ClosedLoop:
         candidates=(TestedCandidate(("adhesion",), 3.0, math.inf), TestedCandidate(("coulomb_friction",), 900.0, 80.0)),
         rounds=("round 1: coulomb_friction gains 900 +- 80 nats",),
         rejected=None,
+        chance=(ChanceTest(("coulomb_friction",), 910.0, 2e-4, 9.1, True),),
         before=Errors(52.0, 50.0, 54.0, 74.0, 74.0, 52.0, 2e-3, 24, 0.0),
         after=Errors(5.0, 4.0, 6.0, 5.1, 5.2, 5.0, 1e-4, 24, 0.0),
+        given_openings=GivenOpenings(4.9, 5.0, 8.0),
         noise_floor_us=5.0,
         takeoff_floor_us=5.0,
         remainder=GoodnessOfFit(0.4, 1.02, 1.01, None, dict.fromkeys(COVARIATES, 0.5), 0.3, 0.5, 0.6),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.attribution.chance import ChanceGains
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.hypothesis import Hypothesis, Rejected
 from analysis.residuals.lack_of_fit import plate_rms_standardised
@@ -41,10 +42,20 @@ class Judge:
         lead = self.gain(x, best)
         return not self.finds(x, best) and not lead.exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
 
-    def refusal(self, best: Hypothesis, x: Hypothesis, depth: int) -> str | None:
-        """Reason in words that forbids ``x`` in place of ``best``; None where nothing does."""
+    def refusal(self, best: Hypothesis, x: Hypothesis, depth: int, chance: ChanceGains | None = None) -> str | None:
+        """Reason in words that forbids ``x`` in place of ``best``; None where nothing does.
+
+        Parameters
+        ----------
+        best, x
+            Hypotheses without and with a candidate.
+        depth
+            Number of effects named before.
+        chance
+            What the best of all candidates gains by chance beside ``best``; not tested where None.
+        """
         limits = self.limits
-        nats, sigmas = limits.gain_nats, limits.gain_sigmas
+        nats, sigmas = limits.first_effect_nats, limits.first_effect_sigmas
         if depth:
             nats, sigmas = limits.next_effect_nats, limits.next_effect_sigmas
         gain = self.gain(best, x)
@@ -60,8 +71,12 @@ class Judge:
             change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)
             if change.exceeds(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
-        if x.candidates[-1].free and not x.fitted.differs(x.candidates[-1].free):
+        if any(c.free and not x.fitted.differs(c.free) for c in x.candidates if c not in best.candidates):
             return "the 95 % intervals of its parameters hold the values at which it does nothing"
+        if chance is not None and (p := chance.p(x)) > limits.best_of_all_p:
+            return (
+                f"chance lets the best of all candidates gain as much: p = {p:.2g}, wanted {limits.best_of_all_p:.2g}"
+            )
         return None
 
     def _trifling(self, x: Hypothesis, channel: str, loss: LogScoreDifference, gain: LogScoreDifference) -> bool:
@@ -73,12 +88,14 @@ class Judge:
             return False
         return plate_rms_standardised(x.fitted.fitter.world, x.fitted.values) < self.limits.noise_like_ratio
 
-    def choose(self, best: Hypothesis, found: Sequence[Hypothesis], depth: int) -> Hypothesis | None:
+    def choose(
+        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, chance: ChanceGains | None = None
+    ) -> Hypothesis | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, that of lowest penalised loss.
 
         The penalty counts its parameters and the prior of the calibrations that it moves.
         """
-        passing = [x for x in found if self.refusal(best, x, depth) is None]
+        passing = [x for x in found if self.refusal(best, x, depth, chance) is None]
         if not passing:
             return None
         top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
@@ -87,7 +104,12 @@ class Judge:
         return close[penalised_best(top.per_step, [x.per_step for x in close], costs, self.train)]
 
     def rejected(
-        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, chosen: Hypothesis | None
+        self,
+        best: Hypothesis,
+        found: Sequence[Hypothesis],
+        depth: int,
+        chosen: Hypothesis | None,
+        chance: ChanceGains | None = None,
     ) -> Rejected | None:
         """The refused candidate of the greatest gain, if it gains more than what was chosen; None where there is none.
 
@@ -101,13 +123,15 @@ class Judge:
             Number of effects named before.
         chosen
             The accepted candidate of that round, if any.
+        chance
+            What the best of all candidates gains by chance beside ``best``; not tested where None.
         """
         least = 0.0 if chosen is None else self.gain(best, chosen).gain
         for x in sorted(found, key=lambda x: float(x.per_step[self.train].sum())):
             gain = self.gain(best, x)
             if not gain.gain > max(least, self.limits.reported_nats):
                 break
-            reason = self.refusal(best, x, depth)
+            reason = self.refusal(best, x, depth, chance)
             if reason is not None:
                 return Rejected(x.candidates[-1].names, gain.gain, gain.error, reason)
         return None

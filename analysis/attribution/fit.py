@@ -166,6 +166,16 @@ class Fitter:
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
         return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
 
+    def slope(self, best: Fitted, key: ParameterId, shapes: Mapping[ParameterId, float] | None = None) -> Array:
+        """Derivative of the bare residuals to one parameter beyond ``best``, its shapes where ``shapes`` puts them."""
+        at = {key: null_value_of(key), **best.values, **(shapes or {})}
+        keys = [key, *(k for k in at if k != key)]
+        x = np.array([self.to_x(k, at[k]) for k in keys])
+        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
+        bare = np.zeros((len(best.raw), 1))
+        state.fill(bare, x, best.raw, (0,))
+        return bare[:, 0]
+
     def detectable(self, best: Fitted, key: ParameterId, nats: float) -> float:
         """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.
 
@@ -225,6 +235,7 @@ class _State:
             change = self.raw(moved) - raw
             n = len(self.whitener.step)
             change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
+            change[~np.isfinite(change)] = 0.0
             bare[:, j] = change / h
 
     def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:

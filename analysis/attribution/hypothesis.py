@@ -12,6 +12,7 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.residuals.forward_model import ParameterId
+from analysis.residuals.lack_of_fit import plate_rms_standardised, rms_standardised
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]
@@ -96,6 +97,12 @@ class Refits:
         """The hypothesis fitted from ``start``, first with the weights given, until they converge."""
         return self.scored(candidates, self.reweighted(self.fitter.fit(whitener, free, start)))
 
+    def noise_like(self, x: Hypothesis, ratio: float) -> bool:
+        """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms."""
+        values = x.fitted.values
+        landings = rms_standardised(self.world, values, self.world.uncertainty(values))
+        return landings < ratio and plate_rms_standardised(self.world, values) < ratio
+
     def again(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted once more from where it stands: derivatives of calibrations are those of the start.
 
@@ -125,6 +132,31 @@ class Rejected:
 
 
 @dataclass(frozen=True)
+class ChanceTest:
+    """The best candidate of a round, held against what the best of all gains by chance.
+
+    Attributes
+    ----------
+    names
+        Effects that it adds.
+    gain
+        Its gain on the steps of the fit, nats.
+    p
+        Probability that the best of all candidates gains so much by chance.
+    critical
+        Gain that chance exceeds with the probability of the threshold, nats.
+    accepted
+        Whether it was added.
+    """
+
+    names: tuple[str, ...]
+    gain: float
+    p: float
+    critical: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
 class SelectionResult:
     """Result of a stepwise selection.
 
@@ -140,6 +172,8 @@ class SelectionResult:
         Outcome of each round: names, gain, standard error, accepted or why not.
     rejected
         Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
+    chance
+        By round, the best candidate against chance.
     earlier
         Hypotheses before the last effect was added, from the declared model on.
     """
@@ -150,4 +184,5 @@ class SelectionResult:
     tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]
     rounds: tuple[str, ...] = field(default=())
     rejected: Rejected | None = None
+    chance: tuple[ChanceTest, ...] = ()
     earlier: tuple[Hypothesis, ...] = ()

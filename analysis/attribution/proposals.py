@@ -9,19 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from analysis.attribution.candidates import Candidate, Point, distinct_starts
+from analysis.attribution.candidates import Candidate, Point, distinct_starts, trends_of
 from analysis.attribution.coarse_search import CoarseSearch, joint_points, subsample
 from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.parallel import THREADS
-from analysis.residuals.forward_model import ParameterId, plate_effects
+from analysis.residuals.forward_model import TREND, ParameterId, plate_effects
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 from model.effects.registry import trend_name
 
 Tried = Callable[[Candidate], None]
 
+MOST_DRIFTING, DRIFTING_NATS = 4, 100.0  # strong candidates of a round that are tried with a drift; their least gain
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
@@ -41,6 +42,7 @@ class Proposals:
 
     def __init__(self, refits: Refits, limits: Thresholds) -> None:
         self.refits, self.fitter, self.least_nats = refits, refits.fitter, limits.negligible_nats
+        self.noise_like_ratio = limits.noise_like_ratio
 
     def round(
         self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
@@ -72,7 +74,33 @@ class Proposals:
 
         with ThreadPoolExecutor(THREADS) as pool:
             found = [x for x in pool.map(one, options) if x is not None]
-            return found + (self._from_afar(best, far, pool, tried) if far else [])
+            found += self._from_afar(best, far, pool, tried) if far else []
+            return found + self._drifting(best, found, pool)
+
+    def _drifting(self, best: Hypothesis, found: Sequence[Hypothesis], pool: ThreadPoolExecutor) -> list[Hypothesis]:
+        """The strongest candidates, each with the drift that promises most, where the best one leaves more than noise.
+
+        Without it, a cause that drifts widely loses to another cause that happens to follow the drift.
+        """
+        train = self.refits.train
+
+        def loss(x: Hypothesis) -> float:
+            return float(x.per_step[train].sum())
+
+        strong: dict[tuple[str, ...], Hypothesis] = {}
+        for x in sorted(found, key=loss):
+            if loss(best) - loss(x) > DRIFTING_NATS:
+                strong.setdefault(x.names, x)
+        if not strong or self.refits.noise_like(next(iter(strong.values())), self.noise_like_ratio):
+            return []
+
+        def drifting(x: Hypothesis) -> Hypothesis | None:
+            fresh = set(x.candidates[-1].free)
+            trends = [c for c in trends_of(x.free) if {(n, q.removesuffix(TREND)) for n, q in c.free} <= fresh]
+            promised = [(self.fitter.linear_step(x.fitted, c.free)[0], i) for i, c in enumerate(trends)]
+            return self.add(x, trends[max(promised)[1]]) if promised else None
+
+        return [x for x in pool.map(drifting, list(strong.values())[:MOST_DRIFTING]) if x is not None]
 
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from analysis.attribution.candidates import Candidate, Point
 from analysis.attribution.choice import Judge
 from analysis.attribution.hypothesis import Hypothesis, Refits
-from analysis.attribution.priors import null_value_of
-from analysis.residuals.forward_model import ParameterId
+from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.residuals.forward_model import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
 from model.effects.registry import effect
 
@@ -39,6 +39,24 @@ class Pruning:
                 return x
         return best
 
+    def without_null(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
+        """The hypothesis without candidates whose parameters' intervals hold, in the end, their null values."""
+        while best.candidates:
+            null = next((c for c in best.candidates if not self._differs(best, c)), None)
+            if null is None:
+                break
+            rest = tuple(c for c in best.candidates if c is not null and not _is_trend_of(c, null))
+            free = tuple(k for c in rest for k in c.free)
+            start = {k: v for k, v in best.fitted.values.items() if k in free or k in self.refits.fitter.priors}
+            best = self.refits.converged(rest, best.whitener, free, start)
+            rounds.append(f"step back: the 95 % intervals of {' + '.join(null.names)} hold the values of no effect")
+        return best
+
+    @staticmethod
+    def _differs(x: Hypothesis, candidate: Candidate) -> bool:
+        """Whether the sizes of a candidate together differ from their null values; shapes alone are no size."""
+        return all(parameter_of(k).is_shape for k in candidate.free) or x.fitted.differs(candidate.free)
+
     def simplified(self, best: Hypothesis, pool: Sequence[Candidate], rounds: list[str]) -> Hypothesis:
         """The hypothesis with a special case in place of an effect, unless the fuller form is better beyond doubt.
 
@@ -49,7 +67,7 @@ class Pruning:
                 if len(simpler.free) >= len(candidate.free) or not set(simpler.names) <= contained_in(candidate.names):
                     continue
                 x = self._in_place(best, i, simpler)
-                if self._as_good(best, x):
+                if self._as_good(best, x) or self._extra_is_null(best, x, candidate, simpler):
                     rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
                     return x
         return best
@@ -75,11 +93,30 @@ class Pruning:
         start = min(points, key=lambda point: self.refits.profile_loss(best.whitener, point))
         return self.refits.converged(chosen, best.whitener, tuple(k for c in chosen for k in c.free), start)
 
+    def _extra_is_null(self, best: Hypothesis, x: Hypothesis, candidate: Candidate, simpler: Candidate) -> bool:
+        """Whether the intervals of what the fuller form has beyond its special case ``x`` hold the null values.
+
+        Not where the special case loses so much that its fit, or the interval, cannot be right.
+        """
+        if self.judge.gain(x, best).gain > self.limits.found_nats:
+            return False
+        own = set(simpler.free)
+        for name in candidate.names:
+            for case, table in effect(name).effect.special_cases.items():
+                own |= {(name, q) for q in table.values()} if case in simpler.names else set()
+        extra = [k for k in candidate.free if k not in own and not parameter_of(k).is_shape]
+        return bool(extra) and not best.fitted.differs(extra)
+
     def _as_good(self, fuller: Hypothesis, x: Hypothesis) -> bool:
         """Whether a special case may stand in: under the same name where it ties, under another unless beyond doubt."""
         if x.names == fuller.names:
             return self.judge.tied(fuller, x)
         return not self.judge.gain(x, fuller).exceeds(self.limits.gain_nats, self.limits.gain_sigmas)
+
+
+def _is_trend_of(trend: Candidate, candidate: Candidate) -> bool:
+    """Whether all that ``trend`` frees are trends of what ``candidate`` frees."""
+    return all(q.endswith(TREND) and (n, q.removesuffix(TREND)) in candidate.free for n, q in trend.free)
 
 
 def contained_in(names: Sequence[str]) -> set[str]:

@@ -15,13 +15,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of
+from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
 from analysis.attribution.choice import Judge
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, Refits, Rejected, SelectionResult
+from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected, SelectionResult
 from analysis.attribution.proposals import Proposals
 from analysis.attribution.pruning import Pruning, contained_in
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.lack_of_fit import plate_rms_standardised, rms_standardised
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, Thresholds
 
@@ -72,25 +72,34 @@ class StepwiseSelection:
         best, rounds, tried = before, list[str](), list[Hypothesis]()
         rivals: list[Hypothesis] = []
         refused: list[Rejected] = []
+        chance: list[ChanceTest] = []
+        rng = generator_of(self.world)
         chain = [before]
         for depth in range(self.limits.most_effects):
-            if depth and self._noise_like(best):
+            if depth and self.refits.noise_like(best, self.limits.noise_like_ratio):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
             options = remaining_candidates(self.library, best) if depth else self.library
             found = self._round(best, options, depth)
             tried = tried if depth else found
-            accepted, best = self._accepted(best, found, depth)
-            refused += filter(None, [self.judge.rejected(best, found, depth, accepted)])
+            accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
+            refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
+            chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
             if accepted is None:
-                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt")
+                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best_by_chance(chance, depth)}")
                 break
             gain, added = self.judge.gain(best, accepted), " + ".join(accepted.candidates[-1].names)
-            rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats")
+            rounds.append(
+                f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats "
+                f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
+            )
             kept = self.pruning.simplified(self.pruning.without_idle(accepted, rounds), self.library, rounds)
             rivals = found if kept is accepted else []
+            if kept is accepted:  # a cause and its drift are confirmed one by one
+                chain += [x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates][:1]
             best = self.refits.again(kept)
             chain.append(best)
+        best = chain[-1] = self.pruning.without_null(best, rounds)
         ties = self._ties(before, best, rivals)
         if best is not before:
             best = self.pruning.without_excess(best)
@@ -103,15 +112,9 @@ class StepwiseSelection:
             tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried),
             tuple(rounds),
             max(left, key=lambda x: x.gain, default=None),
+            tuple(chance),
             tuple(chain[:-1]),
         )
-
-    def _noise_like(self, best: Hypothesis) -> bool:
-        """Whether so little is left that a further effect could only fit noise."""
-        values = best.fitted.values
-        landings = rms_standardised(self.world, values, self.world.uncertainty(values))
-        most = self.limits.noise_like_ratio
-        return landings < most and plate_rms_standardised(self.world, values) < most
 
     def _round(self, best: Hypothesis, options: Sequence[Candidate], depth: int) -> list[Hypothesis]:
         def progress(name: str, part: float) -> None:
@@ -120,22 +123,22 @@ class StepwiseSelection:
         return self.proposals.round(best, options, progress)
 
     def _accepted(
-        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int
-    ) -> tuple[Hypothesis | None, Hypothesis]:
-        """The choice of a round, and the hypothesis without it, fitted again from there.
+        self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, null: ChanceGains
+    ) -> tuple[Hypothesis | None, Hypothesis, ChanceGains]:
+        """The choice of a round, the hypothesis without it, fitted again from there, and the chance beside that.
 
         A fit that had stopped short would let any other effect look needed.
         """
         for _ in range(MOST_REFITS):
-            chosen = self.judge.choose(best, found, depth)
+            chosen = self.judge.choose(best, found, depth, null)
             if chosen is None:
-                return None, best
+                return None, best, null
             start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
             again = self.refits.converged(best.candidates, chosen.whitener, best.free, start)
             if not self.judge.gain(best, again).gain > self.limits.negligible_nats:
-                return chosen, best
-            best = again
-        return self.judge.choose(best, found, depth), best
+                return chosen, best, null
+            best, null = again, ChanceGains(again, null.options, null.rng)
+        return self.judge.choose(best, found, depth, null), best, null
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""
@@ -152,6 +155,19 @@ class StepwiseSelection:
                 continue
             out.append(x)
         return tuple(out)
+
+
+def _probability(test: ChanceTest) -> str:
+    """The probability in words; where no draw gained so much, the bound."""
+    return f"p < {test.p:.1g}" if test.p < 1.5 / DRAWS else f"p = {test.p:.2g}"
+
+
+def _best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
+    """The best candidate of the last round against chance, in words; empty where the round had none that gains."""
+    if len(tests) <= depth or not tests[depth].gain > 1.0:
+        return ""
+    best = tests[depth]
+    return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {_probability(best)} by chance)"
 
 
 def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis) -> list[Candidate]:

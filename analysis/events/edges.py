@@ -2,7 +2,8 @@
 
 Where the samples show the circuit's RC charging, its time constant is estimated for each polarity and an edge is
 fitted through its samples. Where nothing shows between two samples, the time is the middle of the interval, with a
-uniform distribution over it.
+uniform distribution over it. The same holds for a comparator that is read once a sample and low-passed afterwards: its
+edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ LOUD_SIGMAS, LOUD = 40.0, 0.05  # height of a first sample whose successor shows
 ALIKE_SIGMAS = 5.0  # distance to the median within which the ratios of successive samples are averaged
 MEDIAN_CHI2 = 1.386  # median of chi square with two degrees of freedom
 CLEAR_SIGMAS = 6.0  # height of a fitted edge above its uncertainty from which its delay is linear in it
+PHASE_BINS = 20  # parts of the interval between two samples in which edges are counted
+MOST_READS = (1, 2, 3)  # reads of a clocked comparator in a sample
+FIXED_PART = 0.85  # share of the edges within two parts from which the comparator is clocked
 VAGUE = 12.0  # samples per uncertainty below which the posterior is integrated instead
 POSTERIOR_POINTS = 200
 
@@ -46,12 +50,22 @@ class EdgeShape:
         Rms of the fit's residuals in units of the plateau noise, at least 1; uncertainties are multiplied by it.
     edges : int
         Edges used.
+    clock_s : float
+        Time between two reads of a clocked comparator before the RC; 0 for a circuit that answers at once.
+    lag_s : float
+        Where it is clocked, from the RC's first rise to the middle of the interval in which the comparator changed.
     """
 
     tau_s: float
     tau_uncertainty_s: float
     chi: float
     edges: int
+    clock_s: float = 0.0
+    lag_s: float = 0.0
+
+    def circuit(self, rise_s: Floats, sigma_s: Floats) -> tuple[Floats, Floats]:
+        """Times and uncertainties of the contact itself from those at which the RC begins to rise."""
+        return rise_s + self.lag_s, np.hypot(sigma_s, self.clock_s / np.sqrt(12.0))
 
 
 SHARP = EdgeShape(0.0, 0.0, 1.0, 0)
@@ -97,7 +111,7 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
             for part in np.array_split(todo, todo.size // EDGES_AT_ONCE + 1):
                 y = _towards(crossings, part, kind)
                 if again:
-                    y += _unsettled(crossings, part, times, shapes[-kind].tau_s, rate_hz)
+                    y += _unsettled(crossings, part, times - shapes[-kind].lag_s, shapes[-kind].tau_s, rate_hz)
                 own_room = np.clip(room[part], 1, AFTER)
                 delay, sigmas[part] = fit_edges(y, own_room, gap[part], noise, shapes[kind], rate_hz)
                 times[part] = crossings.sample[part] / rate_hz + delay
@@ -159,9 +173,29 @@ def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
         tau, tau_sigma = float(area.mean()) / rate_hz, float(area.std()) / rate_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)
+    reads, place = _clocked(samples, noise, tau * rate_hz)
     misfit = _misfit(samples, noise, tau, rate_hz)
     chi = float(np.sqrt(np.median(misfit**2) * 2.0 / MEDIAN_CHI2))
-    return EdgeShape(tau, tau_sigma, max(1.0, chi), n)
+    clock_s = 1.0 / (reads * rate_hz) if reads else 0.0
+    return EdgeShape(tau, tau_sigma, max(1.0, chi), n, clock_s, (place - 0.5) * clock_s)
+
+
+def _clocked(samples: Floats, noise: float, tau_samples: float) -> tuple[int, float]:
+    """Reads of a clocked comparator in a sample, and where the RC begins to rise, in (0, 1] of a read before a sample.
+
+    An RC's own edges fall anywhere between two samples (0 reads), a clocked comparator's at equally spaced places.
+    """
+    height = samples[:, 0]
+    clear = height > max(CLEAR_SIGMAS, PHASE_BINS * tau_samples) * noise  # known to a bin
+    if clear.sum() < MIN_EDGES:
+        return 0, 0.0
+    places = -tau_samples * np.log(height[clear])
+    for reads in MOST_READS:
+        counts = np.bincount((PHASE_BINS * reads * places).astype(np.int64) % PHASE_BINS, minlength=PHASE_BINS)
+        if float((counts + np.roll(counts, 1)).max()) > FIXED_PART * height.size:  # a place may lie on a bound
+            turn = float(np.angle(np.exp(2j * np.pi * reads * places).sum())) / (2.0 * np.pi) % 1.0
+            return reads, turn if turn > 1.0 / PHASE_BINS else turn + 1.0
+    return 0, 0.0
 
 
 def _misfit(samples: Floats, noise: float, tau_s: float, rate_hz: float) -> Floats:
@@ -213,7 +247,7 @@ def fit_edges(
     sigma = np.hypot(sigma, np.abs(since) * shape.tau_uncertainty_s / shape.tau_s)
     vague = ~clear | (sigma > dt / VAGUE)
     since[vague], sigma[vague] = _vague(u[vague], sigma_u[vague], shape, dt)
-    delay: Floats = (first - BEFORE) * dt - since
+    delay, sigma = shape.circuit((first - BEFORE) * dt - since, sigma)
     return delay, np.minimum(sigma, uniform)
 
 

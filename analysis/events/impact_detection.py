@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.impact_template import FINE, LEAD, LENGTH, ImpactTemplate
+from analysis.signals.stream import block_means
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
@@ -24,6 +25,7 @@ SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the 
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong
 THRESHOLD = 6.0  # standard deviations of the filter's output that make a candidate
+ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
 
@@ -37,11 +39,14 @@ class Impacts:
         Time axis of the accelerometer before `analysis.events.sensor_offset.calibrate`, of the contact edges after it.
     strength : array, shape (n,)
         Output of the matched filter in units of its noise: proportional to the impact speed.
+    onset_s : float
+        Uncertainty of the template's onset, where no edge confirms it.
     """
 
     time_s: Floats
     uncertainty_s: Floats
     strength: Floats
+    onset_s: float = ONSET_S
 
 
 NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -51,11 +56,11 @@ class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
     In order of time, the ringing of earlier impacts is subtracted first; a candidate no larger than that echo is
-    dropped. Uncertainties are those of the fit in white noise.
+    dropped. Uncertainties are those of the fit in white noise. All works on means over ``template.width`` samples.
     """
 
     def __init__(self, template: ImpactTemplate, rate_hz: float) -> None:
-        self.template, self.rate_hz = template, rate_hz
+        self.template, self.rate_hz = template, rate_hz  # of the recording
         shifts = np.arange(-SHIFTS, SHIFTS + 1)
         points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, len(template.fine) - 1)
         bank = template.fine[points] @ template.projector
@@ -69,8 +74,11 @@ class ImpactScan:
     def add(self, volts: Volts, first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``.
 
-        Returns the samples of the impacts found.
+        ``first`` and ``pad`` are multiples of the template's width. Returns the samples of the impacts found.
         """
+        width = self.template.width
+        if width > 1:
+            volts, first, pad, count = block_means(volts, width), first // width, pad // width, count // width
         beyond = max(
             min(LENGTH - LEAD, len(volts) - pad - count - LENGTH), 0
         )  # echoes of these: early in the next piece
@@ -97,13 +105,19 @@ class ImpactScan:
         )
         new = out[len(recent) : total].copy()
         self._found = np.concatenate([self._found, new])
-        return np.rint(new[:, 0]).astype(np.int64)
+        return np.rint(self._recorded(new[:, 0])).astype(np.int64)
+
+    def _recorded(self, place: Floats) -> Floats:
+        """Places among means as places among recorded samples."""
+        return np.asarray(place * self.template.width + 0.5 * (self.template.width - 1))
 
     def without_impacts(self, volts: Volts, first: int, pad: int) -> Volts:
         """A piece less the templates of all impacts found so far."""
-        start = (first - pad) - len(self.template.fine) // FINE
+        width, table = self.template.width, self._found.copy()
+        table[:, 0] = self._recorded(table[:, 0])
+        start = (first - pad) - len(self.template.fine) // FINE * width
         out = volts.copy()
-        _subtract(out, first - pad, self._found[np.searchsorted(self._found[:, 0], start) :], self.template.fine)
+        _subtract(out, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
         return out
 
     def impacts(self) -> Impacts:
@@ -111,8 +125,11 @@ class ImpactScan:
         place, _, score, echo = self._found.T
         noise = self.template.noise_v
         error_v = np.sqrt(noise**2 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
-        sigma = error_v / np.maximum(score, noise) / self._steep[SHIFTS] / self.rate_hz
-        return Impacts(place / self.rate_hz, np.minimum(sigma, 1.0 / self.rate_hz), score / noise)
+        sample_s = self.template.width / self.rate_hz
+        sigma = error_v / np.maximum(score, noise) / self._steep[SHIFTS] * sample_s
+        onset_s = float(np.hypot(ONSET_S, ONSET_PART * sample_s * (self.template.width > 1)))
+        time_s = self._recorded(place) / self.rate_hz
+        return Impacts(time_s, np.minimum(sigma, sample_s), score / noise, onset_s)
 
 
 @njit(error_model="numpy", fastmath=True)
@@ -204,12 +221,12 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
 
 
 @njit(error_model="numpy")
-def _subtract(x, offset, table, fine):  # type: ignore[no-untyped-def]
-    """Subtract every impact's template from ``x`` (``x[0]`` is sample ``offset``)."""
+def _subtract(x, offset, table, fine, width):  # type: ignore[no-untyped-def]
+    """Subtract every impact's template, ``width`` samples a sample, from ``x`` (``x[0]`` is sample ``offset``)."""
     for row in range(table.shape[0]):
-        begin = int(np.ceil(table[row, 0])) - LEAD
-        for sample in range(max(begin, offset), min(begin + fine.shape[0] // FINE, offset + x.shape[0])):
-            position = (sample - table[row, 0] + LEAD) * FINE
+        begin = int(np.ceil(table[row, 0])) - LEAD * width
+        for sample in range(max(begin, offset), min(begin + fine.shape[0] // FINE * width, offset + x.shape[0])):
+            position = ((sample - table[row, 0]) / width + LEAD) * FINE
             j = int(np.floor(position))
             if 0 <= j < fine.shape[0] - 1:
                 share = position - j

@@ -14,8 +14,10 @@ from analysis.statistics import mad_sigma
 
 Floats = npt.NDArray[np.float64]
 
-LEAD, TAIL = 12, 36  # samples of the accelerometer kept before and after an impact's first sample
+LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
+ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
+MAX_WIDTH = 8
 MIN_ECHO = 128  # least samples of the template: an impact's ringing must not be taken for the next impact
 ECHO_S = 6.4e-3  # least length of the template
 FINE = 8  # template points per sample
@@ -49,6 +51,8 @@ class ImpactTemplate:
         White noise of the accelerometer.
     ring_s : float
         Time after an impact that is masked in the tone fits.
+    width : int
+        Recorded samples averaged to one of the template's, see `thinning`.
     """
 
     fine: Floats
@@ -56,6 +60,7 @@ class ImpactTemplate:
     projector: Floats
     noise_v: float
     ring_s: float
+    width: int = 1
 
 
 def white_noise(x: Floats) -> float:
@@ -76,6 +81,17 @@ def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
     rows = np.vstack([np.vander(2.0 * t / length, powers).T, np.cos(angle), np.sin(angle)])
     u, size, _ = np.linalg.svd((rows / np.linalg.norm(rows, axis=1)[:, None]).T, full_matrices=False)
     return np.asarray(u[:, size > 1e-4 * size[0]])
+
+
+def thinning(rate_hz: float) -> int:
+    """Samples averaged before impacts are looked for, a power of two.
+
+    A filter of `LENGTH` samples must last longer than a period of the ringing, or it takes it for slow motion.
+    """
+    width = 1
+    while width < MAX_WIDTH and rate_hz / (2 * width) >= ENOUGH_HZ:
+        width *= 2
+    return width
 
 
 def echo_samples(rate_hz: float) -> int:

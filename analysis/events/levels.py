@@ -15,6 +15,7 @@ PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the 
 PLATEAU_AFTER = 5  # samples that stay on that side, its own included
 MIN_PLATEAU = 50  # samples needed to measure a level
 NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
+ROUNDING = 1e-6  # relative error of volts kept as float32
 CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
 
 
@@ -68,8 +69,16 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
         deviation = np.abs(near - level)
         spreads.append(_core_rms(deviation))
         levels.append(level if near.size > 0.5 * plateau.size else declared)
-    noise = max([*spreads, 1e-6 * abs(swing)])
+    noise = max([*spreads, _step_v(volts) / np.sqrt(12.0), 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)
+
+
+def _step_v(volts: Floats) -> float:
+    """Step of the converter: smallest distance of two values, ones that rounding has set apart taken as one."""
+    values = np.unique(volts)
+    apart = np.diff(values)
+    apart = apart[apart > ROUNDING * np.abs(values).max(initial=0.0)]
+    return float(apart.min()) if apart.size else 0.0
 
 
 def _core_rms(deviation: Floats) -> float:

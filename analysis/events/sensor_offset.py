@@ -20,7 +20,6 @@ from analysis.statistics import mad_sigma, nearest
 Floats = npt.NDArray[np.float64]
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
-ONSET_S = 2e-6  # uncertainty of the template's onset, where no edge confirms it
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 MIN_PAIRS = 3  # landings needed
@@ -68,7 +67,7 @@ def calibrate(
     """
     unknown = SensorOffset(0.0, np.inf, 0)
     if landing_s.size == 0 or impacts.time_s.size == 0:
-        return _with_bias(impacts, 1.0, ONSET_S), unknown
+        return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     begin = np.searchsorted(impacts.time_s, takeoff_s - REACH_S + SHORTEST_MASK_S)
     end = np.searchsorted(impacts.time_s, landing_s + REACH_S)
     lone = np.flatnonzero(end - begin == 1)
@@ -78,14 +77,14 @@ def calibrate(
     near = np.abs(d) < REACH_S
     d, own = d[near], own[near]
     if d.size < MIN_PAIRS:
-        return _with_bias(impacts, 1.0, ONSET_S), unknown
+        return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     ordered = np.sort(d)
     width = ordered[(d.size - 1) // 2 + np.arange(d.size - (d.size - 1) // 2)] - ordered[: d.size - (d.size - 1) // 2]
     k = int(np.argmin(width))
     centre = float(np.median(ordered[k : k + (d.size - 1) // 2 + 1]))
     spread = max(float(width[k]) / HALF_WIDTH, float(np.median(own)))
     if spread > MAX_SPREAD_S or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
-        return _with_bias(impacts, 1.0, ONSET_S), unknown
+        return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     core = np.abs(d - centre) < CORE_SPREADS * spread
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))

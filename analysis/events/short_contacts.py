@@ -150,16 +150,17 @@ def refine_short_contacts(
         after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the window ends before the next contact
         n = min(LEAD + AFTER, int(after[0]) - start - 1) if after.size else LEAD + AFTER
         own = crossings.window[k, BEFORE - LEAD :][: max(n, LEAD + 2)].astype(np.float64)
-        prior = _prior(impacts, start, float(sample[k]), rate_hz)
+        prior = _prior(impacts, start, float(sample[k]), shapes[1], rate_hz)
         fit = short_contact(own, noise if prior is None else shape_error, tau, (LEAD - 2.5, float(LEAD)), prior)
         if fit is None:
             continue
-        closing, opening = (start + fit[0]) / rate_hz, (start + fit[2]) / rate_hz
+        rises, doubts = (start + np.array(fit[::2])) / rate_hz, np.array(fit[1::2]) / rate_hz
+        closing, opening = (s.circuit(rises[i], doubts[i]) for s, i in ((shapes[1], 0), (shapes[0], 1)))
         if kind[k] == DIP:
-            added.append((closing, fit[1] / rate_hz, CLOSES))
-            added.append((opening, fit[3] / rate_hz, OPENS))
+            added.append((*closing, CLOSES))
+            added.append((*opening, OPENS))
         else:
-            time_s[k], sigma[k], time_s[k + 1], sigma[k + 1] = closing, fit[1] / rate_hz, opening, fit[3] / rate_hz
+            (time_s[k], sigma[k]), (time_s[k + 1], sigma[k + 1]) = closing, opening
     left = kind != DIP
     more = np.array(added).reshape(-1, 3)
     merged = np.concatenate([time_s[left], more[:, 0]])
@@ -171,12 +172,13 @@ def refine_short_contacts(
     )
 
 
-def _prior(impacts: Impacts, start: int, sample: float, rate_hz: float) -> tuple[float, float] | None:
-    """Impact in the accelerometer at this contact, in samples of the window; None without one."""
+def _prior(impacts: Impacts, start: int, sample: float, shape: EdgeShape, rate_hz: float) -> tuple[float, float] | None:
+    """RC's fall by the accelerometer's impact at this contact, in samples of the window; None without an impact."""
     if not impacts.time_s.size:
         return None
     k = int(np.argmin(np.abs(impacts.time_s * rate_hz - sample + 0.5)))
     place = float(impacts.time_s[k] * rate_hz)
     if abs(place - sample + 0.5) > SHORT_SAMPLES + 1:
         return None
-    return place - start, max(float(impacts.uncertainty_s[k]) * rate_hz, 1e-3)
+    doubt_s = float(np.hypot(impacts.uncertainty_s[k], shape.clock_s / np.sqrt(12.0)))
+    return place - start - shape.lag_s * rate_hz, max(doubt_s * rate_hz, 1e-3)

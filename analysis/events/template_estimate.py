@@ -7,18 +7,29 @@ between the template's onset and the contact edge.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 
 from analysis.events.impact_detection import ImpactScan
-from analysis.events.impact_template import LEAD, ImpactTemplate, echo_samples, template_from_snippets
+from analysis.events.impact_template import (
+    LEAD,
+    ImpactTemplate,
+    echo_samples,
+    template_from_snippets,
+    thinning,
+    white_noise,
+)
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
 from analysis.plate.step_state import multiples_of
-from analysis.signals.stream import PAD, Piece
+from analysis.signals.stream import Piece
 from daq.lock_in import ToneFit, fit_tones
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 MASK_S = 8e-3  # mask after an impact in the tone fits made here
 QUIET_SAMPLES = 60  # samples without an onset before an onset
@@ -32,7 +43,7 @@ MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
 
 
 def estimate_template(
-    pieces: list[Piece], noise_v: float, steps: npt.NDArray[np.void], rate_hz: float
+    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, gaps: Ints | None = None
 ) -> ImpactTemplate | None:
     """Impact template from a few pieces of a recording.
 
@@ -40,18 +51,22 @@ def estimate_template(
     ----------
     pieces
         With channel ``accelerometer``.
-    noise_v
-        White noise of the accelerometer.
     steps : STEP_DTYPE array
         Frequencies filled in.
     rate_hz
         Sampling rate.
+    gaps : int array, shape (k, 2)
+        Sample before which samples were lost, and how many: the motion's phase jumps there.
 
     Returns
     -------
     ImpactTemplate or None
         None where the accelerometer shows no impacts.
     """
+    width = thinning(rate_hz)
+    pieces, rate_hz = [piece.thinned(width) for piece in pieces], rate_hz / width
+    noise_v = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in pieces]))
+    steps = _unbroken(steps, np.zeros(0, np.int64) if gaps is None else gaps[:, 0], width)
     tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
     few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, N_BASIS_TONES).astype(int))]
     still = [_without_motion(piece, np.zeros(0), steps, rate_hz) for piece in pieces]
@@ -70,11 +85,27 @@ def estimate_template(
         places = []
         for k, piece in enumerate(pieces):
             detector = ImpactScan(template, rate_hz)
-            detector.add(piece.channels["accelerometer"], 0, PAD, piece.count)
-            own = detector.impacts().time_s * rate_hz + PAD
+            detector.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
+            own = detector.impacts().time_s * rate_hz + piece.pad
             places.append(own)
             still[k] = _without_motion(piece, own, steps, rate_hz)
-    return template
+    return None if template is None else replace(template, width=width)
+
+
+def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDArray[np.void]:
+    """Steps cut where samples were lost, counted in means over ``width`` samples."""
+    rows = []
+    for row in steps:
+        first = int(row["first_sample"])
+        end = first + int(row["n_samples"])
+        first += int(row["settle_samples"])
+        bounds = [first, *(int(b) for b in breaks if first < b < end), max(end, first)]
+        for start, stop in pairwise(bounds):
+            own = row.copy()
+            own["first_sample"], own["settle_samples"] = -(-start // width), 0
+            own["n_samples"] = max(stop // width - int(own["first_sample"]), 0)
+            rows.append(own)
+    return np.array(rows, dtype=steps.dtype)
 
 
 def _onsets(volts: Floats, fitted: npt.NDArray[np.bool_], noise_v: float) -> Floats:
@@ -117,7 +148,7 @@ def _without_motion(
         stop = min(int(row["first_sample"] + row["n_samples"]), piece.last)
         if stop - start < MIN_CYCLES * rate_hz / row["frequency_hz"]:
             continue
-        own = slice(start - piece.first + PAD, stop - piece.first + PAD)
+        own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
         try:
             fit = _motion(volts[own], start, rate_hz, row, quiet[own])
         except ValueError:  # too few unmasked samples in this piece of the step

@@ -133,7 +133,7 @@ def survey(recording: Recording) -> Survey:
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
     noise = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in looked]))
-    template = estimate_template(looked, noise, resolved_steps(recording), recording.rate_hz)
+    template = estimate_template(looked, resolved_steps(recording), recording.rate_hz, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
         return Survey(None, noise, template)

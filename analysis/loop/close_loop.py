@@ -29,7 +29,13 @@ from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import TREND, ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, observations_from
-from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, noise_quantiles_us, scored_rows
+from analysis.residuals.prediction_errors import (
+    given_openings,
+    held_out_errors,
+    noise_floors_us,
+    noise_quantiles_us,
+    scored_rows,
+)
 from analysis.residuals.whitening import step_losses
 from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
@@ -145,7 +151,8 @@ def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limi
     rows, left_out = scored_rows(model, values, ~train)
     after = held_out_errors(model, values, rows, left_out)
     floors, chance = noise_floors_us(model, values, rows), noise_quantiles_us(model, values, rows, limits.chance_p)
-    tests = (best is not selection.before, left, after, floors, limits, chance)
+    given = given_openings(model, values, rows, limits.chance_p)
+    tests = (best is not selection.before, left, after, floors, limits, chance, given)
     verdict = verdict_of(*tests)
     return {
         "verdict": verdict,
@@ -155,6 +162,7 @@ def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limi
         "after": after,
         "noise_floor_us": floors[0],
         "takeoff_floor_us": floors[1],
+        "given_openings": given,
         "remainder": left,
     }
 
@@ -172,6 +180,7 @@ def _selected(model: ForwardModel, selection: SelectionResult) -> dict[str, Any]
         "candidates": tuple(TestedCandidate(names, c.gain, c.error) for names, c in selection.tried),
         "rounds": selection.rounds,
         "rejected": selection.rejected,
+        "chance": selection.chance,
         "flights": flight_table(model, *points),
         "plate": plate_table(model, *points),
     }

@@ -137,14 +137,32 @@ def _priors(setup: Setup, design: Design, best: Hypothesis) -> dict[ParameterId,
 
 def simulate_design(design: Design, world: ForwardModel, fitted: Values) -> Observations:
     """Noise-free observations of the design under the parameters ``fitted``, with the uncertainties of ``world``."""
-    ev = world.evidence
-    values = world.start(fitted)
-    setup = ev.setup
-    omega = 2 * math.pi * setup.forcing.frequency_hz
-    tones = replace_ratio(setup, design.ratio).forcing.displacement_tones()
     gammas = np.array(design.gammas)
     if design.order == "shuffled":
         gammas = np.random.default_rng(1).permutation(gammas)
+    return simulate_steps(replace_ratio(world.evidence.setup, design.ratio), gammas, world, fitted)
+
+
+def simulate_steps(
+    setup: Setup, gammas: Array, world: ForwardModel, fitted: Values, *, carried: bool = False
+) -> Observations:
+    """Noise-free observations of steps one after another, with the uncertainties of ``world``.
+
+    Parameters
+    ----------
+    setup
+        That of ``world``, with the forcing of these steps.
+    gammas
+        In the order of the run, (m,).
+    world, fitted
+        Observations that tell how uncertain everything is, and the parameters that act.
+    carried
+        Whether the motion at the end of a step is the start of the next one, as on a rig; else each starts from rest.
+    """
+    ev = world.evidence
+    values = world.start(fitted)
+    omega = 2 * math.pi * setup.forcing.frequency_hz
+    tones = setup.forcing.displacement_tones()
     m, k = len(gammas), len(tones)
     z = np.zeros((m, ev.steps.sigma_mps2.shape[1]), complex)
     w = np.ones_like(z, dtype=float)
@@ -158,10 +176,9 @@ def simulate_design(design: Design, world: ForwardModel, fitted: Values) -> Obse
     part = (np.arange(m) + 0.5) / m - 0.5
     forcing = np.zeros(w.shape, dtype=bool)
     forcing[:, :k] = True
-    steps = Steps(
-        np.zeros(m, dtype=np.int64), np.arange(m), gammas, np.full(m, design.ratio), part, plate, spread, forcing
-    )
-    measured = _flights(values, plate, part, setup.g_mps2.value)
+    ratio = np.full(m, setup.forcing.ratio)
+    steps = Steps(np.zeros(m, dtype=np.int64), np.arange(m), gammas, ratio, part, plate, spread, forcing)
+    measured = _flights(values, plate, part, setup.g_mps2.value, carried)
     n = len(measured.landing_s)
     opening_sigma, landing_sigma = (np.full(n, float(np.median(x))) for x in (ev.opening_sigma_s, ev.landing_sigma_s))
     data = _plate_rows(ev.plate, steps, k)
@@ -175,6 +192,7 @@ def simulate_design(design: Design, world: ForwardModel, fitted: Values) -> Obse
         weak_mps=np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
         steps=steps,
         plate=data,
+        setup=setup,
         modulation=None,
     )
     truth = ForwardModel(made, world.declared)
@@ -186,9 +204,12 @@ def replace_ratio(setup: Setup, ratio: int) -> Setup:
     return setup.model_copy(update={"forcing": setup.forcing.model_copy(update={"ratio": ratio})})
 
 
-def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array, g_mps2: float) -> Measured:
+def _flights(
+    values: Mapping[ParameterId, float], plate: PlateSteps, part: Array, g_mps2: float, carried: bool
+) -> Measured:
     """Flights of every step by the integrator, with drifting parameters at their value in the step."""
     columns: list[list[Array]] = [[], [], [], [], [], []]
+    start = (0.0, 0.0)
     for i in range(len(part)):
         effects: dict[str, dict[str, float]] = {}
         for (name, q), value in values.items():
@@ -200,7 +221,11 @@ def _flights(values: Mapping[ParameterId, float], plate: PlateSteps, part: Array
             effects.setdefault(name, {})[q] = float(np.clip(moved, parameter.low, parameter.high))
         period = plate.period_s[i]
         tones = Plate(plate.omega_radps[i], plate.acceleration_mps2[i])
-        orbit = simulate(effects, tones, g_mps2=g_mps2, period_s=period, flights=600, unseen_s=1e-3)
+        orbit = simulate(effects, tones, g_mps2=g_mps2, period_s=period, flights=600, start=start, unseen_s=1e-3)
+        whole = orbit.landing_s < (SETTLE_CYCLES + HOLD_CYCLES) * period
+        if carried and whole.any():
+            last = int(np.flatnonzero(whole)[-1])
+            start = float(orbit.landing_s[last] % period), float(orbit.impact_mps[last])
         keep = (orbit.takeoff_s > SETTLE_CYCLES * period) & (orbit.landing_s < (SETTLE_CYCLES + HOLD_CYCLES) * period)
         n = int(keep.sum())
         first = np.arange(n) == 0

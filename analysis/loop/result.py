@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.hypothesis import Rejected
+from analysis.attribution.hypothesis import ChanceTest, Rejected
 from analysis.discovery.discover import Discovery
 from analysis.loop.verdict import Failed, Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
-from analysis.residuals.prediction_errors import Errors
+from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import Thresholds
 from daq.setup.setup import Setup
 from model.effects.registry import resolve
@@ -260,8 +260,12 @@ class ClosedLoop:
         Outcome of each round of the selection, in words.
     rejected
         The candidate of greatest gain that was refused, or None.
+    chance
+        By round, the best candidate against what the best of all gains by chance.
     before, after
         Errors on the held-out steps under the declared model and the best hypothesis.
+    given_openings
+        The landings behind ``after``, conditioned on the openings of their steps.
     noise_floor_us, takeoff_floor_us
         Rms that measurement noise alone leaves of landings and of take-offs, at the final model, on the same flights.
     remainder
@@ -293,8 +297,10 @@ class ClosedLoop:
     candidates: tuple[TestedCandidate, ...]
     rounds: tuple[str, ...]
     rejected: Rejected | None
+    chance: tuple[ChanceTest, ...]
     before: Errors
     after: Errors
+    given_openings: GivenOpenings
     noise_floor_us: float
     takeoff_floor_us: float
     remainder: GoodnessOfFit

@@ -35,6 +35,7 @@ def as_json(
         "tie_set": [list(names) for names in loop.ties],
         "before": _row(loop.before),
         "after": _row(loop.after),
+        "given_openings": _row(loop.given_openings),
         "noise_floor_us": _finite(loop.noise_floor_us),
         "takeoff_floor_us": _finite(loop.takeoff_floor_us),
         "held_out_steps": list(loop.held_out),
@@ -52,6 +53,16 @@ def as_json(
             for c in sorted(loop.candidates, key=lambda c: -c.gain)
         ],
         "rejected": rejected_json(loop.rejected),
+        "chance": [
+            {
+                "names": list(x.names),
+                "gain_nats": _finite(x.gain),
+                "p": x.p,
+                "critical_nats": _finite(x.critical),
+                "accepted": x.accepted,
+            }
+            for x in loop.chance
+        ],
         "failed_tests": [_row(f) for f in loop.failed],
         "rounds": list(loop.rounds),
         "nuisances": {f"{p.effect}.{p.parameter}": _finite(p.value) for p in loop.parameters if not p.added},

@@ -132,6 +132,8 @@ class StepPlate:
         Multiple of the frequency of each fitted tone; mains lines follow after them.
     acceleration : ToneFit
         m/s^2, masked after impacts.
+    unmasked_mps2 : complex array, shape (k,)
+        Its tones as if nothing had been masked: they differ where the ball's load bends the plate.
     drive : ToneFit or None
         V, looped back; None where it was not recorded.
     contact_flight : ContactFlightFit
@@ -161,6 +163,7 @@ class StepPlate:
     ratio: int
     multiples: tuple[int, ...]
     acceleration: ToneFit
+    unmasked_mps2: npt.NDArray[np.complex128]
     drive: ToneFit | None
     contact_flight: ContactFlightFit
     gamma: float

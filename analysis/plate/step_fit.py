@@ -15,9 +15,10 @@ from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import with_frequency_uncertainty
 from analysis.plate.motion import SlowMotion, StepPlate, Windows
-from analysis.plate.step_state import CONTACT, StepState
+from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, StepState
 from analysis.plate.windows import WINDOW_CYCLES
-from daq.lock_in import ToneFit
+from daq.loaded_tones import LoadedTones
+from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording
 from daq.setup.setup import Setup
 from model.tones import Plate
@@ -69,9 +70,10 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     acceleration = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
     acceleration = with_frequency_uncertainty(acceleration, state.mains, factor)
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
-    gamma = gamma_of(acceleration.amplitudes, multiples, setup, state.ratio)
-    relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(acceleration.amplitudes[0])), 1e-300)
-    forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], acceleration.amplitudes[rows])
+    unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
+    gamma = gamma_of(unmasked, multiples, setup, state.ratio)
+    relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
+    forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], unmasked[rows])
     return StepPlate(
         step=state.step,
         first_sample=state.first_sample,
@@ -82,18 +84,27 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         ratio=state.ratio,
         multiples=multiples,
         acceleration=acceleration,
+        unmasked_mps2=unmasked,
         drive=drive,
         contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms, factor, zero_v),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
         gamma_peak=gamma_peak_of(forcing, state.frequency_hz, setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, state.ratio),
-        phase0_rad=float(np.mod(np.angle(acceleration.amplitudes[0]) - 0.5 * np.pi, 2 * np.pi)),
+        phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),
         windows=windows,
         slow=_slow(state, factor),
         intervals=_intervals(state),
     )
+
+
+def _unmasked(every: LockIn, total: LockIn, contact: LockIn, gravity_v: float) -> Complexes:
+    """Amplitudes of all tones as if nothing had been masked, in volts."""
+    touching = np.arange(CONTACT * N_MASK_LEVELS, (CONTACT + 1) * N_MASK_LEVELS)
+    whole = every.part(np.arange(every.counts.size))
+    values, _ = LoadedTones(total, whole, contact, every.part(touching), gravity_v).solve()
+    return values
 
 
 def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup, ratio: int) -> float:

@@ -21,7 +21,6 @@ from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
-from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.integrator.one_step import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2
@@ -153,9 +152,8 @@ def observations_from(
     Raises
     ------
     InputError
-        Where a file is no recording or holds no flights and no plate motion, two hold the same samples or another c.
+        Where a file is no recording or holds no flights and no plate motion, or two hold the same samples.
     """
-    _check_alike(paths)
     refuse_repeated(paths)
     parts = []
     for path in paths:
@@ -167,17 +165,6 @@ def observations_from(
                 on_flights(recording, flights)
             parts.append(_part(recording, flights, recording.setup))
     return parts[0] if len(parts) == 1 else join(parts)
-
-
-def _check_alike(paths: Sequence[Path]) -> None:
-    """Refuse recordings of unlike c before any is read: their steps cannot be fitted together."""
-    ratios = {}
-    for path in paths:
-        with open_recording(path) as recording:
-            ratios[path] = recording.setup.forcing.ratio
-    if len(set(ratios.values())) > 1:
-        found = ", ".join(f"{path}: {ratio}" for path, ratio in ratios.items())
-        raise InputError(f"wanted recordings of one c (forcing.ratio), found {found}; close the loop on each c alone")
 
 
 def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float], None]:

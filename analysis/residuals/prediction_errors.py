@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.statistics import MAD_TO_SIGMA
-from analysis.thresholds import FROZEN, GRAZING_RATIO, GRAZING_SIGMAS
+from analysis.thresholds import (
+    COMMON_MODE_SIGMAS,
+    FROZEN,
+    GRAZING_RATIO,
+    GRAZING_SIGMAS,
+    LEAST_EXCESS_S,
+    SHARED_S,
+)
 from model.integrator.one_step import Predicted
 
 Array = NDArray[np.float64]
@@ -187,6 +194,70 @@ def noise_quantiles_us(
         quantile(rows, u.landing_sigma_s, u.landing_by_tone),
         quantile(from_rest, u.opening_sigma_s, u.opening_by_tone),
     )
+
+
+@dataclass(frozen=True)
+class GivenOpenings:
+    """Landings of held-out steps, given what the openings of the same step tell of the plate's tones there.
+
+    Attributes
+    ----------
+    landing_rms_us
+        Root mean square of what is left of the landings.
+    floor_us
+        The same by measurement noise, with what the openings leave unknown of the tones.
+    chance_us
+        Root mean square that noise alone exceeds with the probability of the threshold.
+    """
+
+    landing_rms_us: float
+    floor_us: float
+    chance_us: float
+
+
+def given_openings(
+    world: ForwardModel,
+    values: Mapping[ParameterId, float],
+    rows: NDArray[np.int64],
+    chance_p: float = FROZEN.chance_p,
+    seed: int = 0,
+) -> GivenOpenings:
+    """Landings of the flights ``rows`` (k,), conditioned on the openings of their own steps.
+
+    A tone's error shifts all openings and landings of a step together. Where few steps are held out, one whose tones
+    are two standard deviations off would decide; its openings tell that error, within its stated uncertainty.
+    """
+    u, r, step = world.uncertainty(values), world.residuals(values), world.evidence.measured.step
+    half = 0.5 * world.evidence.steps.plate.period_s
+    rng, squares, noise, drawn = np.random.default_rng(seed), 0.0, 0.0, np.zeros(DRAWS)
+    for s in np.unique(step[rows]):
+        mine = rows[step[rows] == s]
+        seen = np.flatnonzero(world.from_rest & (step == s))
+        seen = seen[np.abs(r.opening_s[seen]) < COMMON_MODE_SIGMAS * np.hypot(u.opening_total_s[seen], SHARED_S)]
+        shift, root = _tones_given(r.opening_s[seen], u.opening_sigma_s[seen], u.opening_by_tone[seen])
+        tones = u.landing_by_tone[mine]
+        landing = np.where(np.isfinite(r.landing_s[mine]), r.landing_s[mine], half[s])
+        squares += float(np.sum((landing - tones @ shift) ** 2))
+        together, own = tones @ root, u.landing_sigma_s[mine]
+        noise += float(np.sum(together**2) + np.sum(own**2))
+        errors = together @ rng.standard_normal((root.shape[1], DRAWS))
+        drawn += np.sum((errors + own[:, None] * rng.standard_normal((len(mine), DRAWS))) ** 2, axis=0)
+    if len(rows) == 0:
+        return GivenOpenings(float("nan"), float("nan"), 0.0)
+    rms, floor = (1e6 * float(np.sqrt(x / len(rows))) for x in (squares, noise))
+    return GivenOpenings(rms, floor, 1e6 * float(np.quantile(np.sqrt(drawn / len(rows)), 1.0 - chance_p)))
+
+
+def _tones_given(opening_s: Array, sigma_s: Array, by_tone: Array) -> tuple[Array, Array]:
+    """Mean and root of the covariance of a step's tone errors, unit ones before, given its openings.
+
+    The contact circuit may shift all of the openings together by `SHARED_S`.
+    """
+    q = by_tone.shape[1]
+    known = np.column_stack([by_tone, np.full(len(opening_s), SHARED_S)]) / np.hypot(sigma_s, LEAST_EXCESS_S)[:, None]
+    covariance = np.linalg.inv(np.eye(q + 1) + known.T @ known)
+    mean = covariance @ (known.T @ (opening_s / np.hypot(sigma_s, LEAST_EXCESS_S)))
+    return mean[:q], np.linalg.cholesky(covariance)[:q]
 
 
 def _rms_us(x: Array) -> float:

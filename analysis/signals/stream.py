@@ -15,7 +15,7 @@ from daq.recording import Recording
 from kernels import njit
 
 PIECE = 1 << 17  # samples of a piece
-PAD = 128  # neighbouring samples on both sides of a piece
+PAD = 1024  # neighbouring samples on both sides of a piece
 SURVEY_PIECE, SURVEY_PIECES = 1 << 16, 5  # samples and number of the pieces of a survey
 
 Volts = npt.NDArray[np.float32]
@@ -23,7 +23,7 @@ Volts = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Piece:
-    """Raw volts of samples ``first, ..., first + count - 1`` and ``PAD`` neighbours on both sides.
+    """Volts of samples ``first, ..., first + count - 1`` and ``pad`` neighbours on both sides.
 
     Edge values are repeated at the ends of the recording.
     """
@@ -31,6 +31,7 @@ class Piece:
     first: int
     count: int
     channels: dict[str, Volts]
+    pad: int = PAD
 
     @property
     def last(self) -> int:
@@ -38,8 +39,13 @@ class Piece:
         return self.first + self.count
 
     def trim(self, x: Volts) -> Volts:
-        """``x`` (count + 2 PAD,) without the neighbours."""
-        return x[PAD : PAD + self.count]
+        """``x`` (count + 2 pad,) without the neighbours."""
+        return x[self.pad : self.pad + self.count]
+
+    def thinned(self, width: int) -> Piece:
+        """Means over ``width`` samples each, counted likewise; ``width`` divides ``first`` and ``pad``."""
+        means = {name: block_means(x, width) for name, x in self.channels.items()}
+        return Piece(self.first // width, self.count // width, means, self.pad // width)
 
     def own(self, channel: str) -> Volts:
         """Samples of a channel without the neighbours."""
@@ -77,7 +83,8 @@ def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[P
             yield read_piece(recording, channels, first, min(SURVEY_PIECE, n - first))
         return
     for k in range(SURVEY_PIECES):
-        yield read_piece(recording, channels, (n - SURVEY_PIECE) * k // (SURVEY_PIECES - 1), SURVEY_PIECE)
+        first = (n - SURVEY_PIECE) * k // (SURVEY_PIECES - 1)
+        yield read_piece(recording, channels, first - first % PAD, SURVEY_PIECE)
 
 
 def block_means(x: Volts, width: int, skip: int = 0) -> npt.NDArray[np.float32]:

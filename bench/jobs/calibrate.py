@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from analysis.events.sensor_offset import ONSET_S
+from analysis.events.impact_detection import ONSET_S
 from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.motion import StepPlate
 from bench.jobs.run_ramp import record

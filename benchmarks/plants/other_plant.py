@@ -17,6 +17,7 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
+from scipy.signal import lfilter
 
 from kernels import njit
 
@@ -94,6 +95,9 @@ class Run:
     reads_gravity: bool = True
     spikes: bool = False
     closure_s: float = 0.0
+    contact_rc_s: float = 0.0  # time constant of a low-pass behind the comparator that is read once a sample
+    contact_noise_v: float = 0.01
+    bits: int = 0  # of the converters, +-10 V; 0: fine enough not to matter
     seed: int = 0
     hidden: dict[str, float] = field(default_factory=dict)
 
@@ -285,7 +289,19 @@ def _continuity(run: Run, rng: np.random.Generator, edges: np.ndarray, n: int, l
     times = np.maximum.accumulate(times)  # jitter moves edges, it does not swap them
     place = np.searchsorted(times, np.arange(n) / run.rate_hz, side="right") - 1
     is_open = np.where(place >= 0, opens[np.maximum(place, 0)], False)
-    return np.where(is_open, 4.96, 0.03) + 0.01 * rng.standard_normal(n)
+    volts = np.where(is_open, 4.96, 0.03)
+    if run.contact_rc_s > 0.0:
+        keep = math.exp(-1.0 / (run.contact_rc_s * run.rate_hz))
+        volts = lfilter([1.0 - keep], [1.0, -keep], volts, zi=[keep * volts[0]])[0]
+    return np.asarray(volts + run.contact_noise_v * rng.standard_normal(n))
+
+
+def _converted(run: Run, volts: np.ndarray) -> np.ndarray:
+    """Volts as the converter gives them."""
+    if not run.bits:
+        return volts
+    step_v = 20.0 / 2**run.bits
+    return np.asarray(np.round(volts / step_v) * step_v)
 
 
 def simulate(run: Run) -> dict[str, np.ndarray]:
@@ -321,9 +337,11 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
             np.add.at(felt, np.minimum(at + lag, n - 1), size * impacts[:, 1])
     return {
         "time_s": time_s,
-        "continuity_v": _continuity(run, rng, edges, n, run.hidden.get("contact_latency.delay_s", 0.0)),
-        "accelerometer_v": 0.1 * felt,
-        "drive_v": command / (G * run.g_per_volt) + 0.0005 * rng.standard_normal(n),
+        "continuity_v": _converted(
+            run, _continuity(run, rng, edges, n, run.hidden.get("contact_latency.delay_s", 0.0))
+        ),
+        "accelerometer_v": _converted(run, 0.1 * felt),
+        "drive_v": _converted(run, command / (G * run.g_per_volt) + 0.0005 * rng.standard_normal(n)),
         "impacts": impacts,
     }
 
@@ -370,6 +388,10 @@ def main() -> None:
     parser.add_argument("--shuffle", action="store_true", help="steps in random order")
     parser.add_argument("--spikes", action="store_true", help="impacts show in the accelerometer")
     parser.add_argument("--closure-ms", type=float, default=0.0, help="an impact holds the circuit closed this long")
+    parser.add_argument("--contact-rc-us", type=float, default=0.0, help="low-pass behind the sampled comparator")
+    parser.add_argument("--contact-noise-mv", type=float, default=10.0, help="noise of the contact circuit")
+    parser.add_argument("--jitter-us", type=float, default=20.0, help="jitter of the contact's edges")
+    parser.add_argument("--bits", type=int, default=0, help="of the converters, +-10 V; 0: fine")
     parser.add_argument("--frequency", type=float, default=25.37, help="Hz")
     parser.add_argument("--rate", type=float, default=20000.0, help="samples a second")
     parser.add_argument("--no-gravity", action="store_true", help="the accelerometer does not read gravity")
@@ -384,7 +406,8 @@ def main() -> None:
     run = Run(
         c=args.c, gammas=tuple(gammas.tolist()), cycles=args.cycles, spikes=args.spikes,
         closure_s=1e-3 * args.closure_ms, seed=args.seed, hidden=hidden, frequency_hz=args.frequency,
-        rate_hz=args.rate, reads_gravity=not args.no_gravity,
+        rate_hz=args.rate, reads_gravity=not args.no_gravity, contact_rc_s=1e-6 * args.contact_rc_us,
+        contact_noise_v=1e-3 * args.contact_noise_mv, jitter_s=1e-6 * args.jitter_us, bits=args.bits,
     )  # fmt: skip
     print(write(run, args.folder))
 

@@ -11,14 +11,30 @@ PAIRS = (
     ("restitution", "coulomb_friction"), ("gain_compression", "spring"), ("accelerometer_offset", "adhesion"),
     ("phase_lag", "viscous_damping"),
 )  # fmt: skip
+REPETITION = 100_000_000  # between the seeds of two repetitions
 INVISIBLE = ("contact_gap", "contact_closure", "clock_error")
 
 COUNTS = {"strong": 8, "weak": 4, "clean": 50, "declared": 50, "outside": 6, "pair": 2}
 OWN_COUNTS = {"strong": 3, "weak": 2, "clean": 10, "outside": 1, "pair": 0}
 
 
-def jobs(seed_base: int) -> list[Job]:
-    """Every trial, the kinds and plants interleaved, so that any part of them is a fair sample."""
+def jobs(seed_base: int, *, times: int = 1, varied: bool = False) -> list[Job]:
+    """Every trial, the kinds and plants interleaved, so that any part of them is a fair sample.
+
+    Parameters
+    ----------
+    seed_base
+        Of all seeds.
+    times
+        Repetitions of the whole design, each with seeds of its own.
+    varied
+        Whether noise, rate, c and length are drawn from the seed as well.
+    """
+    repeated = (_once(seed_base + REPETITION * i, varied) for i in range(times))
+    return [job for one in repeated for job in one]
+
+
+def _once(seed_base: int, varied: bool) -> list[Job]:
     from rig.sim.catalogue import BEYOND, NAMED
 
     named = [n.name for n in NAMED if n.name not in INVISIBLE]
@@ -27,7 +43,7 @@ def jobs(seed_base: int) -> list[Job]:
 
     def add(kind: str, plant: str, effects: tuple[str, ...], i: int, n: int, column: int) -> None:
         seed = seed_base + 10_000 * len(out) + i
-        out.append(((i + 0.5) / n, Job(kind, plant, effects, 1 + (i + column) % 2, seed)))
+        out.append(((i + 0.5) / n, Job(kind, plant, effects, 1 + (i + column) % 2, seed, varied and plant == "other")))
 
     for plant, counts, library, outside in (
         ("other", COUNTS, list(OTHER_NAMED), list(OTHER_OUTSIDE)), ("own", OWN_COUNTS, named, beyond)

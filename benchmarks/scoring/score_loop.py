@@ -1,64 +1,101 @@
 """Score the closed loop on hidden effects: sealed recordings of another plant and of the own rig, on fresh seeds.
 
-    python -m benchmarks.scoring.score_loop RESULTS.jsonl --seed-base 70000 --minutes 60 [--part 0 --parts 2] [--kind
-    strong] python -m benchmarks.scoring.score_loop RESULTS.jsonl --show
+    python -m benchmarks.scoring.score_loop RESULTS --seed-base 70000 --minutes 60 --workers 2
+    python -m benchmarks.scoring.score_loop RESULTS --seed-base 70000 --times 20 --cluster tcp://scheduler:8786
+    python -m benchmarks.scoring.score_loop RESULTS --show
+    python -m benchmarks.scoring.score_loop RESULTS --against OLD_RESULTS
 
-Every result is appended at once; a run that is started again goes on where it stopped. Sizes are drawn from the seed;
-how strong an effect is, is measured: see `benchmarks.scoring.tables`.
+Every result is kept at once, by its trial and the version of the code; a run that is started again goes on where it
+stopped. ``--conditions`` varies noise, rate, c, and length as well. Sizes are drawn from the seed; how strong an effect
+is, is measured: see `benchmarks.scoring.tables`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 import traceback
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.scoring.breakdown import by_condition, by_effect
 from benchmarks.scoring.design import jobs
+from benchmarks.scoring.paired import compare
 from benchmarks.scoring.tables import show
-from benchmarks.scoring.trial import run
+from benchmarks.scoring.trial import Job, run
+from benchmarks.scoring.version import code_version
+from daq.files.journal import Journal
+from model.surveys.workers import outcomes
 
 
-def rows_of(path: Path) -> list[dict[str, Any]]:
-    """Results so far."""
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+def trial(job: Job) -> dict[str, Any]:
+    """The row of one trial; a failure is a row with its reason."""
+    try:
+        return run(job)
+    except (ValueError, RuntimeError, ArithmeticError) as error:
+        return {"job": job.key, "kind": job.kind, "failed": f"{error}\n{traceback.format_exc()}"}
+
+
+def rows_of(journal: Journal, version: str = "") -> dict[str, dict[str, Any]]:
+    """Rows by trial: of a version, or of the one that ran last."""
+    versions = [key.partition(":")[0] for key in journal.rows]
+    wanted = version or (versions[-1] if versions else "")
+    return {row["job"]: row for key, row in journal.rows.items() if key.startswith(f"{wanted}:")}
+
+
+def missing(wanted: Sequence[Job], journal: Journal, end: float) -> Iterator[tuple[str, tuple[Job]]]:
+    """Trials without a row of this version, until the time is over."""
+    for job in wanted:
+        key = f"{code_version()}:{job.key}"
+        if time.monotonic() > end:
+            return
+        if key not in journal.rows:
+            yield key, (job,)
+
+
+def _options() -> argparse.Namespace:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    options.add_argument("results", type=Path)
+    options.add_argument("--seed-base", type=int, default=70_000)
+    options.add_argument("--times", type=int, default=1, help="the whole design so many times, with seeds of its own")
+    options.add_argument("--conditions", action="store_true", help="noise, rate, c and length drawn from the seed, too")
+    options.add_argument("--minutes", type=float, default=60.0, help="no trial is begun later")
+    options.add_argument("--workers", type=int, default=1, help="processes")
+    options.add_argument("--cluster", default=None, help="Dask scheduler: tcp://host:port, or local")
+    options.add_argument("--kind", default="", help="only these kinds of trial, with commas between")
+    options.add_argument("--plant", default="", help="only this plant: other or own")
+    options.add_argument("--hidden", default="", help="only trials that hide this effect")
+    options.add_argument("--most", type=int, default=10**9, help="so many trials at most")
+    options.add_argument("--show", action="store_true", help="only print")
+    options.add_argument("--version", default="", help="of --show and --against; the last that ran where not given")
+    options.add_argument("--against", type=Path, default=None, help="results of an older version, to compare with")
+    return options.parse_args()
 
 
 def main() -> None:
     """Run what is missing within the time, then print."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    options.add_argument("results", type=Path)
-    options.add_argument("--seed-base", type=int, default=70_000)
-    options.add_argument("--minutes", type=float, default=60.0)
-    options.add_argument("--part", type=int, default=0, help="which of --parts this process takes")
-    options.add_argument("--parts", type=int, default=1)
-    options.add_argument("--kind", default="", help="only this kind of trial")
-    options.add_argument("--plant", default="", help="only this plant: other or own")
-    options.add_argument("--hidden", default="", help="only trials that hide this effect")
-    options.add_argument("--most", type=int, default=10**6, help="so many trials at most")
-    options.add_argument("--show", action="store_true", help="only print")
-    args = options.parse_args()
-    end = time.monotonic() + 60.0 * args.minutes
-    known = {row["job"] for row in rows_of(args.results)}
-    wanted = [
-        job for job in jobs(args.seed_base)
-        if args.kind in ("", job.kind) and args.plant in ("", job.plant)
-        and (not args.hidden or args.hidden in job.effects)
-    ]  # fmt: skip
-    for job in [] if args.show else wanted[args.part :: args.parts][: args.most]:
-        if job.key in known or time.monotonic() > end:
-            continue
-        try:
-            row = run(job)
-        except (ValueError, RuntimeError, ArithmeticError) as error:
-            print(f"{job.key}: {error}\n{traceback.format_exc()}", file=sys.stderr)
-            row = {"job": job.key, "failed": str(error)}
-        with args.results.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(row) + "\n")
-    show(rows_of(args.results))
+    args = _options()
+    journal = Journal(args.results)
+    if not (args.show or args.against):
+        kinds = args.kind.split(",") if args.kind else []
+        wanted = [
+            job for job in jobs(args.seed_base, times=args.times, varied=args.conditions)
+            if (not kinds or job.kind in kinds) and args.plant in ("", job.plant)
+            and (not args.hidden or args.hidden in job.effects)
+        ]  # fmt: skip
+        todo = missing(wanted[: args.most], journal, time.monotonic() + 60.0 * args.minutes)
+        for outcome in outcomes(trial, todo, workers=args.workers, cluster=args.cluster):
+            job = outcome.key.partition(":")[2]
+            journal.add(outcome.key, outcome.result or {"job": job, "failed": str(outcome.error)})
+    rows = rows_of(journal, args.version or ("" if args.show or args.against else code_version()))
+    if args.against is not None:
+        compare(rows_of(Journal(args.against)), rows)
+    else:
+        show(list(rows.values()))
+        good = [row for row in rows.values() if "failed" not in row]
+        by_effect(good)
+        by_condition(good)
 
 
 if __name__ == "__main__":

@@ -26,18 +26,23 @@ DECLARED = ("coulomb_friction", "restitution", "viscous_damping")
 
 @dataclass(frozen=True)
 class Job:
-    """What to hide and where: ``kind`` is strong, weak, clean, declared, outside or pair."""
+    """What to hide and where: ``kind`` is strong, weak, clean, declared, outside or pair.
+
+    ``varied``: conditions of the recording are drawn from the seed, see `conditions`.
+    """
 
     kind: str
     plant: str
     effects: tuple[str, ...]
     c: int
     seed: int
+    varied: bool = False
 
     @property
     def key(self) -> str:
         """A name of its own."""
-        return f"{self.kind}/{self.plant}/{'+'.join(self.effects) or '-'}/{self.c}/{self.seed}"
+        hidden, how = "+".join(self.effects) or "-", "varied/" if self.varied else ""
+        return f"{how}{self.kind}/{self.plant}/{hidden}/{self.c}/{self.seed}"
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -50,9 +55,9 @@ def run(job: Job) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         recording = (_other if job.plant == "other" else _own)(job, folder)
-        start = time.perf_counter()
+        start = time.process_time()
         loop, fitted = fit_loop([recording])
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         found = json.loads(json.dumps(as_json(loop)))
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     world, best = fitted.model, fitted.selection.best.fitted.values
@@ -69,7 +74,8 @@ def run(job: Job) -> dict[str, Any]:
     z = _unit_landings(loop.flights.after)[rows]
     floor_z = float(np.sqrt(np.mean(z**2))) if len(rows) else None
     return {
-        "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": job.c,
+        "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": conditions(job)["c"],
+        "conditions": conditions(job) if job.varied else None,
         "seconds": seconds, "flights": len(loop.flights), "steps": len(loop.steps),
         "size": size_of(world, {k: x for k, x in declared.items() if effect(k[0]).effect.nuisance}),
         "size_left": size_of(world, declared),
@@ -115,13 +121,14 @@ def _other(job: Job, folder: Path) -> Path:
     from rig.profile import load_setup
 
     rng = np.random.default_rng(job.seed)
-    usual = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}[job.c]
-    gammas = rng.permutation(np.round(np.linspace(*usual, 22), 4))
+    under = conditions(job)
+    usual = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}[under["c"]]
+    gammas = rng.permutation(np.round(np.linspace(*usual, under.pop("steps")), 4))
     hidden: dict[str, float] = {}
     for effect in job.effects:
         hidden |= _drawn(plant.SIZES[effect], effect, job.kind, rng)
     sealed = plant.Run(
-        c=job.c, gammas=tuple(gammas.tolist()), seed=job.seed, hidden=hidden, spikes=bool(rng.random() < 0.5),
+        **under, gammas=tuple(gammas.tolist()), seed=job.seed, hidden=hidden, spikes=bool(rng.random() < 0.5),
         closure_s=float(rng.choice((1e-4, 5e-4))), jitter_s=float(rng.choice((5e-6, 2e-5))),
         frequency_hz=float(rng.choice((22.31, 25.37, 31.73))), reads_gravity=bool(rng.random() < 0.5),
     )  # fmt: skip
@@ -135,6 +142,20 @@ def _other(job: Job, folder: Path) -> Path:
     raw.unlink()
     (folder / "truth.json").write_text(json.dumps(hidden), encoding="utf-8")
     return out
+
+
+def conditions(job: Job) -> dict[str, Any]:
+    """The recording's c and number of steps; where they vary, also cycles a step, rate and accelerometer noise."""
+    if not job.varied:
+        return {"c": job.c, "steps": 22}
+    rng = np.random.default_rng((job.seed, 1))
+    return {
+        "c": int(rng.choice((1, 2, 3))),
+        "steps": int(rng.choice((12, 22, 33))),
+        "cycles": int(rng.choice((14, 20, 40))),
+        "rate_hz": float(rng.choice((20e3, 50e3, 100e3, 200e3), p=(0.4, 0.3, 0.2, 0.1))),
+        "accelerometer_noise_g": float(rng.choice((0.01, 0.03, 0.1))),
+    }
 
 
 def _drawn(sizes: dict[str, tuple[float, float, float]], effect: str, kind: str, rng: Any) -> dict[str, float]:

@@ -91,9 +91,7 @@ def _effects(s: float, h: float, v: float, u: float, direction: float, p: Floats
 
 
 @inlined
-def _coasting(
-    s: float, start: Start, plate: tuple[float, float, float], g: float
-) -> tuple[float, float, float, float]:
+def _coasting(s: float, start: Start, plate: tuple[float, float, float], g: float) -> tuple[float, float, float, float]:
     """Under gravity alone, s after ``start``: height, velocity, the plate's velocity, relative acceleration.
 
     ``plate`` is its displacement, velocity and acceleration then.

@@ -47,12 +47,10 @@ def _predict(i: int, events: Events, last: Chain, bare: Plate, law: Law, seen: V
     plate = with_state(bare, last.q, last.qd)
     found = next_flight(last.t, last.impact, plate, law, own, events.opening[i])
     land, hit, passed = found.landing, found.impact, 0
-    if found.kind >= 0 and hit < events.weak_mps[i]:
+    if found.kind >= 0 and (hit < events.weak_mps[i] or (events.bounces[i] and seen.closure_s == 0.0)):
         q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
         struck = with_state(bare, q, qd)
-        land, hit, passed, out[9] = weak_rebounds(
-            (land, hit), events.landing[i], events.weak_mps[i], seen.closure_s, struck, law
-        )
+        land, hit, passed, out[9] = weak_rebounds((land, hit), events.landing[i], events.weak_mps[i], seen, struck, law)
     out[0], out[1], out[2], out[3] = found.takeoff, found.launch, land, hit
     out[4], out[5], out[6] = found.opening, found.hidden, found.kind
     return passed
@@ -94,9 +92,9 @@ def one_ahead(
 ) -> None:
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
-    ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity wherever the
-    chain of flights begins anew. A measured flight's own launch and impact are found where an elastic impact or a plate
-    mode needs them.
+    ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity
+    wherever the chain of flights begins anew. A measured flight's own launch and impact are found where an elastic
+    impact or a plate mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning = np.empty((steps.tones.shape[1] + 1, 6))

@@ -100,7 +100,7 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
 
 @compiled
 def weak_rebounds(
-    landing: tuple[float, float], target: float, weak_mps: float, closure_s: float, plate: Plate, law: Law
+    landing: tuple[float, float], target: float, weak_mps: float, seen: Visibility, plate: Plate, law: Law
 ) -> tuple[float, float, int, float]:
     """Which landing ends a flight as the instrument shows it, given a first landing and its impact speed.
 
@@ -108,24 +108,31 @@ def weak_rebounds(
     on through it, and ends at the impact nearest to ``target``, or at the end of the chatter where that is nearer.
     Impacts closer together than `RESOLVED_S` are one, and which of them is no free choice: the first where each keeps
     the circuit closed for a while (``closure_s``), else the last, less a part of what lies between, which is uncertain.
+    A stronger impact that keeps the circuit closed for no time at all may fall between two samples: it too is passed
+    where the rebound after it is shorter than ``unseen_s``, so that no instrument tells both landings apart.
     The mode's state is that just after the landing. Returns (landing, impact speed, impacts passed, ambiguity in s).
     """
     land, hit = landing
     near, near_hit, near_passed, ambiguity = land, hit, 0, 0.0
     passed = 0
-    while hit < weak_mps and passed < MOST_BOUNCES:
+    while passed < MOST_BOUNCES:
+        marked = hit >= weak_mps
+        if marked and seen.closure_s > 0.0:
+            break
         off, v0, kind, end = leave(land, hit, 0.0, plate, law)
+        if marked and kind != 1:
+            break
         passed += 1
         lasts, v_next = end - off, 0.0
         if kind == 1:
             lasts, v_next, _ = flight(off, v0, plate, law, 0.0)
-            if lasts < 0.0:
+            if lasts < 0.0 or (marked and lasts > seen.unseen_s):
                 break
             q, qd = strike(plate.mode, lasts, v_next, law.p)
             plate = with_state(plate, q, qd)
         land, hit = off + lasts, v_next
-        if land - near <= RESOLVED_S:
-            if closure_s == 0.0:
+        if not marked and land - near <= RESOLVED_S:
+            if seen.closure_s == 0.0:
                 ambiguity += UNRESOLVED_PART * (land - near)
                 near, near_hit, near_passed = land, hit, passed
         elif abs(land - target) < abs(near - target):

@@ -23,8 +23,8 @@ from model.effects.registry import resolve
 from model.flight.precision import MOST_WINDOWS, largest_gamma
 from model.orbits.attractor import Ball, attractor
 from model.orbits.make_ball import EXACT, law_of, make_ball
-from model.surveys.dask_backend import on_cluster
 from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
+from model.surveys.workers import outcomes
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 CHUNK = 4000  # points: a fraction of a second of an exact ball
@@ -189,7 +189,9 @@ def run(
         done: NDArray[np.bool_] = file["chunk_done"][:]
         todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
         finished = job.size - sum(stop - start for start, stop in todo)
-        for start, stop, rows in _computed(job, todo, workers, cluster):
+        pieces = (((start, stop), _piece(job, start, stop)) for start, stop in todo)
+        for outcome in outcomes(compute, pieces, workers=workers, cluster=cluster):
+            (start, stop), rows = outcome.key, outcome.value()
             for name in FIELDS[1:]:
                 file[name][start:stop] = getattr(rows, name)
             for name, values in job.columns(start, stop).items():
@@ -206,27 +208,6 @@ def _chunk_size(job: Job) -> int:
     forcing = job.forcing
     windows = max(job.gammas, default=0.0) / largest_gamma(forcing) * MOST_WINDOWS
     return max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS))))
-
-
-def _computed(
-    job: Job, todo: list[tuple[int, int]], workers: int, cluster: str | None
-) -> Iterator[tuple[int, int, Rows]]:
-    """Chunks as they come in, in any order."""
-    if cluster is not None:
-        pieces = [(start, stop, _piece(job, start, stop)) for start, stop in todo]
-        yield from on_cluster(compute, pieces, workers, cluster)
-    elif workers == 1:
-        for start, stop in todo:
-            yield start, stop, compute(job, start, stop)
-    else:
-        from concurrent.futures import ProcessPoolExecutor, as_completed
-        from multiprocessing import get_context
-
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            waiting = {pool.submit(compute, *_piece(job, start, stop)): (start, stop) for start, stop in todo}
-            for future in as_completed(waiting):
-                start, stop = waiting.pop(future)
-                yield start, stop, future.result()
 
 
 @contextmanager

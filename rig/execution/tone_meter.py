@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.loaded_tones import Load, LoadedTones
 from daq.lock_in import LockIn
 from daq.setup.setup import Setup
 from rig.execution.plate_monitor import Mask
@@ -14,7 +14,6 @@ from rig.programme.forcing import Complexes, Floats, PhaseClock
 
 HARMONICS = 3  # harmonics fitted beside the tones, which a mask that follows the cycle would mix in
 ENOUGH_WINDOWS = 3  # number of windows from which their scatter is a better uncertainty than the fits' own
-SIGNIFICANT = 5.0  # ratio of the load's part to its uncertainty from which it is corrected for
 LEAST_QUIET = 0.3  # least unmasked part of a window; a window with less is dropped
 
 
@@ -84,7 +83,7 @@ class ToneMeter:
         """Measure anew from ``first_sample`` (a cycle's first), to ``end_sample``; how the load acts is kept."""
         self._start, self._end = first_sample, end_sample
         self.windows: list[Amplitudes] = []
-        self._total: _Sums | None = None
+        self._total: LoadedTones | None = None
         self._open_window()
 
     def _open_window(self) -> None:
@@ -111,24 +110,17 @@ class ToneMeter:
                 self._total = window if self._total is None else self._total + window
             self._open_window()
 
-    def _sums(self) -> _Sums:
-        """Normal equations of the window: acceleration, the ball's load by the plate's motion, and their sum."""
-        plain = LockIn(self._rate_hz, self._frequencies_hz)
+    def _sums(self) -> LoadedTones:
+        """Normal equations of the window, unmasked and masked samples and contact and flight kept apart."""
+        sums = LockIn(self._rate_hz, self._frequencies_hz, sorts=4)
         for piece in self._pieces:
-            plain.add(piece.acceleration_mps2, piece.first_sample, piece.quiet)
-        moved = plain.solve().amplitudes
-        sums = LockIn(self._rate_hz, self._frequencies_hz, channels=3, sorts=2)
-        for piece in self._pieces:
-            load = np.zeros(len(piece.quiet))
-            if piece.touching is not None:
-                turns = np.outer(np.arange(piece.first_sample, piece.end_sample), self._frequencies_hz) / self._rate_hz
-                motion = np.real(np.exp(2j * np.pi * (turns % 1.0)) @ moved)
-                load = piece.touching * (motion + self._g_mps2)
-            x = piece.acceleration_mps2
-            sums.add(np.column_stack([x, load, x + load]), piece.first_sample, np.where(piece.quiet, 0, 1))
-        return _Sums(sums.part([0]), sums.part([0, 1]))
+            touching = np.zeros(len(piece.quiet), np.bool_) if piece.touching is None else piece.touching
+            sort = np.where(piece.quiet, 0, 2) + np.where(touching, 1, 0)
+            sums.add(piece.acceleration_mps2, piece.first_sample, sort.astype(np.int8))
+        unmasked, whole = sums.part([0, 1]), sums.part([0, 1, 2, 3])
+        return LoadedTones(unmasked, whole, sums.part([1]), sums.part([1, 3]), self._g_mps2)
 
-    def _of(self, sums: _Sums) -> Amplitudes:
+    def _of(self, sums: LoadedTones) -> Amplitudes:
         """The wanted tones of a fit."""
         values, uncertainty = sums.solve(self._load)
         return Amplitudes(values[self._wanted], uncertainty[self._wanted])
@@ -143,60 +135,6 @@ class ToneMeter:
             return None
         whole = self._of(both)
         return replace(whole, uncertainty=_uncertainty(self.windows, whole.uncertainty))
-
-
-@dataclass(frozen=True)
-class Load:
-    """Response of the plate to the ball's load: sums over samples of the residuals of acceleration and load."""
-
-    cross: float = 0.0
-    load_square: float = 0.0
-    square: float = 0.0
-    n: int = 0
-
-    def __add__(self, other: Load) -> Load:
-        return Load(
-            self.cross + other.cross, self.load_square + other.load_square, self.square + other.square, self.n + other.n
-        )
-
-    def share(self) -> tuple[float, float]:
-        """Acceleration for a unit of load, and its standard uncertainty; nothing where it does not stand out."""
-        if self.load_square <= 0.0:
-            return 0.0, 0.0
-        share = self.cross / self.load_square
-        left = max(self.square - share * self.cross, 0.0)
-        sigma = math.sqrt(left / (self.n * self.load_square))
-        return (share, sigma) if abs(share) > SIGNIFICANT * sigma else (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class _Sums:
-    """Normal equations of the unmasked samples, and of all; channels: acceleration, load, their sum."""
-
-    quiet: LockIn
-    whole: LockIn
-
-    def __add__(self, other: _Sums) -> _Sums:
-        return _Sums(self.quiet + other.quiet, self.whole + other.whole)
-
-    def load(self) -> Load:
-        """Sums of this piece for the load's part in the motion."""
-        x, load, both = (self.quiet.solve(channel) for channel in range(3))
-        cross = 0.5 * (both.rms**2 - x.rms**2 - load.rms**2)
-        return Load(cross * x.n, load.rms**2 * x.n, x.rms**2 * x.n, x.n)
-
-    def solve(self, load: Load) -> tuple[Complexes, Floats]:
-        """Amplitudes of all tones, of a motion that no mask has cut, and their standard uncertainties.
-
-        With the acceleration ``x = tones + k load``, a masked fit gives ``tones + k (load's tones as the mask leaves
-        them)``; ``k`` follows from what tones leave of both (Frisch and Waugh 1933).
-        """
-        x = self.quiet.solve(0)
-        share, share_sigma = load.share()
-        missing = self.whole.solve(1).amplitudes - self.quiet.solve(1).amplitudes
-        return x.amplitudes + share * missing, np.hypot(
-            x.amplitude_sigma(), np.abs(missing) * share_sigma / math.sqrt(2.0)
-        )
 
 
 def mean_of(windows: list[Amplitudes]) -> Amplitudes:

@@ -18,6 +18,7 @@ from bench.cli import COMMANDS, app
 ROOT = Path(__file__).parents[2]
 SCHEMAS = ROOT / "docs" / "reference" / "schemas"
 GAMMAS = [0.6, 0.75, 0.9, 1.05, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95]
+LONG = {"close-loop", "explore"}
 WITHOUT_JSON = {"demo", "virtual"}  # they write files, or run until they are ended
 
 
@@ -74,6 +75,9 @@ ANSWERS = {
     "predict-diagram": "predict --c 2 --gamma-range 0.3 0.8 --steps 9",
     "predict-ramp": "predict --profile {0}/p.toml",
     "close-loop": "close-loop {0}/r.h5",
+    "explore": "explore {0}/p.toml --scenario friction --out {0}/explored --budget 5",
+    "batch": "batch {0}/r.h5 --do compare --out {0}/rows.csv",
+    "report": "report {0}/r.h5 --out {0}/r.html --no-loop",
     "drop": "drop {0}/times.csv --no-pictures",
     "info": "info {0}/r.h5",
     "verify": "verify {0}/r.h5",
@@ -81,7 +85,9 @@ ANSWERS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "close-loop" else n for n in ANSWERS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in ("close-loop", "explore") else n for n in ANSWERS]
+)
 def test_a_real_answer_fits_its_schema(name: str, folder: Path) -> None:
     """The command's standard output is JSON and nothing else, with exactly the keys and types of the schema."""
     result = CliRunner().invoke(app, [*ANSWERS[name].format(folder).split(" "), "--json", "-"])

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
+from analysis.attribution.chance import ChanceGains
 from analysis.attribution.choice import Judge
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Hypothesis
@@ -75,7 +77,7 @@ def test_a_gain_that_steps_contradict_is_refused_with_both_gains(
     rejected = judge.rejected(best, [x], 0, None)
     assert rejected is not None
     assert rejected.reason.startswith("the steps do not agree on its gain: 30 +- ")
-    assert "wanted 12 and 2 standard errors" in rejected.reason
+    assert "wanted 6 and 1.5 standard errors" in rejected.reason
 
 
 def test_what_gains_less_than_what_was_accepted_needs_no_reason(
@@ -112,8 +114,30 @@ def test_a_cause_whose_size_may_be_nothing_is_refused(judge: Judge, explanation:
 
 
 def test_a_small_gain_is_called_small(judge: Judge, explanation: Callable[..., Hypothesis]) -> None:
-    """Eight nats are refused as too few, half a nat is not worth a word."""
-    best = explanation("nothing", np.full(STEPS, 0.5))
+    """Four nats are refused as too few, half a nat is not worth a word."""
+    best = explanation("nothing", np.full(STEPS, 0.25))
     rejected = judge.rejected(best, [explanation("drag", np.zeros(STEPS))], 0, None)
-    assert rejected is not None and rejected.reason == "too small a gain: 8.0 nats, wanted 12"
-    assert judge.rejected(best, [explanation("drag", np.full(STEPS, 0.47))], 0, None) is None
+    assert rejected is not None and rejected.reason == "too small a gain: 4.0 nats, wanted 6"
+    assert judge.rejected(best, [explanation("drag", np.full(STEPS, 0.22))], 0, None) is None
+
+
+@pytest.mark.parametrize(("p", "accepted"), [(2e-4, True), (5e-3, False)])
+def test_what_chance_gains_as_well_is_refused_with_its_probability(
+    judge: Judge, explanation: Callable[..., Hypothesis], p: float, accepted: bool
+) -> None:
+    """Eight nats that all steps agree on stand where chance hardly gains as much, not where it does once in 200."""
+
+    class Chance:
+        """Chance of a known probability."""
+
+        def p(self, _: Hypothesis) -> float:
+            """The same for every hypothesis."""
+            return p
+
+    best, x = explanation("nothing", np.full(STEPS, 0.5)), explanation("drag", np.zeros(STEPS))
+    chance = cast(ChanceGains, Chance())
+    assert (judge.choose(best, [x], 0, chance) is x) is accepted
+    rejected = judge.rejected(best, [x], 0, None, chance)
+    assert (rejected is None) is accepted
+    if rejected is not None:
+        assert rejected.reason == "chance lets the best of all candidates gain as much: p = 0.005, wanted 0.001"

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution.fit import Fitter
+from analysis.attribution.fit import Fitter, _solve
 from analysis.attribution.priors import Prior, priors_of
-from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.forward_model import ForwardModel, ParameterId, Residuals
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import CALIBRATION_SIGMAS
 
@@ -102,3 +103,33 @@ def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable
     fitted = fitter.fit(Whitener.of(world, TRUTH), (UP, DOWN, RATE), TRUTH)
     assert fitted.differs((UP, DOWN)) and fitted.differs((UP, RATE))
     assert not fitted.differs((RATE,))
+
+
+def test_a_search_survives_a_singular_matrix(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Gravity, drive and accelerometer wrong by one factor are one: the fit of all three ends, with finite values."""
+    world = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
+    keys = (("local_gravity", "excess_mps2"), ("drive_gain", "relative"), ("accelerometer_gain", "relative"), RATE)
+    fitter = Fitter(world, {}, np.ones(3, dtype=bool))
+    fitted = fitter.fit(Whitener.of(world, {RATE: 0.5}), keys, {})
+    assert np.isfinite(fitted.x).all() and np.isfinite(fitted.loss)
+    assert fitted.values[RATE] == pytest.approx(0.5, abs=0.2)
+    step = _solve(np.ones((3, 3)), np.ones(3), 0.0, np.full(3, -5.0), np.full(3, 5.0))
+    assert np.sum(step) == pytest.approx(1.0)
+    assert _solve(np.zeros((2, 2)), np.zeros(2), 0.0, np.full(2, -5.0), np.full(2, 5.0)) == pytest.approx([0.0, 0.0])
+
+
+def test_a_point_without_a_number_has_no_slope(
+    fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plate datum that is no number a step away, as where a mode is the whole tone: the fit goes on without it."""
+    world = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
+    exact, whitener, calls = world.residuals, Whitener.of(world, {RATE: 0.5}), itertools.count()
+
+    def broken(values: Mapping[ParameterId, float]) -> Residuals:
+        found = exact(values)
+        lost = next(calls) == 1  # the first point a step away from the start
+        return replace(found, plate=np.where(lost & (np.arange(len(found.plate)) == 0), np.nan, found.plate))
+
+    monkeypatch.setattr(world, "residuals", broken)
+    fitted = Fitter(world, {}, np.ones(3, dtype=bool)).fit(whitener, (RATE,), {RATE: 0.3})
+    assert fitted.values[RATE] == pytest.approx(0.5, abs=0.1)

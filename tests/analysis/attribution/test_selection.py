@@ -13,7 +13,7 @@ from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, SelectionResult
 from analysis.attribution.selection import StepwiseSelection, remaining_candidates
-from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import MOST_OF_A_STEP_NATS
 
@@ -167,3 +167,25 @@ def test_no_second_cause_is_looked_for_in_noise(explain: Explain) -> None:
     """Friction alone explains the run: the search ends there, and says why."""
     found = explain({UP: 0.05, DOWN: 0.05}, 1)
     assert found.rounds[-1] == "round 2: what is left is no more than noise"
+
+
+def test_a_drift_is_tried_beside_a_strong_cause_at_once(explain: Explain) -> None:
+    """Friction that grows by a factor of four during the run: named with its drift in the first round, nothing else."""
+    drift = {(name, q + TREND): 0.12 for name, q in (UP, DOWN)}
+    found = explain({UP: 0.1, DOWN: 0.1, **drift}, 5, (*GAMMAS, 1.2, 0.75, 1.0, 0.55))
+    assert found.best.names == ("coulomb_friction", "parameter_drift")
+    assert found.rounds[0].startswith("round 1: coulomb_friction + parameter_drift gains")
+    assert ("coulomb_friction", "parameter_drift") in [names for names, _ in found.tried]
+    assert [x.names for x in found.earlier] == [(), ("coulomb_friction",)]
+
+
+def test_a_cause_whose_interval_holds_nothing_in_the_end_goes(selection_of: Callable[..., StepwiseSelection]) -> None:
+    """Friction and a drag of no size, both chosen: the drag names nothing."""
+    selection = selection_of({UP: 0.05, DOWN: 0.05}, 4)
+    both = added(selection, named(selection, "coulomb_friction"))
+    drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),))
+    free = (*both.free, *drag.free)
+    both = selection.refits.converged((*both.candidates, drag), both.whitener, free, both.fitted.values)
+    rounds: list[str] = []
+    assert selection.pruning.without_null(both, rounds).names == ("coulomb_friction",)
+    assert rounds == ["step back: the 95 % intervals of quadratic_drag hold the values of no effect"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
 from analysis.events.edges import time_edges
@@ -49,6 +50,7 @@ def test_rc_edges_are_found_between_samples_with_the_stated_uncertainty(tau_open
     assert levels.noise_v == pytest.approx(0.003, rel=0.1)
     edges, opening, closing = timed(volts, levels)
     assert opening.tau_s == pytest.approx(tau_open_s, rel=0.01)
+    assert opening.clock_s == closing.clock_s == 0.0
     assert closing.tau_s == pytest.approx(tau_close_s, rel=0.02)
     error = edges.time_s - true
     assert np.sqrt(np.mean(error**2)) < 1e-6
@@ -99,3 +101,33 @@ def test_levels_are_those_measured_not_those_declared() -> None:
     assert levels.open_v == pytest.approx(4.7, abs=1e-3)
     always_open = measure_levels(np.full(5000, 5.0), 0.0, 5.0)
     assert always_open.closed_v == 0.0
+
+
+@pytest.mark.parametrize("bits", [0, 12])
+@pytest.mark.parametrize("tau_samples", [0.7, 3.0])
+def test_edges_of_a_sampled_comparator_behind_an_rc_tell_nothing_between_samples(tau_samples: float, bits: int) -> None:
+    """Edges that all have the same shape are timed to the middle of a sample, with the uncertainty of a sample."""
+    rng = np.random.default_rng(4)
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 200))
+    square = circuit(true, int((true[-1] + 0.01) * RATE), 1e-9, 1e-9, 0.0, rng)
+    keep = np.exp(-1.0 / tau_samples)
+    volts = lfilter([1.0 - keep], [1.0, -keep], square) + 0.003 * rng.standard_normal(square.size)
+    if bits:
+        volts = np.round(volts * 2**bits / 20.0) * 20.0 / 2**bits
+    edges, opening, closing = timed(volts, measure_levels(volts, 0.0, 5.0))
+    assert opening.clock_s == closing.clock_s == 1.0 / RATE
+    error = edges.time_s - true
+    assert abs(error.mean()) < 3e-6
+    assert np.std(error / edges.uncertainty_s) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_converter_without_noise_is_as_coarse_as_its_step() -> None:
+    """Levels that a 12-bit converter gives without any noise are uncertain by its step over root twelve."""
+    rng = np.random.default_rng(5)
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 100))
+    step_v = 20.0 / 2**12
+    volts = np.round(circuit(true, int((true[-1] + 0.01) * RATE), 5e-5, 5e-5, 0.0, rng) / step_v) * step_v
+    levels = measure_levels(volts, 0.0, 5.0)
+    assert levels.noise_v == pytest.approx(step_v / np.sqrt(12.0), rel=0.01)
+    edges, *_ = timed(volts, levels)
+    assert np.std((edges.time_s - true) / edges.uncertainty_s) == pytest.approx(1.0, abs=0.3)

@@ -14,7 +14,7 @@ from analysis.loop.result import FittedParameter
 from analysis.loop.verdict import confirmed_on_reserve, verdict_of
 from analysis.loop.verdict_json import rejected_json
 from analysis.residuals.lack_of_fit import GoodnessOfFit
-from analysis.residuals.prediction_errors import Errors
+from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import FROZEN
 
 NOISE = GoodnessOfFit(0.4, 1.02, 1.01, None, {}, 0.3, 0.5, 0.6)
@@ -121,3 +121,21 @@ def test_the_rejected_candidate_is_part_of_the_json() -> None:
         "standard_error": None,
         "reason": "the plate data fit worse with it",
     }
+
+
+def test_landings_missed_as_far_as_their_openings_foretell_are_no_miss() -> None:
+    """Held-out landings at 1.8 floors; what the openings tell of the tones leaves 1.1: explained; 1.9: not."""
+    after = replace(HIT, landing_rms_us=18.0)
+    told, untold = GivenOpenings(4.4, 4.0, 5.0), GivenOpenings(7.6, 4.0, 5.0)
+    assert verdict_of(True, NOISE, after, FLOORS, FROZEN, given=told) == "explained"
+    assert verdict_of(True, NOISE, after, FLOORS, FROZEN, given=untold) == "unexplained"
+
+
+@pytest.mark.parametrize(
+    ("reserved", "further", "stands"), [(-0.3, False, True), (-0.3, True, False), (-1.5, False, False)]
+)
+def test_few_reserved_steps_do_not_kill_a_weak_first_effect(reserved: float, further: bool, stands: bool) -> None:
+    """Thirteen nats on twelve steps, one and a half lost on four: it stands, unless it is a further effect."""
+    train = np.arange(16) % 4 != 2
+    worse = np.where(train, 13.0 / 12.0, reserved) + np.where(np.arange(16) % 2, 0.5, -0.5) * train
+    assert confirmed_on_reserve(worse, np.zeros(16), train, FROZEN, further=further)[0] == stands

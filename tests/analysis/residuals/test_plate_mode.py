@@ -144,3 +144,19 @@ def test_a_mode_that_leaves_nothing_of_a_tone_is_wrong_by_a_finite_amount() -> N
     z = np.array([3.0 + 1.0j, 2.0 + 0.0j])
     left = driven(z, np.array([3.0 + 1.0j, 1.0 + 0.0j]))
     assert np.all(np.isfinite(np.log(np.abs(z / left)))) and left[1] == 1.0
+
+
+def test_a_mode_that_is_the_whole_tone_leaves_numbers_and_no_exception() -> None:
+    """With the mode as large as the measured tone, and with nothing unmasked at all, plate data stay finite."""
+    omega = 2.0 * np.pi * np.array([[0.0, FORCING_HZ]])
+    z = np.array([[3.0 + 1.0j]])
+    plate = PlateSteps(omega[:, 1:], z, np.array([1.0 / FORCING_HZ]))
+    n0, one, zero = np.zeros(1), np.ones(3), np.zeros(3, dtype=np.int64)
+    kinds, share = np.array([GAIN, PHASE, GATE]), np.ones(3, dtype=np.complex128)
+    data = PlateData(kinds, zero, one, one, np.full(3, omega[0, 1]), one, one, zero, zero, share)
+    for kept in (FitIntervals.whole(np.array([[0.0, 1.0]])), FitIntervals.whole(np.zeros((0, 2)))):
+        ear = Ringing(kept, omega, z, np.array([1]), np.array([[0]]))
+        projection = np.tile(0.5 * z, (len(kept.step), 2))
+        predicted = Predicted(n0, n0, n0, n0, n0, n0, n0, n0, z, projection, kept.seconds)
+        added, sigma = ear.added(data, plate, predicted)
+        assert np.all(np.isfinite(added)) and np.all(np.isfinite(sigma))

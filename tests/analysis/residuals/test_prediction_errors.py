@@ -10,6 +10,8 @@ import pytest
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import (
+    _tones_given,
+    given_openings,
     held_out_errors,
     noise_floors_us,
     noise_quantiles_us,
@@ -70,3 +72,36 @@ def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., For
         over.append(noise_quantiles_us(world, FRICTION, rows)[0] / noise_floors_us(world, FRICTION, rows)[0])
     assert over[0] > over[1] > 1.0
     assert noise_quantiles_us(world, FRICTION, rows[:0]) == (0.0, 0.0)
+
+
+def test_openings_tell_the_tones_as_far_as_they_are_sharp() -> None:
+    """Twenty openings that two errors shift by 10 us each, known to 1 us, to 1 ms: found again, or left unknown."""
+    by_tone, errors = 1e-5 * np.random.default_rng(1).standard_normal((20, 2)), np.array([2.0, -1.5])
+    for sigma, known in ((1e-6, True), (1e-3, False)):
+        mean, root = _tones_given(by_tone @ errors, np.full(20, sigma), by_tone)
+        left = np.sqrt(np.diag(root @ root.T))
+        assert np.all(left < 0.1) == known
+        assert np.all(left > 0.9) != known
+        assert (np.abs(mean - errors) < 0.1).all() == known
+
+
+def test_openings_narrow_the_floor_of_their_landings(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Tones twenty times as uncertain as they are: given the openings, landings have a lower floor, and keep to it."""
+    world = fly_ramp(FRICTION, 0)
+    steps = replace(world.evidence.steps, spread_mps2=20.0 * world.evidence.steps.spread_mps2)
+    vague = ForwardModel(replace(world.evidence, steps=steps), {})
+    rows = np.flatnonzero(vague.evidence.scored & vague.from_rest)
+    told = given_openings(vague, FRICTION, rows)
+    assert told.floor_us < noise_floors_us(vague, FRICTION, rows)[0]
+    assert told.landing_rms_us < told.chance_us
+    assert np.isnan(given_openings(vague, FRICTION, rows[:0]).landing_rms_us)
+
+
+def test_openings_excuse_no_landing_of_their_own(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Landings 60 us late with openings in time, as friction would leave them: they stay missed."""
+    world = fly_ramp(FRICTION, 0)
+    measured = world.evidence.measured
+    late = replace(measured, landing_s=measured.landing_s + 6e-5)
+    rows = np.flatnonzero(world.evidence.scored)
+    told = given_openings(ForwardModel(replace(world.evidence, measured=late), {}), FRICTION, rows)
+    assert told.landing_rms_us > 1.5 * max(told.floor_us, told.chance_us)

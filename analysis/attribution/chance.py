@@ -1,0 +1,237 @@
+"""Null distribution of the best gain: what the best of all candidates gains by chance on such a run.
+
+Scores of all candidates are drawn jointly, so that candidates alike count once and unlike ones each. Two kinds of
+draws are made: normal scores with the covariance that the uncertainties give (parametric bootstrap), and the measured
+scores of whole steps with random signs (wild bootstrap by blocks), which keeps what the uncertainties do not know. The
+less favourable of both probabilities counts.
+
+References
+----------
+T. Hothorn, F. Bretz and P. Westfall, Biom. J. 50, 346 (2008): the maximum of correlated tests.
+A. C. Cameron, J. B. Gelbach and D. L. Miller, Rev. Econ. Stat. 90, 414 (2008): wild bootstrap by clusters.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.candidates import Candidate
+from analysis.attribution.hypothesis import ChanceTest, Hypothesis
+from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.noise_model import robust_loss, robust_weight
+
+Array = NDArray[np.float64]
+Columns = tuple[int, ...]
+Place = tuple[ParameterId, tuple[tuple[ParameterId, float], ...]]  # a size, with the shapes it is tried at
+
+DRAWS = 4999
+LEAST_INFORMATION = 1e-9  # of a column of unit scale, and of its part beyond the nuisances: below, it changes nothing
+
+
+@dataclass(frozen=True)
+class ScoreSpace:
+    """Derivatives of whitened residuals to the sizes of all candidates, less what nuisances can follow.
+
+    Attributes
+    ----------
+    columns
+        Projected derivatives, (n, k), n residuals.
+    information
+        Covariance of the scores, (k, k), each column of unit information.
+    groups
+        Columns of each candidate, at one setting of its shape parameters.
+    signs
+        Of each column: 1 or -1 where its parameter can move one way only, 0 where it can move both ways.
+    """
+
+    columns: Array
+    information: Array
+    groups: tuple[Columns, ...]
+    signs: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        nuisances: Array,
+        stiffness: Array,
+        candidates: Array,
+        groups: Sequence[Columns],
+        signs: Sequence[int],
+        weight: Array | None = None,
+    ) -> ScoreSpace:
+        """Score space of candidates beside nuisances.
+
+        Parameters
+        ----------
+        nuisances, candidates
+            Whitened derivatives, (n, q) and (n, k).
+        stiffness
+            Inverse variances of the nuisances' priors, (q,); 0 where nothing is known.
+        groups, signs
+            See the attributes; columns without information are left out.
+        weight
+            Weight of each residual, (n,); one where not given.
+        """
+        weight = np.ones(len(candidates)) if weight is None else weight
+        weighted = nuisances * weight[:, None]
+        normal = weighted.T @ nuisances + np.diag(stiffness)
+        follow = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (weighted.T @ candidates)
+        columns = candidates - nuisances @ follow
+        information = (candidates * weight[:, None]).T @ columns
+        own, before = np.diag(information), weight @ candidates**2
+        shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * before)
+        scale = np.where(shown, 1.0 / np.sqrt(np.where(shown, own, 1.0)), 0.0)
+        return cls(
+            columns * scale,
+            scale[:, None] * 0.5 * (information + information.T) * scale,
+            tuple(kept for g in groups if (kept := tuple(j for j in g if shown[j]))),
+            np.asarray(signs, dtype=np.int64),
+        )
+
+    def best_gains(self, scores: Array) -> Array:
+        """Gain of the best candidate for each row of scores, (draws, k), nats."""
+        best = np.zeros(len(scores))
+        for group in self.groups:
+            u = scores[:, group]
+            if len(group) == 1:
+                j = group[0]
+                x = u[:, 0] if self.signs[j] == 0 else np.maximum(self.signs[j] * u[:, 0], 0.0)
+                gain = 0.5 * x * x
+            else:
+                inverse = np.linalg.pinv(self.information[np.ix_(group, group)], rcond=1e-8, hermitian=True)
+                gain = 0.5 * np.einsum("ij,jk,ik->i", u, inverse, u)
+            best = np.maximum(best, gain)
+        return best
+
+    def by_noise(self, rng: np.random.Generator, draws: int = DRAWS) -> Array:
+        """Best gains of normal noise of the stated covariance, (draws,)."""
+        values, vectors = np.linalg.eigh(self.information)
+        root = vectors * np.sqrt(np.clip(values, 0.0, None))
+        return self.best_gains(rng.standard_normal((draws, len(values))) @ root.T)
+
+    def by_steps(self, scored: Array, step: NDArray[np.int64], rng: np.random.Generator, draws: int = DRAWS) -> Array:
+        """Best gains of residuals whose steps get random signs, (draws,).
+
+        Parameters
+        ----------
+        scored
+            Residuals times their robust weights, (n,).
+        step
+            Step of each, (n,).
+        rng, draws
+            Source and number of draws.
+        """
+        m = int(step.max(initial=-1)) + 1
+        parts = np.zeros((m, self.columns.shape[1]))
+        np.add.at(parts, step, self.columns * scored[:, None])
+        return self.best_gains(rng.choice((-1.0, 1.0), (draws, m)) @ parts)
+
+
+def generator_of(world: ForwardModel) -> np.random.Generator:
+    """Random numbers that the recording's content fixes: landings to the nanosecond."""
+    landing = np.nan_to_num(1e9 * world.evidence.measured.landing_s).round().astype("<i8")
+    return np.random.default_rng(np.frombuffer(hashlib.sha256(landing.tobytes()).digest(), dtype="<u4"))
+
+
+class ChanceGains:
+    """Probability that the best of all candidates gains so much by chance, beside one hypothesis.
+
+    Parameters
+    ----------
+    best
+        The hypothesis that is added to.
+    options
+        All candidates of the round.
+    rng
+        Source of the draws.
+    draws
+        Number of draws of each kind.
+    """
+
+    def __init__(
+        self, best: Hypothesis, options: Sequence[Candidate], rng: np.random.Generator, draws: int = DRAWS
+    ) -> None:
+        self.best, self.options, self.rng, self.draws = best, options, rng, draws
+        self._drawn: dict[int, tuple[Hypothesis, Array, Array]] = {}
+
+    def p(self, x: Hypothesis) -> float:
+        """Probability of the gain of ``x``, at least ``1 / (draws + 1)``.
+
+        Weights, and the residuals whose steps get random signs, are those that ``x`` leaves: its own signal is no
+        noise.
+        """
+        gain = fitted_gain(self.best, x)
+        beyond = max(int(np.sum(gains >= gain)) for gains in self._gains(x))
+        return (1.0 + beyond) / (self.draws + 1.0)
+
+    def test(self, accepted: Hypothesis | None, found: Sequence[Hypothesis], p: float) -> ChanceTest | None:
+        """The accepted candidate, or the one of greatest gain, and the gain that chance exceeds with probability ``p``.
+
+        None where there is no candidate.
+        """
+        x = accepted or max(found, key=lambda x: fitted_gain(self.best, x), default=None)
+        if x is None:
+            return None
+        critical = max(float(np.quantile(gains, 1.0 - p)) for gains in self._gains(x))
+        return ChanceTest(x.candidates[-1].names, fitted_gain(self.best, x), self.p(x), critical, accepted is not None)
+
+    def _gains(self, x: Hypothesis) -> tuple[Array, Array]:
+        """Best gains of normal noise, and of the steps' residuals under ``x`` with random signs."""
+        if id(x) not in self._drawn:
+            fitted, state, whitener = self.best.fitted, self.best.fitted.state, x.whitener
+            z = whitener.white_all(x.fitted.raw)
+            weight = np.where(state.mask, robust_weight(z, whitener.odds), 0.0)
+            groups, signs, bare = self._slopes
+            known, fresh = (whitener.white_slopes(slopes, fitted.raw) for slopes in (fitted.bare, bare))
+            space = ScoreSpace.of(known, state.inverse**2, fresh, groups, signs, weight)
+            by_steps = space.by_steps(weight * z, state.step, self.rng, self.draws)
+            self._drawn[id(x)] = x, space.by_noise(self.rng, self.draws), by_steps
+        return self._drawn[id(x)][1:]
+
+    @functools.cached_property
+    def _slopes(self) -> tuple[list[Columns], list[int], Array]:
+        """Columns of each candidate, their signs, and derivatives of the bare residuals."""
+        at: dict[Place, int] = {}
+        groups = [tuple(at.setdefault(place, len(at)) for place in group) for group in places(self.options, self.best)]
+        fitted = self.best.fitted
+        bare = np.zeros((len(fitted.raw), len(at)))
+        for (key, shapes), j in at.items():
+            bare[:, j] = fitted.fitter.slope(fitted, key, dict(shapes))
+        return groups, [_sign(key) for key, _ in at], bare
+
+
+def fitted_gain(best: Hypothesis, x: Hypothesis) -> float:
+    """Gain of one fit over another on the steps of the fit, priors included, each with its own weights, nats."""
+    return _fitted_loss(best) - _fitted_loss(x)
+
+
+def _fitted_loss(x: Hypothesis) -> float:
+    whitener, fitted = x.whitener, x.fitted
+    logs = np.concatenate([whitener.log_sigma, whitener.plate_log])
+    loss = robust_loss(whitener.white_all(fitted.raw), whitener.odds) + logs
+    return float(np.sum(loss[fitted.state.mask])) + fitted.prior_penalty
+
+
+def places(options: Sequence[Candidate], best: Hypothesis) -> list[tuple[Place, ...]]:
+    """Sizes that each candidate frees beside ``best``, at each setting of its shape parameters."""
+    out: dict[tuple[Place, ...], None] = {}
+    for candidate in options:
+        free = [k for k in candidate.free if k not in best.free]
+        sizes, shapes = [k for k in free if not parameter_of(k).is_shape], [k for k in free if parameter_of(k).is_shape]
+        for start in candidate.starts or ({},):
+            setting = tuple((k, start.get(k, null_value_of(k))) for k in shapes)
+            out[tuple((k, setting) for k in sizes)] = None
+    return [group for group in out if group]
+
+
+def _sign(key: ParameterId) -> int:
+    """The direction in which a parameter can leave its null value; 0 for both."""
+    q = parameter_of(key)
+    return int(q.null_value <= q.low) - int(q.null_value >= q.high)

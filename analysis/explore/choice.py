@@ -1,0 +1,227 @@
+"""Choice of the next block of steps: the most information for a second of the rig's time.
+
+Information is counted in nats: about which explanation is true (the mutual information between explanation and data,
+by the pairwise bound of Kolchinsky and Tracey), and about the parameters that a person asked for (D-optimality). A
+difference counts only as far as calibrations and the rival's own parameters cannot make up for it.
+
+References
+----------
+G. E. P. Box, W. J. Hill, Technometrics 9, 57 (1967): discrimination among models.
+K. Chaloner, I. Verdinelli, Stat. Sci. 10, 273 (1995): Bayesian experimental design; D-optimality.
+A. Kolchinsky, B. D. Tracey, Entropy 19, 361 (2017): bounds on the entropy of a mixture, equation 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.fit import Fitter
+from analysis.explore.explanations import CLIP_SIGMAS, Explanation, Weighed, slopes_of
+from analysis.loop.design import HOLD_CYCLES, simulate_steps
+from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.whitening import Whitener
+from daq.setup.setup import Setup
+
+Array = NDArray[np.float64]
+
+MOST_EXPLANATIONS = 10  # that a block is chosen to separate
+OTHER_ORBIT = 0.05  # difference of mean flight times, relative, that tells two orbits at one gamma apart
+
+
+@dataclass(frozen=True)
+class Option:
+    """One forcing with the gammas that the rig's limits allow, up or down.
+
+    Attributes
+    ----------
+    setup
+        With this forcing.
+    gammas
+        In the order of the run, (m,).
+    hold_cycles
+        Cycles for which each step is held.
+    seconds
+        Rig time of a block with the gammas at the given places.
+    """
+
+    setup: Setup
+    gammas: tuple[float, ...]
+    hold_cycles: int
+    seconds: Callable[[Sequence[int]], float]
+
+    @property
+    def rising(self) -> bool:
+        """Whether gamma goes up."""
+        return len(self.gammas) < 2 or self.gammas[-1] > self.gammas[0]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Steps chosen, and why.
+
+    Attributes
+    ----------
+    option, steps
+        The forcing, and the places of the steps among its gammas.
+    nats, seconds
+        Expected information, and rig time.
+    separates
+        The two explanations told apart best, by names.
+    """
+
+    option: Option
+    steps: tuple[int, ...]
+    nats: float
+    seconds: float
+    separates: tuple[tuple[str, ...], tuple[str, ...]]
+
+    @property
+    def gammas(self) -> tuple[float, ...]:
+        """Of the steps."""
+        return tuple(self.option.gammas[i] for i in self.steps)
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What the steps of one option would tell.
+
+    Attributes
+    ----------
+    option
+    products
+        Products of all columns, parameters first (K of them) and then the differences of each explanation from the
+        first, summed over the data of each step, (m, K + E, K + E).
+    flight_s
+        Mean time of flight expected in each step, (m,); NaN where the ball stays on the plate.
+    """
+
+    option: Option
+    products: Array
+    flight_s: Array
+
+    @classmethod
+    def of(cls, option: Option, world: ForwardModel, fitter: Fitter, known: Weighed) -> Pool:
+        """Simulate the option's steps under the most probable explanation, and predict them by every other."""
+        some = known.explanations[:MOST_EXPLANATIONS]
+        truth = some[0].values
+        made = ForwardModel(
+            simulate_steps(option.setup, np.array(option.gammas), world, truth, carried=True), world.declared
+        )
+        whitener = Whitener.of(made, truth)
+        raw, slopes = slopes_of(made, fitter, whitener, truth, known.keys)
+        columns = [whitener.white_slopes(slopes, raw)]
+        base = whitener.white_all(raw)
+        for x in some:
+            other = whitener.white_all(whitener.stacked(made.residuals(x.values)))
+            columns.append(np.clip(other - base, -CLIP_SIGMAS, CLIP_SIGMAS)[:, None])
+        rows = np.concatenate([whitener.step, made.evidence.plate.step])
+        every = np.nan_to_num(np.column_stack(columns))
+        longer = option.hold_cycles / HOLD_CYCLES
+        products = [longer * every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
+        flown, step = made.evidence.measured.landing_s - made.evidence.measured.opening_s, made.evidence.measured.step
+        means = [float(np.mean(flown[step == i])) if np.any(step == i) else np.nan for i in range(len(option.gammas))]
+        return cls(option, np.array(products), np.array(means))
+
+
+def bistable(pools: Sequence[Pool], block: Block) -> tuple[float, ...]:
+    """Gammas of the block at which the motion reached from below is not the one reached from above."""
+    own = next(pool for pool in pools if pool.option is block.option)
+    other = [
+        pool
+        for pool in pools
+        if pool.option.setup.forcing == block.option.setup.forcing and pool.option.rising != block.option.rising
+    ]
+    out = []
+    for pool in other:
+        there = dict(zip(pool.option.gammas, pool.flight_s.tolist(), strict=True))
+        for i in block.steps:
+            here, gamma = float(own.flight_s[i]), block.option.gammas[i]
+            if abs(here / there.get(gamma, np.nan) - 1.0) > OTHER_ORBIT:
+                out.append(gamma)
+    return tuple(out)
+
+
+def divergences(total: Array, known: Weighed, some: Sequence[Explanation]) -> Array:
+    """Expected nats by which explanation i, if true, would beat j, whatever j's own parameters do, (E, E).
+
+    ``total`` is the sum of `Pool.products` over the steps of a block.
+    """
+    k = len(known.keys)
+    out = np.zeros((len(some), len(some)))
+    for j, rival in enumerate(some):
+        rows = np.array([i for i, key in enumerate(known.keys) if i < known.shared or key in rival.free])
+        inner = known.information[np.ix_(rows, rows)] + total[np.ix_(rows, rows)]
+        for i in range(len(some)):
+            if i == j:
+                continue
+            size = total[k + i, k + i] - 2.0 * total[k + i, k + j] + total[k + j, k + j]
+            cross = total[rows, k + i] - total[rows, k + j]
+            out[i, j] = 0.5 * max(size - cross @ np.linalg.lstsq(inner, cross, rcond=1e-12)[0], 0.0)
+    return out
+
+
+def mutual_information(probability: Array, divergence: Array) -> float:
+    """Between explanation and data, nats, from pairwise divergences."""
+    mixed = np.exp(-divergence) @ probability
+    return float(-np.sum(probability * np.log(np.maximum(mixed, 1e-300))))
+
+
+def sharpened(total: Array, known: Weighed, wanted: Sequence[ParameterId]) -> float:
+    """Nats gained about the parameters ``wanted``: logarithms of the ratio of their deviations before and after."""
+    some = [i for i, key in enumerate(known.keys) if i < known.shared or key in known.explanations[0].free]
+    before = known.information[np.ix_(some, some)] + 1e-9 * np.eye(len(some))
+    after = before + total[np.ix_(some, some)]
+    places = [
+        some.index(known.keys.index(key)) for key in wanted if key in known.keys and known.keys.index(key) in some
+    ]
+    a, b = (np.diag(np.linalg.inv(x))[places] for x in (before, after))
+    return float(0.5 * np.sum(np.log(a / b))) if places else 0.0
+
+
+def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[ParameterId], steps: int) -> Block | None:
+    """The block of most nats a second: of each option the best steps one by one, then the best option.
+
+    Returns
+    -------
+    Block or None
+        None where nothing that the rig may do would tell anything.
+    """
+    some = known.explanations[:MOST_EXPLANATIONS]
+    probability = np.array([x.probability for x in some])
+    probability /= probability.sum()
+
+    def worth(total: Array) -> float:
+        told = mutual_information(probability, divergences(total, known, some)) if len(some) > 1 else 0.0
+        return told + sharpened(total, known, wanted)
+
+    best: Block | None = None
+    for pool in pools:
+        chosen: list[int] = []
+        for _ in range(min(steps, len(pool.option.gammas))):
+            rest = [i for i in range(len(pool.option.gammas)) if i not in chosen]
+            values = [
+                worth(pool.products[[*chosen, i]].sum(axis=0)) / pool.option.seconds(sorted([*chosen, i])) for i in rest
+            ]
+            chosen.append(rest[int(np.argmax(values))])
+        places = tuple(sorted(chosen))
+        total = pool.products[list(places)].sum(axis=0)
+        nats, seconds = worth(total), pool.option.seconds(places)
+        if nats > 0.0 and (best is None or nats / seconds > best.nats / best.seconds):
+            best = Block(pool.option, places, nats, seconds, _separated(total, known, some, probability))
+    return best
+
+
+def _separated(
+    total: Array, known: Weighed, some: Sequence[Explanation], probability: Array
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The two explanations whose separation is worth most, by probability."""
+    if len(some) < 2:
+        return some[0].names, some[0].names
+    d = divergences(total, known, some)
+    value = np.minimum(d, 10.0) * np.outer(probability, probability)
+    i, j = np.unravel_index(int(np.argmax(value)), value.shape)
+    return some[int(i)].names, some[int(j)].names

@@ -1,0 +1,189 @@
+"""Explanations of what was recorded so far, each with its probability and the size that it would have.
+
+Every candidate of the library is one more effect beside the best set found; its size has a normal prior as wide as the
+size at which it would matter. Around the best fit everything is linear, so probability and size follow from one set of
+derivatives.
+
+References
+----------
+D. J. C. MacKay, Neural Comput. 4, 415 (1992): evidence of linear models with normal priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.candidates import Candidate, candidates_of
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
+from analysis.residuals.noise_model import robust_weight
+from analysis.residuals.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+STEP = 0.01  # finite difference of a coordinate
+CLIP_SIGMAS = 6.0  # of a whitened difference: a flight that becomes another one counts as so much
+ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
+IMPROBABLE = 1e-4  # explanations of less probability are left out
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One way to explain what was recorded.
+
+    Attributes
+    ----------
+    names
+        Effects beyond the declared ones.
+    free
+        Their parameters.
+    values
+        Parameter values, calibrations included.
+    probability
+        Given the recordings so far; all sum to one.
+    """
+
+    names: tuple[str, ...]
+    free: tuple[ParameterId, ...]
+    values: Values
+    probability: float
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Explanations, and what the recordings so far tell about every parameter that any of them has.
+
+    Attributes
+    ----------
+    explanations
+        The most probable first.
+    keys
+        Calibrations and nuisances first (``shared`` of them), then what explanations free; K in all.
+    information
+        Of the coordinates of ``keys`` from the recordings and the priors of what is shared, (K, K).
+    """
+
+    explanations: tuple[Explanation, ...]
+    keys: tuple[ParameterId, ...]
+    shared: int
+    information: Array
+
+    @property
+    def entropy(self) -> float:
+        """Of the probabilities, nats: what is not known yet."""
+        p = np.array([x.probability for x in self.explanations])
+        return float(-np.sum(p * np.log(np.maximum(p, 1e-300))))
+
+
+def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequence[Hypothesis] = ()) -> Weighed:
+    """Explanations of the observations of ``world``, weighed.
+
+    Parameters
+    ----------
+    world, fitter
+        The observations and their fits.
+    best
+        The best set so far (the declared model alone where nothing was found).
+    ties
+        Other sets that the data do not distinguish from it; they share its probability.
+    """
+    library = [c for c in candidates_of(world) if not set(c.names) & set(best.names) and len(c.names) == 1]
+    at = {**_shapes(library), **best.fitted.values}
+    sizes = [tuple(k for k in c.free if not parameter_of(k).is_shape) for c in library]
+    shared = tuple(dict.fromkeys((*fitter.priors, *best.free)))
+    keys = (*shared, *dict.fromkeys(k for own in sizes for k in own))
+    raw, slopes = slopes_of(world, fitter, best.whitener, at, keys)
+    z = best.whitener.white_all(raw)
+    jacobian = best.whitener.white_slopes(slopes, raw)
+    weight = robust_weight(z, best.whitener.odds)
+    information = (jacobian * weight[:, None]).T @ jacobian
+    information[np.diag_indices(len(shared))] += _prior_widths(fitter, shared, frozenset(best.free))
+    gradient = -(jacobian * weight[:, None]).T @ z
+    gradient[: len(shared)] = 0.0  # the best set is fitted: what is left of its gradient is the fit's own precision
+    logs, found = [0.0], [Explanation(best.names, best.free, best.fitted.values, 0.0)]
+    for candidate, own in zip(library, sizes, strict=True):
+        rows = np.array([len(shared) + keys[len(shared) :].index(k) for k in own], dtype=np.int64)
+        log, mean, deviation = _evidence(information, gradient, np.arange(len(shared)), rows)
+        x = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in own])
+        x = x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation
+        bounds = np.array([fitter.bounds(k, released=True) for k in own])
+        values = {**at, **fitter.values(own, np.clip(x, bounds[:, 0], bounds[:, 1]))}
+        logs.append(log)
+        found.append(Explanation((*best.names, *candidate.names), (*best.free, *candidate.free), values, 0.0))
+    for rival in ties:
+        if rival.names != best.names:
+            logs.append(0.0)
+            found.append(Explanation(rival.names, rival.free, rival.fitted.values, 0.0))
+    return Weighed(_normalised(found, np.array(logs)), keys, len(shared), information)
+
+
+def slopes_of(
+    world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, keys: Sequence[ParameterId]
+) -> tuple[Array, Array]:
+    """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K)."""
+    base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
+    raw = whitener.stacked(world.residuals(base))
+    out = np.zeros((len(raw), len(keys)))
+    events = len(whitener.step)
+    for j, key in enumerate(keys):
+        x = fitter.to_x(key, base[key])
+        low, high = fitter.bounds(key, released=True)
+        h = STEP if x + STEP <= high or x - STEP < low else -STEP
+        change = whitener.stacked(world.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
+        change[:events][np.abs(change[:events]) > ANOTHER_EVENT_S] = 0.0
+        out[:, j] = change / h
+    return raw, out
+
+
+def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
+    """Where the candidates begin: shapes at their first start, sizes at their null values."""
+    return {
+        k: start.get(k, null_value_of(k)) if parameter_of(k).is_shape else null_value_of(k)
+        for c in library
+        for start in c.starts[:1] or ({},)
+        for k in c.free
+    }
+
+
+def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> Array:
+    """Inverse squared prior widths in coordinates; 0 for what has none."""
+    out = np.zeros(len(keys))
+    for i, key in enumerate(keys):
+        prior = fitter.priors.get(key)
+        if prior is not None and key not in released:
+            out[i] = (fitter.scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)) ** 2
+    return out
+
+
+def _evidence(
+    information: Array, gradient: Array, shared: NDArray[np.int64], own: NDArray[np.int64]
+) -> tuple[float, Array, Array]:
+    """Log evidence of freeing ``own`` over not freeing it, and mean and deviation of its coordinates."""
+    inner = information[np.ix_(shared, shared)]
+    cross = information[np.ix_(shared, own)]
+    profiled = information[np.ix_(own, own)] - cross.T @ np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+    precision = 0.5 * (profiled + profiled.T) + np.eye(len(own))  # a normal prior of one unit: the size that matters
+    covariance = np.linalg.inv(precision)
+    mean = covariance @ gradient[own]
+    log = 0.5 * float(gradient[own] @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
+    return log, mean, np.sqrt(np.diag(covariance))
+
+
+def _normalised(found: Sequence[Explanation], logs: Array) -> tuple[Explanation, ...]:
+    """With probabilities, of one effect's variants the likeliest alone, the most probable first."""
+    best: dict[tuple[str, ...], int] = {}
+    for i, x in enumerate(found):
+        if x.names not in best or logs[i] > logs[best[x.names]]:
+            best[x.names] = i
+    kept = sorted(best.values(), key=lambda i: -logs[i])
+    weights = np.exp(logs[kept] - np.max(logs[kept]))
+    weights /= weights.sum()
+    chosen = [(found[i], float(w)) for i, w in zip(kept, weights, strict=True) if w > IMPROBABLE or i == 0]
+    total = sum(w for _, w in chosen)
+    return tuple(Explanation(x.names, x.free, x.values, w / total) for x, w in chosen)

@@ -1,0 +1,147 @@
+"""One recording in one row: what it is, its flights, how the model fares, and the verdict of the closed loop.
+
+A recording that cannot be read gives a row with the reason; it stops nothing. Numbers are as the single commands
+`reprocess`, `compare` and `close-loop` give them.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.setup.errors import InputError
+
+if TYPE_CHECKING:
+    from analysis.flights.table import Flights
+    from analysis.loop.result import ClosedLoop
+    from daq.recording import Recording
+    from daq.setup.setup import Setup
+
+Row = dict[str, Any]
+
+PARTS = ("reprocess", "compare", "close-loop")
+
+
+def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None) -> Row:
+    """The row of one recording.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    parts
+        What to do, of `PARTS`.
+    profile
+        Replaces the recording's own.
+
+    Returns
+    -------
+    dict
+        Text, numbers or None by column; ``failed`` is the reason why something is missing, else None.
+    """
+    began = time.process_time()
+    row: Row = {"failed": None}
+    try:
+        _fill(row, path, parts, profile)
+    except (InputError, ValueError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
+        row["failed"] = f"{type(error).__name__}: {error}" if not isinstance(error, InputError) else str(error)
+    return row | {"processor_s": time.process_time() - began}
+
+
+def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None) -> None:
+    """Add columns part by part, so that what was found before a failure stays."""
+    from analysis.flights.assemble import flights_of
+    from bench.profiles.find import load_measuring
+    from daq.recording import open_recording
+
+    setup = None if profile is None else load_measuring(profile)[0]
+    with open_recording(path) as opened:
+        if setup is not None:
+            opened.measure_with(setup)
+        row |= described(opened)
+        if "reprocess" in parts or "compare" in parts:
+            table = flights_of(opened)
+            row |= counted(table)
+            if "compare" in parts and "continuity" in opened.channels:
+                row |= compared(table, opened)
+    if "close-loop" in parts:
+        row |= closed(path, setup)
+
+
+def described(opened: Recording) -> Row:
+    """What a recording says of itself."""
+    forcing, attrs = opened.setup.forcing, opened.attrs
+    return {
+        "started": attrs.get("started"),
+        "profile": opened.setup.name,
+        "simulated": bool(attrs.get("simulated")),
+        "ended": attrs.get("ended"),
+        "frequency_hz": forcing.frequency_hz,
+        "tone_ratio": forcing.ratio,
+        "rate_hz": opened.rate_hz,
+        "seconds": opened.n_samples / opened.rate_hz,
+        "lost_samples": int(opened.gaps[:, 1].sum()),
+        "steps": len(opened.steps),
+        "damage": "; ".join(opened.damage) or None,
+    }
+
+
+def counted(table: Flights) -> Row:
+    """Flights, and the range of gamma that the plate achieved."""
+    from analysis.flights.table import FlightFlag
+
+    gammas = np.array([p.gamma for p in table.plate.steps if p is not None])
+    gammas = gammas[np.isfinite(gammas)]
+    return {
+        "flights": int((~table.has(FlightFlag.FALSE)).sum()),
+        "gamma_low": float(gammas.min()) if len(gammas) else None,
+        "gamma_high": float(gammas.max()) if len(gammas) else None,
+        "accelerometer_noise_mps2": _known(table.plate.noise_mps2),
+    }
+
+
+def compared(table: Flights, opened: Recording) -> Row:
+    """How far the declared model is from the flights, and where the motion first changes."""
+    from analysis.flights.compare import compare
+
+    held = compare(table, opened.setup, steps_table=opened.steps)
+    return {
+        "flights_short_by": _known(held.short_by),
+        "double_hits": held.double_hits,
+        "first_bifurcation_over_predicted": _known(held.first.ratio),
+    }
+
+
+def closed(path: Path, setup: Setup | None) -> Row:
+    """The verdict of the closed loop; the values of what it names, each with its interval."""
+    from analysis.loop.close_loop import close_loop
+
+    return verdict_row(close_loop([path], setup=setup))
+
+
+def verdict_row(loop: ClosedLoop) -> Row:
+    """A closed loop in flat columns."""
+    row: Row = {
+        "verdict": loop.verdict,
+        "effects": " + ".join(loop.names),
+        "tie_set": "; ".join(" + ".join(names) for names in loop.ties),
+        "landing_rms_before_us": _known(loop.before.landing_rms_us),
+        "landing_rms_after_us": _known(loop.after.landing_rms_us),
+        "noise_floor_us": _known(loop.noise_floor_us),
+        "term": None if loop.discovered is None else f"{loop.discovered.term} of {loop.discovered.covariate}",
+    }
+    for added in loop.effects:
+        for name, (value, low, high) in added.parameters.items():
+            column = f"{added.name}.{name}"
+            row |= {column: _known(value), f"{column}.low": _known(low), f"{column}.high": _known(high)}
+    for scale in loop.calibrations:
+        row[f"calibration.{scale.effect}.{scale.parameter}"] = _known(scale.value)
+    return row
+
+
+def _known(value: float) -> float | None:
+    """A finite number; None for what does not exist."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,168 @@
+"""`bench explore`: the rig chooses its own steps until one explanation stands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bench.outputs import Overwrite
+
+if TYPE_CHECKING:
+    from bench.jobs.explore import Chosen, Explored
+
+
+def command(
+    profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
+    folder: Path = typer.Option(..., "--out", metavar="FOLDER", help="For recordings and report; gone on with."),
+    until: list[str] = typer.Option([], "--until", help="effect.parameter=deviation asked for; repeatable."),
+    limit: float = typer.Option(1.0, "--limit", min=0.01, help="'Nothing missing' down to so much of what matters."),
+    budget_s: float | None = typer.Option(None, "--budget", min=1.0, help="Rig seconds; the profile's own ramp's."),
+    ratios: str = typer.Option("1,2,3", "--ratios", help="Values of c that may be driven."),
+    frequencies: str = typer.Option("", "--frequencies", help="First tones that may be driven, Hz; the profile's."),
+    steps: int = typer.Option(4, "--steps", min=2, help="Steps of each block."),
+    hold_cycles: int = typer.Option(10, "--hold", min=8, help="Cycles for which each step is held."),
+    ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
+    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The outcome for a machine; - prints it."),
+    overwrite: Overwrite = False,
+) -> None:
+    """Let the rig choose its own steps: each block is the one that tells most for a second of rig time.
+
+    Every block is planned, limited and recorded as by bench ramp; Ctrl-C ramps down and keeps what was recorded. Given
+    again with the same folder, it goes on there.
+
+    Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.002
+
+    Exits 0 when an aim was reached or the budget is spent, 1 when a block failed or was stopped, 2 when the call was
+    wrong.
+    """
+    from functools import partial
+
+    from bench.jobs.explore import Aims, explore, run_seconds
+    from bench.outputs import JSON, File, Folder, check_outputs
+    from bench.profiles.find import load
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from daq.setup.errors import InputError
+
+    quiet = json == "-"
+    say = _nothing if quiet else typer.echo
+    try:
+        check_outputs(
+            Folder("--out", folder, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite
+        )
+        checked, text = load(profile)
+        aims = Aims(
+            budget_s or run_seconds(checked), _targets(until), limit, _numbers(ratios, "--ratios", int),
+            _numbers(frequencies, "--frequencies", float), steps, hold_cycles,
+        )  # fmt: skip
+        folder.mkdir(parents=True, exist_ok=True)
+        drive = partial(_drive, scenario, seed, quiet)
+        found = explore(text, folder, aims, drive, say=say, ask=_asked if ask else None)
+        complete = quiet or _report(found, folder)
+    except (InputError, ValueError) as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{error}; what was recorded is in {folder}: the same call goes on there", EXIT_FAILED)
+    write_json(as_json(found, aims.budget_s), json)
+    say(f"{found.why}; {len(found.blocks)} blocks, {found.rig_s:.1f} s of rig time")
+    if found.failed or not complete:
+        raise SystemExit(EXIT_FAILED)
+
+
+def as_json(found: Explored, budget_s: float) -> dict[str, Any]:
+    """The outcome for a machine."""
+    from analysis.loop.verdict_json import as_json as verdict
+
+    return {
+        "why": found.why,
+        "rig_s": found.rig_s,
+        "budget_s": budget_s,
+        "blocks": [
+            {"recording": str(path), "seconds": block.seconds, "reason": block.reason}
+            for path, block in zip(found.recordings, found.blocks, strict=True)
+        ],
+        "verdict": None if found.loop is None else verdict(found.loop),
+    }
+
+
+def _targets(until: list[str]) -> dict[tuple[str, str], float]:
+    """``effect.parameter=deviation`` texts as a mapping; raises `InputError`."""
+    from daq.setup.errors import InputError
+    from model.effects.registry import effect
+
+    out = {}
+    for one in until:
+        name, equals, value = one.partition("=")
+        label, dot, q = name.strip().partition(".")
+        try:
+            size = float(value)
+            effect(label).effect.parameter(q)
+        except (ValueError, KeyError, StopIteration) as error:
+            raise InputError(f"--until {one}: wanted effect.parameter=deviation ({error})") from error
+        if not (dot and equals and size > 0.0):
+            raise InputError(f"--until {one}: wanted effect.parameter=deviation, as coulomb_friction.mu_up=0.002")
+        out[label, q] = size
+    return out
+
+
+def _numbers(text: str, option: str, kind: Any) -> tuple[Any, ...]:
+    """Numbers with commas between; raises `InputError`."""
+    from daq.setup.errors import InputError
+
+    try:
+        found = tuple(kind(part) for part in text.split(",") if part.strip())
+    except ValueError as error:
+        raise InputError(f"{option} {text}: wanted numbers with commas between, as 1,2,3") from error
+    if any(x <= 0 for x in found):
+        raise InputError(f"{option} {text}: wanted positive numbers")
+    return found
+
+
+def _drive(scenario: Path | None, seed: int, quiet: bool, block: Chosen, path: Path, number: int) -> str:
+    """Drive and record a block; why it could not be completed, empty where it was."""
+    from bench.jobs.run_ramp import make_backend, record
+    from rig.profile import parse_profile
+
+    profile = parse_profile(block.text, "block")
+    backend = make_backend(profile, scenario=scenario, seed=seed + number)
+    done = record(profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=quiet)
+    return "" if done.how == "complete" else f"{done.how}: {done.why}"
+
+
+def _asked(block: Chosen) -> Chosen | None:
+    """A person's answer before a block is driven."""
+    from bench.jobs.explore import with_gammas
+    from daq.setup.errors import InputError
+
+    while True:
+        answer = typer.prompt("Enter: drive it; gammas with commas between: these instead; s: stop", default="").strip()
+        if not answer:
+            return block
+        if answer.lower() in ("s", "stop"):
+            return None
+        try:
+            return with_gammas(block, _numbers(answer, "gammas", float))
+        except InputError as error:
+            typer.echo(str(error))
+
+
+def _report(found: Explored, folder: Path) -> bool:
+    """Show the verdict and write its report; whether everything could be written."""
+    from dataclasses import replace
+
+    from analysis.report.page import write_report
+    from bench.terminal.loop_display import keep, show
+
+    if found.loop is None:
+        return True
+    reasons = tuple(f"block {i}, chosen: {block.reason}" for i, block in enumerate(found.blocks, start=1))
+    loop = replace(found.loop, notes=(*found.loop.notes, *reasons))
+    show(loop)
+    return keep([("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}"))])
+
+
+def _nothing(line: str) -> None:
+    """Say nothing: standard output belongs to the JSON."""

@@ -1,0 +1,352 @@
+"""A rig that chooses its own steps: block by block, until one explanation stands or the time is spent.
+
+Each block is a short ramp of its own, planned, limited, driven and recorded as any other; the analysis sees recordings
+alone. Why its steps were chosen is kept in the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bench.profiles.edit import with_values
+from bench.profiles.plan import planned, refusal
+from daq.recording import open_recording
+from daq.setup.errors import InputError
+from rig.profile import Profile, parse_profile
+from rig.programme.ramp import plan
+from rig.programme.sequencer import stop_fade_samples
+
+if TYPE_CHECKING:
+    from analysis.attribution.fit import Fitter
+    from analysis.attribution.hypothesis import Hypothesis
+    from analysis.explore.choice import Option
+    from analysis.loop.result import ClosedLoop
+    from analysis.residuals.forward_model import ForwardModel, ParameterId
+
+GAMMAS = 10  # offered for each forcing
+FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
+LEAST_NATS = 0.2  # a block that would tell less is not worth its time
+
+
+@dataclass(frozen=True)
+class Aims:
+    """When to stop, and what may be changed.
+
+    Attributes
+    ----------
+    budget_s
+        Rig time.
+    until
+        Standard deviation asked for, by effect and parameter.
+    limit
+        Size down to which "nothing missing" is to be shown, in units of the size at which each effect would matter.
+    ratios, frequencies_hz
+        Values of c, and of the first tone, that may be driven.
+    steps, hold_cycles
+        Of each block.
+    """
+
+    budget_s: float
+    until: Mapping[ParameterId, float] = field(default_factory=dict)
+    limit: float = 1.0
+    ratios: tuple[int, ...] = (1, 2, 3)
+    frequencies_hz: tuple[float, ...] = ()
+    steps: int = 4
+    hold_cycles: int = 10
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A block to be driven: its profile as text, its rig time, and the reason in words."""
+
+    text: str
+    seconds: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Explored:
+    """Outcome of a run that chose its steps.
+
+    Attributes
+    ----------
+    recordings, blocks
+        One for each block.
+    loop
+        The closed loop on all of them; None where there are too few steps for a verdict.
+    rig_s
+        Rig time.
+    why
+        Why it ended.
+    failed
+        Whether a block could not be completed.
+    """
+
+    recordings: tuple[Path, ...]
+    blocks: tuple[Chosen, ...]
+    loop: ClosedLoop | None
+    rig_s: float
+    why: str
+    failed: bool = False
+
+
+Drive = Callable[[Chosen, Path, int], str]
+"""Drives and records a block; returns why it could not be completed, empty where it was."""
+Asked = Callable[[Chosen], Chosen | None]
+"""A person's answer to a choice: the same, another one, or None to stop."""
+
+
+def explore(
+    text: str, folder: Path, aims: Aims, drive: Drive, *, say: Callable[[str], None], ask: Asked | None = None
+) -> Explored:
+    """Choose, drive and judge blocks until an aim is reached.
+
+    Parameters
+    ----------
+    text
+        The profile (TOML).
+    folder
+        For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven.
+    aims
+        When to stop.
+    drive
+        Drives a block.
+    say
+        Told each choice and what came of it, a line at a time.
+    ask
+        Asked before each block; None goes on unasked.
+
+    Raises
+    ------
+    InputError
+        For a profile that cannot be driven, or recordings that cannot be read.
+    """
+    options = offers(text, aims)
+    made = sorted(folder.glob("block-*.h5"))
+    blocks = [_as_driven(path) for path in made]
+
+    def ended(why: str, loop: ClosedLoop | None, *, failed: bool = False) -> Explored:
+        return Explored(tuple(made), tuple(blocks), loop, sum(block.seconds for block in blocks), why, failed)
+
+    while True:
+        loop, chosen, why = _next(text, made, blocks, options, aims)
+        if chosen is None:
+            return ended(why, loop)
+        say(chosen.reason)
+        answer = chosen if ask is None else ask(chosen)
+        if answer is None:
+            return ended("a person stopped it", loop)
+        path = folder / f"block-{len(made) + 1:02d}.h5"
+        if failure := drive(answer, path, len(made)):
+            return ended(f"block {len(made) + 1}: {failure}", loop, failed=True)
+        made.append(path)
+        blocks.append(answer)
+
+
+def with_gammas(block: Chosen, gammas: Sequence[float]) -> Chosen:
+    """The block with a person's gammas; raises `InputError` where a limit forbids one."""
+    text = with_values(block.text, {"ramp.gamma": list(gammas), "ramp.order": "up"}, "the block")
+    profile = parse_profile(text, "the block")
+    if faults := planned(profile)[2]:
+        raise InputError(refusal("these gammas", faults))
+    return Chosen(text, run_seconds(profile), f"gamma {', '.join(f'{g:g}' for g in gammas)}: chosen by a person")
+
+
+def _as_driven(path: Path) -> Chosen:
+    """The block that a recording holds."""
+    with open_recording(path) as opened:
+        reason = str(opened.attrs["extra"].get("chosen_because", "recorded before"))
+        return Chosen(str(opened.attrs.get("profile_text", "")), opened.n_samples / opened.rate_hz, reason)
+
+
+# -- what may be driven ------------------------------------------------------------------------------------------------
+def offers(text: str, aims: Aims) -> list[Option]:
+    """Every forcing that may be driven, up and down, with the gammas that the limits allow.
+
+    Raises
+    ------
+    InputError
+        Where the limits allow none.
+    """
+    from analysis.explore.choice import Option
+
+    profile = parse_profile(text, "profile")
+    found = []
+    for ratio in aims.ratios:
+        for frequency_hz in aims.frequencies_hz or (profile.forcing.frequency_hz,):
+            allowed = [g for g in _gammas(profile, ratio) if _allowed(text, aims, ratio, frequency_hz, g)]
+            if len(allowed) < aims.steps:
+                continue
+            setup = parse_profile(_block_text(text, aims, ratio, frequency_hz, allowed)).setup()
+            for gammas in (allowed, allowed[::-1]):
+                seconds = partial(_block_seconds, text, aims, ratio, frequency_hz, tuple(gammas))
+                found.append(Option(setup, tuple(gammas), aims.hold_cycles, seconds))
+    if not found:
+        raise InputError(
+            f"the limits of this profile allow no block of {aims.steps} steps: raise [limits], or give fewer"
+        )
+    return found
+
+
+def _gammas(profile: Profile, ratio: int) -> list[float]:
+    """Gammas for a ratio: the range of the profile's ramp over its take-off, and farther."""
+
+    def takeoff(c: int) -> float:
+        return 0.5 if c == 1 else 1.0 / (1.0 + c**2)
+
+    own = profile.ramp.gammas()
+    scale = takeoff(ratio) / takeoff(profile.forcing.ratio)
+    low, high = max(min(own) * scale, 1.1 * takeoff(ratio)), FARTHER * max(own) * scale
+    return [float(f"{g:.4g}") for g in np.linspace(low, high, GAMMAS)]
+
+
+def _block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:
+    """The profile ``text`` with the ramp of a block, its gammas in the order given."""
+    values = {
+        "forcing.ratio": ratio,
+        "forcing.frequency_hz": frequency_hz,
+        "ramp.gamma": list(gammas),
+        "ramp.order": "down" if len(gammas) > 1 and gammas[-1] < gammas[0] else "up",
+        "ramp.hold_cycles": aims.hold_cycles,
+    }
+    return with_values(text, values, "the profile")
+
+
+def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: float) -> bool:
+    """Whether the rig's limits allow a step."""
+    try:
+        return not planned(parse_profile(_block_text(text, aims, ratio, frequency_hz, [gamma])))[2]
+    except InputError:
+        return False
+
+
+def _block_seconds(
+    text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: tuple[float, ...], places: Sequence[int]
+) -> float:
+    """Rig time of a block, its fades and the end at rest included."""
+    return run_seconds(parse_profile(_block_text(text, aims, ratio, frequency_hz, [gammas[i] for i in places])))
+
+
+def run_seconds(profile: Profile) -> float:
+    """Rig time of a profile's ramp, from the first sample to rest."""
+    programme = plan(profile)
+    rest = stop_fade_samples(programme.clock) + programme.clock.cycle_start(1)
+    return (programme.n_samples + rest) / programme.rate_hz
+
+
+# -- what to drive next ------------------------------------------------------------------------------------------------
+def _next(
+    text: str, made: Sequence[Path], blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
+) -> tuple[ClosedLoop | None, Chosen | None, str]:
+    """Verdict so far, and the next block; or why there is none."""
+    from analysis.explore.choice import Pool, best_block, bistable
+    from analysis.explore.explanations import weighed
+
+    if not made:
+        return None, _spread(text, options, (), aims, "nothing is known yet"), ""
+    loop, world, fitter, best, ties = _judged(made)
+    known = weighed(world, fitter, best, ties)
+    if loop is not None and (why := _reached(loop, best, aims)):
+        return loop, None, why
+    wanted = [key for key in aims.until if key in best.free]
+    pools = [Pool.of(option, world, fitter, known) for option in options]
+    block = best_block(pools, known, wanted, aims.steps)
+    if block is None or block.nats < LEAST_NATS:
+        if loop is not None and loop.verdict == "nothing_missing":
+            return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+        visited = [(p.forcing.ratio, g) for p in map(_profile_of, blocks) for g in p.ramp.gammas()]
+        chosen = _spread(text, options, visited, aims, "no known explanation is left to be tested")
+    else:
+        a, b = (" + ".join(names) or "the declared model" for names in block.separates)
+        words = f"{block.nats:.1f} nats in {block.seconds:.1f} s of rig time, above all about {a} or {b}"
+        twice = bistable(pools, block)
+        if twice:
+            side = "below" if block.option.rising else "above"
+            words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
+        chosen = _chosen(text, block.option, block.gammas, aims, words)
+    if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
+        return loop, None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
+    return loop, chosen, ""
+
+
+def _profile_of(block: Chosen) -> Profile:
+    return parse_profile(block.text, "block")
+
+
+def _judged(
+    made: Sequence[Path],
+) -> tuple[ClosedLoop | None, ForwardModel, Fitter, Hypothesis, Sequence[Hypothesis]]:
+    """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
+    from analysis.attribution.fit import Fitter
+    from analysis.attribution.priors import priors_of
+    from analysis.attribution.selection import StepwiseSelection
+    from analysis.loop.close_loop import fit_loop
+    from analysis.residuals.forward_model import ForwardModel
+    from analysis.residuals.observations import observations_from
+    from analysis.thresholds import FROZEN
+    from model.effects.registry import resolve
+
+    observations = observations_from(made)
+    if len(observations.steps) < 2 * FROZEN.reserve_every:
+        world = ForwardModel(observations, resolve(observations.setup.declared_values()))
+        fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
+        found = StepwiseSelection(world, fitter).run()
+        return None, world, fitter, found.best, found.ties
+    loop, fitted = fit_loop(made)
+    best = fitted.selection.best
+    return loop, fitted.model, best.fitted.fitter, best, fitted.selection.ties
+
+
+def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
+    """Why the aims are reached, or an empty text."""
+    if loop.verdict == "explained" and len(loop.ties) < 2:
+        loose = {key: sigma for key, sigma in aims.until.items() if key in best.free and best.fitted.sigma(key) > sigma}
+        if not loose:
+            return f"{' + '.join(loop.names)} alone explains everything"
+    if loop.verdict == "nothing_missing":
+        from analysis.attribution.priors import parameter_of
+
+        above = [
+            name
+            for name, size in loop.detection.items()
+            if size > aims.limit * parameter_of((name.partition(".")[0], name.partition(".")[2])).scale
+        ]
+        if not above:
+            return "nothing is missing, down to the sizes asked for"
+    return ""
+
+
+def _chosen(text: str, option: Option, gammas: Sequence[float], aims: Aims, reason: str) -> Chosen:
+    """A block in words: what is driven, and why."""
+    forcing = option.setup.forcing
+    profile = _block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
+    seconds = run_seconds(parse_profile(profile))
+    listed = ", ".join(f"{g:g}" for g in gammas)
+    what = f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {listed}"
+    return Chosen(profile, seconds, f"{what}: {reason}")
+
+
+def _spread(
+    text: str, options: Sequence[Option], visited: Sequence[tuple[int, float]], aims: Aims, reason: str
+) -> Chosen:
+    """Steps as far as can be from those driven, of the forcing with the fewest of them."""
+    rising = [option for option in options if option.rising]
+
+    def driven(option: Option) -> list[float]:
+        return [g for ratio, g in visited if ratio == option.setup.forcing.ratio]
+
+    option = min(rising, key=lambda x: len(driven(x)))
+    near, chosen = driven(option), list[float]()
+    if not near:
+        places = np.linspace(1, len(option.gammas) - 2, aims.steps).round().astype(int)
+        return _chosen(text, option, [option.gammas[i] for i in places], aims, f"{reason}: spread over the range")
+    while len(chosen) < aims.steps:
+        rest = [g for g in option.gammas if g not in chosen]
+        chosen.append(max(rest, key=lambda g: min(abs(g - other) for other in (*near, *chosen))))
+    return _chosen(text, option, sorted(chosen), aims, f"{reason}: as far as can be from the steps driven")
