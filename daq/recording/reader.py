@@ -142,6 +142,18 @@ class Recording:
         self.steps, self.blocks = self._holes.steps(self.steps), self._holes.blocks(self.blocks)
 
     @property
+    def stored_samples(self) -> int:
+        """Samples of the file, those that are left out included."""
+        return self.n_samples if self._holes is None else int(self._file["timestamp"].shape[0])
+
+    def stored_checksums(self) -> dict[str, int]:
+        """CRC-32 of all samples by channel, as a closed file stores them; empty of one that is not closed."""
+        if self.frames is not None:
+            return {}
+        names = [str(name) for name in self.stored["channels"] if str(name) in self._file]
+        return {name: int(self._file[name].attrs.get("crc32", -1)) for name in names}
+
+    @property
     def is_less(self) -> bool:
         """Whether something that had been recorded is left out, because it is damaged."""
         return bool(self._lost) or (self.frames is not None and bool(self.frames.faults))

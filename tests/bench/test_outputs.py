@@ -20,14 +20,13 @@ from daq.setup.errors import InputError
 
 READ = {
     "profile", "profiles", "scenario", "replay", "resume", "recording", "recordings", "raw", "files", "like", "name",
-    "runs",
-    "places",
+    "folder", "places", "runs",
 }  # fmt: skip
 """Parameters that name what a command reads."""
 STEERS = {
     "note", "set_", "mapping", "channel", "channel_column", "server", "effect", "sweep", "grid", "cluster",
-    "use_height", "stale", "kind", "do", "until", "ratios", "frequencies",
-    "host",
+    "use_height", "stale", "kind", "do", "until", "ratios", "frequencies", "profile_name", "tag", "tags", "text",
+    "verdict", "ended", "since", "sort", "host",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
 NAMES = {

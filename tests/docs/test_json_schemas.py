@@ -82,6 +82,9 @@ ANSWERS = {
     "info": "info {0}/r.h5",
     "verify": "verify {0}/r.h5",
     "recover": "recover {0}/flipped.h5",
+    "runs": "runs {0}",
+    "tag": "tag {0}/r.h5 warm",
+    "note": "note {0}/r.h5 loose",
 }
 
 
