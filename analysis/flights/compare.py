@@ -15,9 +15,8 @@ from analysis.flights.classify import BandTest, Change, StepClass, band_test, ch
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
-from model.bifurcations.events import Bifurcation
 from model.bifurcations.forbidden_zones import forbidden_zones
-from model.bifurcations.sweep import each_observed
+from model.bifurcations.sweep import TYPES, each_observed
 from model.effects.registry import effect, resolve
 from model.effects.routing import Effects, accelerometer_factor, ball_effects
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
@@ -322,13 +321,13 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), BIFURCATION_RANGE * max(p.gamma for p in plates)
-    found: Bifurcation | None = None
+    wanted, found = "" if measured is None else measured.type, None
     for change in each_observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS):
         if change.type in STARTS:
             continue
         found = found or change
-        if measured is None or change.type == measured.type:
-            same = nan if measured is None else change.gamma
+        if wanted not in TYPES or change.type == wanted:
+            same = change.gamma if change.type == wanted else nan
             return FirstBifurcation(measured, found.type, found.gamma, same)
     if found is None:
         return FirstBifurcation(measured, "", nan, nan)
