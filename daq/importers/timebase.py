@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 PAUSE_SAMPLES = 1.6  # a longer step in time is a pause: samples are missing
 JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
 _STRIDE = 1000
+_GLANCE = 64  # values that rule most rounding steps out
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,14 @@ def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) ->
 def quantum_of(values: Floats) -> float:
     """Rounding step of a column: the coarsest power of ten that all its values are multiples of; inf if none is."""
     for exponent in range(10):
-        scaled = values * 10.0**exponent
-        if np.all(np.abs(scaled - np.rint(scaled)) <= 1e-4 + 4e-16 * np.abs(scaled)):
+        if _whole(values[:_GLANCE] * 10.0**exponent) and _whole(values * 10.0**exponent):
             return float(10.0**-exponent)
     return float("inf")
+
+
+def _whole(scaled: Floats) -> bool:
+    """Whether all are whole numbers, but for rounding."""
+    return bool(np.all(np.abs(scaled - np.rint(scaled)) <= 1e-4 + 4e-16 * np.abs(scaled)))
 
 
 def _pieces(n: int, piece: int) -> Iterator[tuple[int, int]]:
