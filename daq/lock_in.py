@@ -239,8 +239,9 @@ def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floa
     except np.linalg.LinAlgError:
         inverted = np.full(grams.shape, np.inf)
     condition = np.abs(scaled).sum(axis=1).max(axis=1) * np.abs(inverted).sum(axis=1).max(axis=1)
-    if not np.all(condition < 1e10):
-        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[~(condition < 1e10)][0]} values")
+    unfit = ~(condition < 1e10)
+    if unfit.any():
+        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit][0]} values")
     return inverted * outer
 
 

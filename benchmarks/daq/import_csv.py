@@ -1,12 +1,13 @@
 """Speed of `bench import` of a text table: the reader before (numpy.loadtxt) beside the one now, and the whole import.
 
-Run: python -m benchmarks.daq.import_csv [MINUTES]. Processor seconds of one process; ratios are of one run.
+Run: python -m benchmarks.daq.import_csv [MINUTES] [--against PATH]; `--against` names another tree of this software,
+measured on the same file first. Processor seconds of one process; ratios are of one run.
 """
 
 from __future__ import annotations
 
+import argparse
 import io
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -46,7 +47,15 @@ def loadtxt(path: Path) -> None:
 
 def main() -> None:
     """Print megabytes a second of each."""
-    minutes = float(sys.argv[1]) if len(sys.argv) > 1 else 4.0
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("minutes", type=float, nargs="?", default=4.0)
+    parser.add_argument("--against", type=Path, help="another tree of this software, measured first")
+    options = parser.parse_args()
+    minutes = options.minutes
+    if options.against is not None:
+        from benchmarks.beside import run_in  # the other tree may not have it
+
+        run_in(options.against, __file__, [str(minutes)])
     setup = Setup.model_validate(
         {
             "name": "benchmark",

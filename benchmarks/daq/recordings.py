@@ -1,6 +1,8 @@
 """Write, close, verify, read, export and import a recording; how fast, how large, how much memory.
 
-python -m benchmarks.daq.recordings --minutes 10
+    python -m benchmarks.daq.recordings --minutes 10 [--against PATH]
+
+`--against` names another tree of this software, measured first. Processor seconds.
 """
 
 from __future__ import annotations
@@ -54,7 +56,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--text", action="store_true", help="also export to CSV and import again")
+    parser.add_argument("--against", type=Path, help="another tree of this software, measured first")
     options = parser.parse_args()
+    if options.against is not None:
+        from benchmarks.beside import run_in  # the other tree may not have it
+
+        run_in(options.against, __file__, ["--minutes", str(options.minutes), *(["--text"] if options.text else [])])
     rng = np.random.default_rng(1)
     n = int(options.minutes * 60 * RATE_HZ)
     setup = Setup.model_validate(SETUP)
@@ -65,11 +72,12 @@ def main() -> None:
         spent = 0.0
         for first in range(0, n, BLOCK):
             block = Block(first, frames(first, min(BLOCK, n - first), rng))
-            began = time.perf_counter()
+            began = time.process_time()
             writer.append(block)
-            spent += time.perf_counter() - began
+            spent += time.process_time() - began
         per_block_us = spent / (n / BLOCK) * 1e6
         print(f"append: {per_block_us:.0f} us a block, {path.stat().st_size / 1e6:.0f} MB, {peak_mb():.0f} MB")
+        frames_mb = n * len(CHANNELS) * 2 / 1e6
         stages = {
             "close (columns, checked)": writer.close,
             "verify": lambda: print("  ", verify(path).state),
@@ -82,10 +90,11 @@ def main() -> None:
                 "import from CSV": lambda: from_text(text, back, setup),
             }
         for name, stage in stages.items():
-            began = time.perf_counter()
+            began = time.process_time()
             stage()
-            took = time.perf_counter() - began
-            print(f"{name}: {took:.2f} s, {path.stat().st_size / 1e6:.0f} MB, {peak_mb():.0f} MB")
+            took = time.process_time() - began
+            speed, size_mb = frames_mb / took, path.stat().st_size / 1e6
+            print(f"{name}: {took:.2f} s, {speed:.0f} MB/s of frames, {size_mb:.0f} MB, {peak_mb():.0f} MB")
 
 
 def read(path: Path) -> None:

@@ -137,7 +137,7 @@ def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[f
     return slope, float(np.sqrt(variance / sxx + wander))
 
 
-def _dot(x: Floats, y: Floats) -> float:
+def _dot(x: NDArray[Any], y: NDArray[Any]) -> float:
     """Scalar product in this thread: BLAS's own threads cost more than so short a sum."""
     return float(np.einsum("i,i->", x, y))
 
