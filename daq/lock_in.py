@@ -202,9 +202,7 @@ class LockIn:
         inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
         return self._solved(inverses, self._sides[:, :, channel], self._squares[:, channel], self._counts)
 
-    def _solved(
-        self, inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]
-    ) -> list[ToneFit]:
+    def _solved(self, inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> list[ToneFit]:
         """Fits from inverses (m, 2k + 1, 2k + 1), right sides (m, 2k + 1), sums of squares (m,), and counts (m,)."""
         solutions = (inverses @ sides[:, :, None])[:, :, 0]
         sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)

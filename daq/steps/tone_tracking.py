@@ -73,9 +73,7 @@ def fit(read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, 
     return fit_tones(read(start, stop), start, rate_hz, tones_hz(frequency_hz, forcing))
 
 
-def _fits(
-    read: Read, edges: NDArray[np.int64], rate_hz: float, frequency_hz: float, forcing: Forcing
-) -> list[ToneFit]:
+def _fits(read: Read, edges: NDArray[np.int64], rate_hz: float, frequency_hz: float, forcing: Forcing) -> list[ToneFit]:
     """The forcing's tones in each of the windows between ``edges``."""
     fits: list[ToneFit] = []
     while len(edges) > 1:
@@ -98,10 +96,7 @@ def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forci
         low, high = max(left.start, left.stop - reach), min(right.stop, left.stop + reach)
         edges = _edges(low, high, rate_hz, min(left.frequency_hz, right.frequency_hz))
         misfit = np.array(
-            [
-                [one.rms**2 for one in _fits(read, edges, rate_hz, side.frequency_hz, forcing)]
-                for side in (left, right)
-            ]
+            [[one.rms**2 for one in _fits(read, edges, rate_hz, side.frequency_hz, forcing)] for side in (left, right)]
         ).T.reshape(-1, 2)
         before = np.concatenate([[0.0], np.cumsum(misfit[:, 0])])
         after = np.concatenate([np.cumsum(misfit[::-1, 1])[::-1], [0.0]])
