@@ -37,6 +37,7 @@ PROFILE = Form("a profile (TOML)", (".toml",))
 TABLE = Form("a table (Parquet or CSV)", (".parquet", ".csv"), only=True)
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 PYTHON = Form("an effect (Python)", (".py",), only=True)
+ROWS = Form("summaries", (".rows", ".jsonl"))
 KNOWN = {suffix for form in (JSON, PACKED_CSV, NPZ, HDF5, PROFILE, TABLE, PICTURE) for suffix in form.suffixes} | {
     ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",
     ".mov", ".jpg", ".jpeg", ".tif", ".tiff",

@@ -64,10 +64,10 @@ def constancy(values: Array, sigmas: Array, time: Array) -> Constancy:
     total = weight.sum()
     mean, middle = float(weight @ v / total), float(weight @ t / total)
     chi_square, degrees = float(weight @ (v - mean) ** 2), len(v) - 1
-    excess = max(chi_square - degrees, 0.0) / (total - float(weight @ weight) / total)
+    excess = float(max(chi_square - degrees, 0.0) / (total - float(weight @ weight) / total))
     lever = float(weight @ (t - middle) ** 2)
     if lever <= 0.0:
         return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, 0.0, np.inf, 1.0)
-    slope, sigma = float(weight @ ((t - middle) * v)) / lever, lever**-0.5
+    slope, sigma = float(weight @ ((t - middle) * v)) / lever, float(lever**-0.5)
     p_trend = float(2.0 * norm.sf(abs(slope) / sigma))
     return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, slope, sigma, p_trend)
