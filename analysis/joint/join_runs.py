@@ -179,7 +179,7 @@ class _Search:
                 "candidates does so by chance)"
             )
             others = (t.option.names for t in tied if t is not chosen)
-            ties = tuple(dict.fromkeys(((*state.names, *n) for n in (chosen.option.names, *others))))
+            ties = tuple(dict.fromkeys((*state.names, *n) for n in (chosen.option.names, *others)))
             state = self._without_idle(self._converged(self._with(state, chosen)))
         state = self._own_where_they_differ(state)
         if not state.named:
@@ -199,9 +199,7 @@ class _Search:
         summaries = self.passes.at(point)
         world = aligned(summaries, point, frozenset(n for names in named for n in names))
         start = world.runs[0].origin.copy()
-        found = fit_population(
-            world.runs, start, world.width, world.prior, np.arange(world.named, dtype=np.int64)
-        )
+        found = fit_population(world.runs, start, world.width, world.prior, np.arange(world.named, dtype=np.int64))
         return _State(point, named, summaries, world, _within_bounds(world, found))
 
     def _begun_alone(self, state: _State) -> _State:

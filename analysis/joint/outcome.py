@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,11 @@ from numpy.typing import NDArray
 
 from analysis.attribution.priors import parameter_of, value_at
 from analysis.joint.alignment import Aligned
-from analysis.joint.constancy import constancy
+from analysis.joint.constancy import Constancy, constancy
 from analysis.joint.population import Population, alone
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
 from analysis.joint.summary import RunSummary
+from analysis.loop.verdict import Verdict
 from analysis.residuals.forward_model import ParameterId
 from analysis.thresholds import Thresholds
 
@@ -53,15 +55,11 @@ def outcome_of(
     parameters = tuple(_over_runs(world, found, i, key, days, level) for i, (key, _) in enumerate(columns))
     runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
     told = {"candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
-    verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
-    return JointVerdict(
-        verdict, names, ties, tuple(sorted(parameters, key=lambda x: x.kind != "effect")), runs, **told
-    )
+    verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
+    return JointVerdict(verdict, names, ties, tuple(sorted(parameters, key=lambda x: x.kind != "effect")), runs, **told)
 
 
-def _over_runs(
-    world: Aligned, found: Population, place: int, key: ParameterId, days: Array, level: float
-) -> OverRuns:
+def _over_runs(world: Aligned, found: Population, place: int, key: ParameterId, days: Array, level: float) -> OverRuns:
     """One parameter over the runs."""
     values, sigmas = alone(world.runs, found, place)
     own = place < len(world.width)
@@ -79,12 +77,12 @@ def _over_runs(
     )  # fmt: skip
 
 
-def _in_units(key: ParameterId, x: float, test: Any) -> Any:
+def _in_units(key: ParameterId, x: float, test: Constancy) -> Constancy:
     """The test with spread and trend in the parameter's unit."""
-    from dataclasses import replace
-
     slope = float(np.sign(test.slope)) * _in_unit(key, x, abs(test.slope))
-    return replace(test, spread=_in_unit(key, x, test.spread), slope=slope, slope_sigma=_in_unit(key, x, test.slope_sigma))
+    return replace(
+        test, spread=_in_unit(key, x, test.spread), slope=slope, slope_sigma=_in_unit(key, x, test.slope_sigma)
+    )
 
 
 def _in_unit(key: ParameterId, x: float, width: float) -> float:

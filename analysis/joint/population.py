@@ -147,7 +147,7 @@ def fit_population(
 def _solved(runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places) -> Population:
     """Means and shared parameters at given spreads."""
     normal, push = normal_equations(runs, start, prior, free)
-    covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True)
+    covariance = np.asarray(np.linalg.pinv(normal, rcond=1e-13, hermitian=True), dtype=np.float64)
     x = start.copy()
     x[free] += covariance @ push
     return Population(x, free, covariance, spread, tuple(runs), prior)

@@ -48,7 +48,9 @@ def _parameter(x: OverRuns) -> dict[str, Any]:
 
 
 def _row(record: dict[str, Any]) -> dict[str, Any]:
-    return {k: _finite(v) if isinstance(v, float) else list(v) if isinstance(v, tuple) else v for k, v in record.items()}
+    return {
+        k: _finite(v) if isinstance(v, float) else list(v) if isinstance(v, tuple) else v for k, v in record.items()
+    }
 
 
 def _finite(value: float) -> float | None:

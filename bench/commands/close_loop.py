@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,8 +57,8 @@ def command(
     """
     from analysis.loop.close_loop import fit_loop
     from bench.jobs.adaptive_runs import until_clear as repeat
-    from bench.jobs.keep_term import place_for
     from bench.jobs.joint_runs import holds_summaries, judge_runs
+    from bench.jobs.keep_term import place_for
     from bench.outputs import JSON, PROFILE, REPORT, ROWS, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
@@ -73,8 +73,8 @@ def command(
     try:
         check_outputs(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
-            File("--next-run", next_run, PROFILE),
-            File("--summaries", summaries, ROWS, continues=holds_summaries), inputs=[*recordings, profile, scenario], overwrite=overwrite,
+            File("--next-run", next_run, PROFILE), File("--summaries", summaries, ROWS, continues=holds_summaries),
+            inputs=[*recordings, profile, scenario], overwrite=overwrite,
         )  # fmt: skip
         kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
         single = {
@@ -187,7 +187,7 @@ class _Writers:
             self.say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
 
 
-def _check_mode(single: dict[str, object], summaries: Path | None, *, runs_differ: bool) -> None:
+def _check_mode(single: Mapping[str, object], summaries: Path | None, *, runs_differ: bool) -> None:
     """Refuse options that do not go together."""
     from daq.setup.errors import InputError
 

@@ -27,7 +27,9 @@ def show(found: JointVerdict) -> None:
         if x.kind == "effect" or any(map(math.isfinite, x.sigmas)):
             table.add_row(*_row(x))
     out.print(table)
-    runs = Table("run", "started" if found.dated else "number", "flights", "rms of residuals", "landing (us)", "floor (us)")
+    runs = Table(
+        "run", "started" if found.dated else "number", "flights", "rms of residuals", "landing (us)", "floor (us)"
+    )
     for run in found.runs:
         when = run.started if found.dated else f"{run.days:.0f}"
         runs.add_row(

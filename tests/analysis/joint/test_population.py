@@ -65,9 +65,7 @@ def test_the_spread_from_run_to_run_is_found():
     spread, mean = np.array([1.0, 0.0, 0.0]), np.array([0.3, -0.2, 0.1])
     made = [linear_run(rng, mean + spread * rng.standard_normal(Q), np.array([0.5, -0.5])) for _ in range(40)]
     prior = Prior(np.zeros(Q + SHARED), np.r_[np.ones(Q), np.zeros(SHARED)])
-    found = fit_population(
-        [run for run, _, _ in made], np.zeros(Q + SHARED), np.ones(Q), prior, np.arange(Q + SHARED)
-    )
+    found = fit_population([run for run, _, _ in made], np.zeros(Q + SHARED), np.ones(Q), prior, np.arange(Q + SHARED))
     assert found.spread[0] == pytest.approx(1.0, rel=0.35)
     assert np.all(found.spread[1:] < 0.15)
     assert found.x[Q:] == pytest.approx([0.5, -0.5], abs=4.0 * found.sigma(Q))
