@@ -13,31 +13,12 @@ from analysis.joint.result import JointVerdict
 from analysis.joint.summary import RunSummary
 from analysis.thresholds import FROZEN
 from bench.cli import app
-from benchmarks.plants import other_plant as plant
+from benchmarks.analysis.joint import short_runs
 from daq.files.journal import Journal
 from daq.setup.errors import InputError
 
 RUNS = 10
 THIRD = {"viscous_damping.rate_per_s": 0.05}  # of one such run's detection limit of 0.15 /s
-
-
-def short_runs(folder: Path, runs: int, seed: int, hidden: dict[str, float]) -> list[Path]:
-    """Ten steps each, of one rig whose calibrations are others every time."""
-    rng = np.random.default_rng(seed)
-    out = []
-    for i in range(runs):
-        drive, sensor, lag = rng.standard_normal(3) * (0.004, 0.0025, 1e-5)
-        own = {"drive_gain.relative": drive, "accelerometer_gain.relative": sensor, "phase_lag.delay_s": lag}
-        gammas = tuple(np.round(np.linspace(0.6, 2.2, 10), 4).tolist())
-        run = plant.Run(gammas=gammas, seed=int(rng.integers(2**31)), hidden={**own, **hidden})
-        where = folder / f"run{i}"
-        csv = plant.write(run, where)
-        done = CliRunner().invoke(
-            app, ["import", str(csv), "--profile", str(where / "profile.toml"), "--out", str(where / "run.h5")]
-        )
-        assert done.exit_code == 0, done.output
-        out.append(where / "run.h5")
-    return out
 
 
 def parameter(found: JointVerdict, name: str) -> int:
