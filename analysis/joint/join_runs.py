@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.priors import Prior, coordinate_of, null_value_of, priors_of, scale_of, value_at
+from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, priors_of, scale_of, value_at
 from analysis.joint.alignment import Aligned, aligned
 from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses
 from analysis.joint.outcome import outcome_of
@@ -40,6 +40,7 @@ Progress = Callable[[str, float], None]
 LEAST_RUNS = 3  # fewer tell nothing of how runs differ
 MOST_PASSES = 4  # for one set of named effects
 SETTLED_SIGMAS = 0.3  # move of a shared parameter below which a set has converged
+LEAST_WIDTH = 1e-3  # of a parameter that differs, in its scale
 WIDER = 3.0  # times the spread found: prior of a parameter that differs between runs
 
 
@@ -204,7 +205,8 @@ class _Search:
 
     def _begun_alone(self, state: _State) -> _State:
         """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
-        odd = [s for s in state.summaries if s.failed or s.lost]
+        enough = 2 * self.limits.reserve_every  # steps, for a verdict on a run alone
+        odd = [s for s in state.summaries if (s.failed or s.lost) and s.steps >= enough]
         if not odd:
             return state
         worst = max(odd, key=lambda s: (s.lost, s.ratio))
@@ -273,8 +275,8 @@ class _Search:
         for key in keys:
             place = len(state.point.own) + sorted(state.point.shared).index(key)
             values, sigmas = alone(state.world.runs, state.found, place)
-            spread = float(np.std(values[np.isfinite(sigmas)])) * scale_of(key)
-            priors[key] = Prior(state.point.shared[key], WIDER * max(spread, 1e-12))
+            width = WIDER * max(float(np.std(values[np.isfinite(sigmas)])), LEAST_WIDTH) * scale_of(key)
+            priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
         shared = {k: v for k, v in state.point.shared.items() if k not in keys}
         return self._at(Point(priors, shared), state.named)

@@ -48,6 +48,21 @@ def test_ten_clean_runs_miss_nothing(tmp_path: Path) -> None:
     assert (found.verdict, found.names, found.odd) == ("nothing_missing", (), ())
 
 
+@pytest.mark.slow
+def test_an_effect_that_differs_has_a_value_for_each_run(tmp_path: Path) -> None:
+    """Damping that one run shows by itself, and that grows from run to run: named, and said to differ."""
+    rates = (0.6, 1.0, 1.4, 1.8)
+    paths = [
+        short_runs(tmp_path / f"{i}", 1, 510 + i, {"viscous_damping.rate_per_s": rate})[0]
+        for i, rate in enumerate(rates)
+    ]
+    found = join_runs(paths)
+    assert found.verdict == "explained" and found.names == ("viscous_damping",)
+    named = found.parameters[parameter(found, "viscous_damping.rate_per_s")]
+    assert named.kind == "effect" and named.differs and named.constancy.p_trend < 1e-6
+    assert named.values == pytest.approx(rates, abs=0.2)
+
+
 def test_summaries_are_kept_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second verdict from the same summaries reads no recording again, and is the same."""
     paths = short_runs(tmp_path, 3, 503, {})
