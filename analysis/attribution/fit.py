@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from analysis.attribution.priors import Prior, null_value_of, parameter_of
+from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.whitening import Whitener, step_losses
@@ -55,8 +55,7 @@ class Fitter:
     # -- coordinates: the scale of a parameter is one unit -------------------------------------------------------------
     def scale(self, key: ParameterId) -> float:
         """Size of a parameter that is one unit of its coordinate."""
-        q = parameter_of(key)
-        return float(q.scale ** (1.0 / q.power))
+        return scale_of(key)
 
     def bounds(self, key: ParameterId, *, released: bool) -> tuple[float, float]:
         """Bounds of a coordinate: what is physically possible, and for a calibration what its uncertainty allows.
@@ -72,16 +71,11 @@ class Fitter:
 
     def to_x(self, key: ParameterId, value: float) -> float:
         """Coordinate of a value."""
-        power = parameter_of(key).power
-        return float(np.sign(value) * abs(value) ** (1.0 / power)) / self.scale(key)
-
-    def _to_value(self, key: ParameterId, x: float) -> float:
-        q, y = parameter_of(key), x * self.scale(key)
-        return float(min(max(np.sign(y) * abs(y) ** q.power, q.low), q.high))
+        return coordinate_of(key, value)
 
     def values(self, keys: Sequence[ParameterId], x: Array) -> dict[ParameterId, float]:
         """Parameter values at the coordinates ``x``."""
-        return {k: self._to_value(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
+        return {k: value_at(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
 
     def _prior_rows(self, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> tuple[Array, Array]:
         """Means and inverse widths of the priors in coordinates; width 0 where nothing is known."""

@@ -70,3 +70,20 @@ def parameter_of(key: ParameterId) -> Parameter:
 def null_value_of(key: ParameterId) -> float:
     """The value at which a parameter does nothing."""
     return parameter_of(key).null_value
+
+
+def scale_of(key: ParameterId) -> float:
+    """Size of a parameter that is one unit of its coordinate."""
+    q = parameter_of(key)
+    return float(q.scale ** (1.0 / q.power))
+
+
+def coordinate_of(key: ParameterId, value: float) -> float:
+    """Coordinate of a value: a size of one scale is about one."""
+    return math.copysign(abs(value) ** (1.0 / parameter_of(key).power), value) / scale_of(key)
+
+
+def value_at(key: ParameterId, x: float) -> float:
+    """Value at a coordinate, within the parameter's bounds."""
+    q, y = parameter_of(key), x * scale_of(key)
+    return float(min(max(math.copysign(abs(y) ** q.power, y), q.low), q.high))

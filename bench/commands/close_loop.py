@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,6 +35,12 @@ def command(
     keep_term: str | None = typer.Option(
         None, "--keep-term", metavar="NAME", help="Keep a discovered term as an effect of that name, and try it."
     ),
+    runs_differ: bool = typer.Option(
+        False, "--runs-differ", help="Recordings of different days: each has calibrations of its own."
+    ),
+    summaries: Path | None = typer.Option(
+        None, "--summaries", metavar="FILE", help="With --runs-differ: keep each run's summary there, to go on."
+    ),
     overwrite: Overwrite = False,
 ) -> None:
     """Find where measurement and model part, name the missing effect, and report the error before and after.
@@ -44,13 +50,16 @@ def command(
     A term discovered outside the library becomes an effect by --keep-term sticky_rod: a file in the folder of kept
     effects, which every later call finds by its name. The loop is closed again with it; --improved is then of that.
 
+    Tens of runs of one rig over months: bench close-loop runs/*.h5 --runs-differ. One recording is in memory at a time.
+
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
     from analysis.loop.close_loop import fit_loop
     from bench.jobs.adaptive_runs import until_clear as repeat
+    from bench.jobs.joint_runs import holds_summaries, judge_runs
     from bench.jobs.keep_term import place_for
-    from bench.outputs import JSON, PROFILE, REPORT, File, Folder, check_outputs
+    from bench.outputs import JSON, PROFILE, REPORT, ROWS, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
     from bench.terminal.loop_display import keep, show
@@ -64,10 +73,19 @@ def command(
     try:
         check_outputs(
             File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
-            File("--next-run", next_run, PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
+            File("--next-run", next_run, PROFILE), File("--summaries", summaries, ROWS, continues=holds_summaries),
+            inputs=[*recordings, profile, scenario], overwrite=overwrite,
         )  # fmt: skip
         kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
+        single = {
+            "--improved": improved, "--next-run": next_run, "--until-clear": until_clear, "--keep-term": keep_term,
+        }  # fmt: skip
+        _check_mode(single, summaries, runs_differ=runs_differ)
         _check_recordings(recordings)
+        if runs_differ:
+            if not judge_runs(recordings, profile, summaries, json, report):
+                raise SystemExit(EXIT_FAILED)
+            return
         if until_clear:
             loop, fitted, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
         else:
@@ -167,6 +185,20 @@ class _Writers:
             self.say(f"next run: {path} ({self.ranked[0].design.description})")
         else:
             self.say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
+
+
+def _check_mode(single: Mapping[str, object], summaries: Path | None, *, runs_differ: bool) -> None:
+    """Refuse options that do not go together."""
+    from daq.setup.errors import InputError
+
+    if summaries is not None and not runs_differ:
+        raise InputError("--summaries: is kept of runs that differ only; give --runs-differ as well, or leave it out")
+    given = [option for option, value in single.items() if value]
+    if runs_differ and given:
+        raise InputError(
+            f"{', '.join(given)}: belongs to a single run or to runs alike, and --runs-differ was given; leave out one "
+            "of them"
+        )
 
 
 def _check_recordings(recordings: list[Path]) -> None:

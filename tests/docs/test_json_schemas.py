@@ -18,7 +18,7 @@ from bench.cli import COMMANDS, app
 ROOT = Path(__file__).parents[2]
 SCHEMAS = ROOT / "docs" / "reference" / "schemas"
 GAMMAS = [0.6, 0.75, 0.9, 1.05, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95]
-LONG = {"close-loop", "explore"}
+LONG = {"close-loop", "close-loop-runs", "explore"}
 WITHOUT_JSON = {"demo", "live", "virtual"}  # they write files, or run until they are ended
 
 
@@ -37,6 +37,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (where / "p.toml").write_text(profile.text, encoding="utf-8")
     (where / "c.toml").write_text(profile.text, encoding="utf-8")
     sb.run(profile, where / "r.h5", scenario="friction", seed=3)
+    month = profile.with_values({"ramp.hold_cycles": 12})
+    for i in range(3):
+        sb.run(month, where / f"m{i}.h5", scenario="friction", seed=20 + i)
     brief = sb.load_profile("simulated").with_values(
         {"ramp.gamma": [0.6], "ramp.settle_cycles": 2, "ramp.hold_cycles": 8}
     )
@@ -75,6 +78,7 @@ ANSWERS = {
     "predict-diagram": "predict --c 2 --gamma-range 0.3 0.8 --steps 9",
     "predict-ramp": "predict --profile {0}/p.toml",
     "close-loop": "close-loop {0}/r.h5",
+    "close-loop-runs": "close-loop {0}/m0.h5 {0}/m1.h5 {0}/m2.h5 --runs-differ",
     "explore": "explore {0}/p.toml --scenario friction --out {0}/explored --budget 5",
     "batch": "batch {0}/r.h5 --do compare --out {0}/rows.csv",
     "report": "report {0}/r.h5 --out {0}/r.html --no-loop",
@@ -89,7 +93,7 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in ("close-loop", "explore") else n for n in ANSWERS]
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in ANSWERS]
 )
 def test_a_real_answer_fits_its_schema(name: str, folder: Path) -> None:
     """The command's standard output is JSON and nothing else, with exactly the keys and types of the schema."""

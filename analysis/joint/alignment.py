@@ -1,0 +1,109 @@
+"""Summaries of all runs in one set of coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.chance import Place
+from analysis.attribution.priors import coordinate_of, parameter_of, scale_of
+from analysis.joint.population import Prior, Quadratic
+from analysis.joint.summary import Option, Point, RunSummary
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """All runs in the same coordinates: each run's own parameters first (q), then shared ones, then candidates.
+
+    Attributes
+    ----------
+    point
+    columns
+        What each coordinate stands for, K in all.
+    options
+        Candidates that at least half of the runs can show.
+    runs
+        A quadratic each; what a run cannot show has no information.
+    prior
+        Of means and shared parameters.
+    width
+        Of the priors of what runs have their own values of, (q,).
+    low, high
+        Bounds of the coordinates, (K,).
+    """
+
+    point: Point
+    columns: tuple[Place, ...]
+    options: tuple[Option, ...]
+    runs: tuple[Quadratic, ...]
+    prior: Prior
+    width: Array
+    low: Array
+    high: Array
+
+    @property
+    def named(self) -> int:
+        """Number of coordinates before the candidates'."""
+        return len(self.point.own) + len(self.point.shared)
+
+    def places_of(self, option: Option) -> NDArray[np.int64]:
+        """Columns of a candidate."""
+        return self.named + np.array([self.columns[self.named :].index(s) for s in option.sizes], dtype=np.int64)
+
+
+def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[str]) -> Aligned:
+    """All runs in the same coordinates.
+
+    Parameters
+    ----------
+    summaries
+        Of the runs, all at ``point``.
+    point
+    released
+        Effects that were named: the mean of what they set has no prior.
+    """
+    counts: dict[Option, int] = {}
+    for run in summaries:
+        for option in run.options:
+            counts[option] = counts.get(option, 0) + 1
+    options = tuple(o for o, n in counts.items() if 2 * n >= len(summaries))
+    own, shared = point.own, tuple(sorted(point.shared))
+    columns = (*((k, ()) for k in (*own, *shared)), *dict.fromkeys(s for o in options for s in o.sizes))
+    mean, precision = np.zeros(len(columns)), np.zeros(len(columns))
+    width = np.array([_width(key, point) for key in own])
+    for i, key in enumerate(own):
+        mean[i] = coordinate_of(key, point.priors[key].mean)
+        precision[i] = 0.0 if key[0] in released else width[i] ** -2.0
+    bounds = [_bounds(key) for key, _ in columns]
+    runs = tuple(_on(run, columns, len(own) + len(shared)) for run in summaries)
+    low, high = np.array(bounds).reshape(-1, 2).T
+    return Aligned(point, columns, options, runs, Prior(mean, precision), width, low, high)
+
+
+def _width(key: tuple[str, str], point: Point) -> float:
+    """Width of a prior in coordinates."""
+    return float(point.priors[key].sigma ** (1.0 / parameter_of(key).power)) / scale_of(key)
+
+
+def _bounds(key: tuple[str, str]) -> tuple[float, float]:
+    q = parameter_of(key)
+    return coordinate_of(key, q.low), coordinate_of(key, q.high)
+
+
+def _on(run: RunSummary, columns: Sequence[Place], named: int) -> Quadratic:
+    """A run's quadratic on the common columns; those that are named stand in the same place in every run."""
+    known = {place: j for j, place in enumerate(run.columns[named:], start=named)}
+    mine = np.array([j for j, place in enumerate(columns) if j < named or place in known], dtype=np.int64)
+    theirs = np.array([j if j < named else known[columns[j]] for j in mine], dtype=np.int64)
+    k, old = len(columns), run.quadratic
+    origin = np.zeros(k)
+    origin[mine] = old.origin[theirs]
+    gradient, information = np.zeros(k), np.zeros((k, k))
+    gradient[mine] = old.gradient[theirs]
+    information[np.ix_(mine, mine)] = old.information[np.ix_(theirs, theirs)]
+    return Quadratic(origin, gradient, information)

@@ -1,0 +1,188 @@
+"""Choice among candidates over runs: gain, what the best of all gains by chance, and gain on runs left out.
+
+The run is the replicate: null draws give the scores of whole runs random signs, and each run is predicted by the fit of
+all others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.chance import DRAWS, ScoreSpace
+from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.joint.alignment import Aligned
+from analysis.joint.population import Places, Population, Quadratic, normal_equations
+from analysis.joint.summary import Option
+from analysis.thresholds import Thresholds
+
+Array = NDArray[np.float64]
+
+LEAST_INFORMATION = 1e-9  # of a column beyond what calibrations can follow, relative
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A candidate beside what is named.
+
+    Attributes
+    ----------
+    option
+    sizes
+        Its sizes in coordinates.
+    gain
+        In the fit of all runs, nats.
+    losses
+        Of each run by the fit of all others, relative to the run's own point, (R,).
+    held_out
+        Gain on runs that the fit did not see.
+    p
+        Probability that the best of all candidates gains so much by chance.
+    refusal
+        What forbids it, in words; empty where nothing does.
+    """
+
+    option: Option
+    sizes: Array
+    gain: float
+    losses: Array
+    held_out: LogScoreDifference
+    p: float
+    refusal: str
+
+
+class Candidates:
+    """All candidates beside one fit of the population.
+
+    Parameters
+    ----------
+    world, found
+        The runs, and their fit.
+    limits
+        Thresholds of the verdict.
+    """
+
+    def __init__(self, world: Aligned, found: Population, limits: Thresholds) -> None:
+        self.world, self.found, self.limits = world, found, limits
+        self.every = np.ones(len(found.runs), dtype=np.bool_)
+        self.before = left_out_losses(world, found, found.free)
+        self._places = np.arange(world.named, len(world.columns), dtype=np.int64)
+        total = np.sum([run.information for run in found.runs], axis=0)
+        free, tried = found.free, self._places
+        self._follow = found.covariance @ total[np.ix_(free, tried)]
+        bare = total[np.ix_(tried, tried)]
+        self._information = bare - total[np.ix_(tried, free)] @ self._follow
+        own, whole = np.diag(self._information), np.diag(bare)
+        self._shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * whole)
+        self._scale = np.where(self._shown, 1.0 / np.sqrt(np.where(self._shown, own, 1.0)), 0.0)
+        self._signs = (world.low[tried] >= 0.0).astype(np.int64) - (world.high[tried] <= 0.0).astype(np.int64)
+
+    def tested(self, depth: int) -> list[Tested]:
+        """Every candidate that gains anything, the one of greatest held-out gain first.
+
+        Parameters
+        ----------
+        depth
+            Number of effects named before.
+        """
+        seed = hashlib.sha256(np.round(self.found.x, 9).tobytes()).digest()
+        noise = self._space(self.found.x).by_noise(np.random.default_rng(np.frombuffer(seed, dtype="<u4")))
+        out: dict[tuple[str, ...], Tested] = {}
+        for option in self.world.options:
+            rows = self.world.places_of(option)
+            shown = rows[self._shown[rows - self.world.named]]
+            if len(shown) == 0:
+                continue
+            free = np.concatenate([self.found.free, shown])
+            x = bounded_fit(self.found.runs, self.found.x, self.world, free)
+            gain = self._loss(self.found.x) - self._loss(x)
+            if gain < self.limits.reported_nats:
+                continue
+            losses = left_out_losses(self.world, self.found, free)
+            held_out = LogScoreDifference.of(self.before, losses, self.every)
+            by_runs = self._space(x).by_steps(
+                self.every.astype(np.float64), np.arange(len(self.every)), np.random.default_rng(len(self.every))
+            )
+            p = max((1.0 + int(np.sum(draws >= gain))) / (DRAWS + 1.0) for draws in (noise, by_runs))
+            one = Tested(option, x[rows], gain, losses, held_out, p, self._refusal(held_out, p, depth))
+            key = (*option.names, *(f"{k[0]}.{k[1]}" for k, _ in option.sizes))
+            if key not in out or losses.sum() < out[key].losses.sum():
+                out[key] = one
+        return sorted(out.values(), key=lambda t: float(t.losses.sum()))
+
+    def chosen(self, found: Sequence[Tested]) -> tuple[Tested | None, tuple[Tested, ...]]:
+        """The candidate to name, simplest of those that tie with the best; and all that tie with it."""
+        passing = [t for t in found if not t.refusal]
+        if not passing:
+            return None, ()
+        close = [t for t in passing if self._tied(passing[0], t)]
+        costs = [self.limits.tie_nats * len(t.option.sizes) for t in close]
+        best = close[penalised_best(passing[0].losses, [t.losses for t in close], costs, self.every)]
+        return best, tuple(t for t in found if t is best or self._tied(best, t))
+
+    def _tied(self, best: Tested, other: Tested) -> bool:
+        lead = LogScoreDifference.of(other.losses, best.losses, self.every)
+        return not lead.exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
+
+    def _refusal(self, gain: LogScoreDifference, p: float, depth: int) -> str:
+        limits = self.limits
+        nats, sigmas = limits.first_effect_nats, limits.first_effect_sigmas
+        if depth:
+            nats, sigmas = limits.next_effect_nats, limits.next_effect_sigmas
+        if not gain.gain > nats:
+            return f"too small a gain on runs left out: {gain.gain:.1f} nats, wanted {nats:g}"
+        if not gain.exceeds(nats, sigmas):
+            return (
+                f"the runs do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, wanted {sigmas:g} "
+                "standard errors"
+            )
+        if p > limits.best_of_all_p:
+            return f"chance lets the best of all candidates gain as much: p = {p:.2g}, wanted {limits.best_of_all_p:g}"
+        return ""
+
+    def _loss(self, x: Array) -> float:
+        away = x - self.world.prior.mean
+        return sum(run.loss_at(x) for run in self.found.runs) + 0.5 * float(self.world.prior.precision @ away**2)
+
+    def _space(self, x: Array) -> ScoreSpace:
+        """Scores of each run at ``x``, less what calibrations follow, in units of their deviation."""
+        prior, free, tried = self.world.prior, self.found.free, self._places
+        share = (prior.precision * (x - prior.mean))[free] / len(self.every)
+        parts = np.empty((len(self.every), len(tried)))
+        for i, run in enumerate(self.found.runs):
+            slope = run.slope_at(x)
+            parts[i] = slope[tried] - self._follow.T @ (slope[free] - share)
+        first = self.world.named
+        groups = [tuple(int(j) - first for j in self.world.places_of(o)) for o in self.world.options]
+        kept = tuple(group for g in groups if (group := tuple(j for j in g if self._shown[j])))
+        information = self._scale[:, None] * self._information * self._scale
+        return ScoreSpace(parts * self._scale, 0.5 * (information + information.T), kept, self._signs)
+
+
+def bounded_fit(runs: Sequence[Quadratic], start: Array, world: Aligned, free: Places) -> Array:
+    """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
+    loose, x = free, start.copy()
+    own = len(world.point.own)
+    for _ in range(len(free)):
+        normal, push = normal_equations(runs, x, world.prior, loose)
+        trial = x.copy()
+        trial[loose] += np.linalg.pinv(normal, rcond=1e-13, hermitian=True) @ push
+        beyond = loose[(loose >= own) & ((trial[loose] < world.low[loose]) | (trial[loose] > world.high[loose]))]
+        if len(beyond) == 0:
+            return trial
+        x[beyond] = np.clip(trial[beyond], world.low[beyond], world.high[beyond])
+        loose = np.setdiff1d(loose, beyond)
+    return x
+
+
+def left_out_losses(world: Aligned, found: Population, free: Places) -> Array:
+    """Loss of each run at the fit of all others, (R,)."""
+    out = np.empty(len(found.runs))
+    for i, run in enumerate(found.runs):
+        others = [*found.runs[:i], *found.runs[i + 1 :]]
+        out[i] = run.loss_at(bounded_fit(others, found.x, world, free))
+    return out

@@ -1,0 +1,73 @@
+"""Constancy of a parameter over runs: chi-square of its values, and its trend with the date.
+
+References
+----------
+R. DerSimonian and N. Laird, Control. Clin. Trials 7, 177 (1986): spread between studies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Constancy:
+    """Whether values of several runs are one.
+
+    Attributes
+    ----------
+    chi_square, degrees
+        Of the values about their weighted mean.
+    p
+        Probability of so large a chi-square for a constant.
+    spread
+        Standard deviation between runs beyond the values' own uncertainty.
+    slope, slope_sigma
+        Linear trend, per unit of time.
+    p_trend
+        Probability of so large a trend for a constant.
+    """
+
+    chi_square: float
+    degrees: int
+    p: float
+    spread: float
+    slope: float
+    slope_sigma: float
+    p_trend: float
+
+    def differs(self, p: float) -> bool:
+        """Whether chance explains neither the scatter nor the trend; ``p`` is shared by both tests."""
+        return min(self.p, self.p_trend) < 0.5 * p
+
+
+def constancy(values: Array, sigmas: Array, time: Array) -> Constancy:
+    """Test of values of runs at given times.
+
+    Parameters
+    ----------
+    values, sigmas
+        Of each run, (R,); a sigma that is infinite leaves the run out.
+    time
+        In any unit, (R,).
+    """
+    known = np.isfinite(sigmas)
+    v, weight, t = values[known], sigmas[known] ** -2.0, time[known]
+    if len(v) < 2:
+        return Constancy(0.0, 0, 1.0, 0.0, 0.0, np.inf, 1.0)
+    total = weight.sum()
+    mean, middle = float(weight @ v / total), float(weight @ t / total)
+    chi_square, degrees = float(weight @ (v - mean) ** 2), len(v) - 1
+    excess = float(max(chi_square - degrees, 0.0) / (total - float(weight @ weight) / total))
+    lever = float(weight @ (t - middle) ** 2)
+    if lever <= 0.0:
+        return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, 0.0, np.inf, 1.0)
+    slope, sigma = float(weight @ ((t - middle) * v)) / lever, float(lever**-0.5)
+    p_trend = float(2.0 * norm.sf(abs(slope) / sigma))
+    return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, slope, sigma, p_trend)

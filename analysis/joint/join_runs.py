@@ -1,0 +1,313 @@
+"""Joint verdict: pass after pass over the recordings, one at a time, until nothing more gains and nothing moves.
+
+Each pass linearises every run at the effects named so far. An effect is named when runs that its fit did not see gain,
+and chance does not let the best of all candidates gain as much.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, priors_of, scale_of, value_at
+from analysis.joint.alignment import Aligned, aligned
+from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses
+from analysis.joint.outcome import outcome_of
+from analysis.joint.population import Population, alone, fit_population
+from analysis.joint.result import Candidate, JointVerdict
+from analysis.joint.summary import Point, RunSummary, common_priors, summarise
+from analysis.loop.close_loop import fit_loop
+from analysis.residuals.forward_model import TREND, ParameterId
+from analysis.thresholds import FROZEN, Thresholds
+from daq.files.journal import Journal
+from daq.recording import open_recording
+from daq.recording.identity import refuse_repeated
+from daq.recording.provenance import software_commit, software_version
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from model.effects.registry import registry
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+LEAST_RUNS = 3  # fewer tell nothing of how runs differ
+MOST_PASSES = 4  # for one set of named effects
+SETTLED_SIGMAS = 0.3  # move of a shared parameter below which a set has converged
+LEAST_WIDTH = 1e-3  # of a parameter that differs, in its scale
+WIDER = 3.0  # times the spread found: prior of a parameter that differs between runs
+
+
+def join_runs(
+    recordings: Sequence[Path],
+    *,
+    setup: Setup | None = None,
+    limits: Thresholds = FROZEN,
+    journal: Journal | None = None,
+    progress: Progress | None = None,
+) -> JointVerdict:
+    """Judge many runs of one rig together, each with its own calibrations.
+
+    Parameters
+    ----------
+    recordings
+        At least three; one is in memory at a time.
+    setup
+        Replaces the setups stored in the recordings.
+    limits
+        Thresholds of the verdict.
+    journal
+        Keeps every summary, so that a verdict that was interrupted goes on.
+    progress
+        Called with what is being done and the fraction of the pass.
+
+    Returns
+    -------
+    JointVerdict
+
+    Raises
+    ------
+    InputError
+        Where a file is no recording or shows too little, there are too few, or two hold the same samples.
+    ValueError
+        For declared effects that do not exist or are out of bounds.
+    """
+    if len(recordings) < LEAST_RUNS:
+        raise InputError(
+            f"{', '.join(map(str, recordings))}: wanted at least {LEAST_RUNS} recordings, to see how runs differ; "
+            "name more, or judge them as one run"
+        )
+    refuse_repeated(recordings)
+    passes = _Passes(recordings, setup, limits, journal, progress or (lambda what, part: None))
+    return _Search(passes, limits).run()
+
+
+@dataclass
+class _Passes:
+    """Summaries of all runs at a point, made or taken from the journal."""
+
+    recordings: Sequence[Path]
+    setup: Setup | None
+    limits: Thresholds
+    journal: Journal | None
+    progress: Progress
+    done: int = 0
+
+    def priors(self) -> dict[ParameterId, Prior]:
+        """Priors of calibrations that cover what every run states."""
+        if self.setup is not None:
+            return priors_of(self.setup)
+        each = []
+        for path in self.recordings:
+            with open_recording(path) as opened:
+                each.append(priors_of(opened.setup))
+        return common_priors(each)
+
+    def at(self, point: Point) -> list[RunSummary]:
+        """Summaries at a point, one recording read at a time."""
+        self.done += 1
+        out = []
+        for i, path in enumerate(self.recordings):
+            self.progress(f"pass {self.done}: {path.name}", i / len(self.recordings))
+            key = self._key(path, point)
+            row = None if self.journal is None else self.journal.rows.get(key)
+            if row is None:
+                summary = summarise(path, point, self.limits, self.setup)
+                if self.journal is not None:
+                    self.journal.add(key, summary.as_row())
+            else:
+                summary = dataclasses.replace(RunSummary.from_row(row), recording=str(path))
+            out.append(summary)
+        return out
+
+    def _key(self, path: Path, point: Point) -> str:
+        """What a summary depends on: the file as it is now, the point, the setup, the effects, and the software."""
+        state = path.stat()
+        file = [path.resolve().as_posix(), state.st_size, state.st_mtime_ns]
+        effects = [(r.effect.name, r.effect.parameters) for r in registry()]
+        made = [software_version(), software_commit(), effects, self.limits]
+        here = [sorted(point.priors.items()), sorted(point.shared.items()), self.setup]
+        return hashlib.sha256(repr([file, here, made]).encode()).hexdigest()[:24]
+
+
+@dataclass
+class _State:
+    """Where the search stands: the point, its summaries, and the fit of all runs."""
+
+    point: Point
+    named: tuple[tuple[str, ...], ...]  # candidates accepted, in order
+    summaries: list[RunSummary]
+    world: Aligned
+    found: Population
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Named effects, each once."""
+        return tuple(dict.fromkeys(n for names in self.named for n in names))
+
+
+@dataclass
+class _Search:
+    """Forward selection with steps back, linearised anew after each change."""
+
+    passes: _Passes
+    limits: Thresholds
+    rounds: list[str] = field(default_factory=list)
+    dropped: set[tuple[str, ...]] = field(default_factory=set)
+
+    def run(self) -> JointVerdict:
+        state = self._at(Point(self.passes.priors()), ())
+        state = self._begun_alone(state)
+        first: list[Tested] = []
+        ties: tuple[tuple[str, ...], ...] = (state.names,) if state.named else ()
+        for depth in range(len(state.named), self.limits.most_effects):
+            candidates = Candidates(state.world, state.found, self.limits)
+            tested = candidates.tested(depth)
+            first = first or tested
+            chosen, tied = candidates.chosen([t for t in tested if t.option.names not in self.dropped])
+            if chosen is None:
+                self.rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best(tested)}")
+                break
+            self.rounds.append(
+                f"round {depth + 1}: {' + '.join(chosen.option.names)} gains {chosen.held_out.gain:.0f} +- "
+                f"{chosen.held_out.error:.0f} nats on runs left out (p = {chosen.p:.2g} that the best of all "
+                "candidates does so by chance)"
+            )
+            others = (t.option.names for t in tied if t is not chosen)
+            ties = tuple(dict.fromkeys((*state.names, *n) for n in (chosen.option.names, *others)))
+            state = self._without_idle(self._converged(self._with(state, chosen)))
+        state = self._own_where_they_differ(state)
+        if not state.named:
+            ties = ()
+        tried = tuple(
+            Candidate(t.option.names, t.gain, t.held_out.gain, t.held_out.error, t.p, t.refusal) for t in first
+        )
+        times, dated = _days(state.summaries)
+        return outcome_of(
+            state.summaries, state.world, state.found, self.limits, times,
+            names=state.names, ties=ties, candidates=tried, rounds=tuple(self.rounds), passes=self.passes.done,
+            dated=dated,
+        )  # fmt: skip
+
+    def _at(self, point: Point, named: tuple[tuple[str, ...], ...]) -> _State:
+        """All runs linearised at a point, and their fit."""
+        summaries = self.passes.at(point)
+        world = aligned(summaries, point, frozenset(n for names in named for n in names))
+        start = world.runs[0].origin.copy()
+        found = fit_population(world.runs, start, world.width, world.prior, np.arange(world.named, dtype=np.int64))
+        return _State(point, named, summaries, world, _within_bounds(world, found))
+
+    def _begun_alone(self, state: _State) -> _State:
+        """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
+        enough = 2 * self.limits.reserve_every  # steps, for a verdict on a run alone
+        odd = [s for s in state.summaries if (s.failed or s.lost) and s.steps >= enough]
+        if not odd:
+            return state
+        worst = max(odd, key=lambda s: (s.lost, s.ratio))
+        path = next(p for p, s in zip(self.passes.recordings, state.summaries, strict=True) if s is worst)
+        loop, fitted = fit_loop([path], setup=self.passes.setup, limits=self.limits)
+        best = fitted.selection.best
+        free = {k: v for k, v in best.fitted.values.items() if k in best.free and not k[1].endswith(TREND)}
+        if not free:
+            return state
+        self.rounds.append(f"{path.name}, not explained as declared, by itself names {' + '.join(loop.names)}")
+        names = tuple(n for n in dict.fromkeys(k[0] for k in free))
+        return self._without_idle(self._converged(self._at(_moved(state.point, free), (names,))))
+
+    def _with(self, state: _State, chosen: Tested) -> _State:
+        """The state with one more effect, at the values that the linear fit gives."""
+        values: dict[ParameterId, float] = {}
+        for (key, shapes), x in zip(chosen.option.sizes, chosen.sizes, strict=True):
+            own = state.point.own
+            base = state.found.x[own.index(key)] if key in own else coordinate_of(key, null_value_of(key))
+            values[key] = value_at(key, base + float(x))
+            values |= dict(shapes)
+        return self._at(_moved(state.point, values), (*state.named, chosen.option.names))
+
+    def _converged(self, state: _State) -> _State:
+        """Linearised anew until the shared parameters stay."""
+        for _ in range(MOST_PASSES):
+            q, shared = len(state.point.own), sorted(state.point.shared)
+            moves = {k: float(state.found.x[q + i] - state.world.runs[0].origin[q + i]) for i, k in enumerate(shared)}
+            if all(abs(m) < SETTLED_SIGMAS * state.found.sigma(q + i) for i, m in enumerate(moves.values())):
+                break
+            values = {k: value_at(k, float(state.found.x[q + i])) for i, k in enumerate(shared)}
+            state = self._at(_moved(state.point, values), state.named)
+        return state
+
+    def _without_idle(self, state: _State) -> _State:
+        """Step back: the named effect that runs left out do not need is dropped, the least needed first."""
+        q, shared = len(state.point.own), sorted(state.point.shared)
+        full = left_out_losses(state.world, state.found, state.found.free)
+        gains = {}
+        for names in state.named:
+            rows = np.array([q + i for i, k in enumerate(shared) if k[0] in names], dtype=np.int64)
+            if len(rows) == 0:
+                continue  # a calibration, released
+            sizes = state.found.x.copy()
+            sizes[rows] = [coordinate_of(shared[i - q], null_value_of(shared[i - q])) for i in rows]
+            free = np.setdiff1d(state.found.free, rows)
+            without = dataclasses.replace(state.found, x=sizes)
+            gains[names] = float((left_out_losses(state.world, without, free) - full).sum())
+        least = min(gains, key=lambda n: gains[n], default=None)
+        if least is None or gains[least] > self.limits.first_effect_nats:
+            return state
+        self.rounds.append(f"{' + '.join(least)} gains no more than {gains[least]:.1f} nats beside the others: dropped")
+        self.dropped.add(least)
+        kept = {k: v for k, v in state.point.shared.items() if k[0] not in least}
+        point = dataclasses.replace(state.point, shared=kept)
+        return self._converged(self._at(point, tuple(n for n in state.named if n != least)))
+
+    def _own_where_they_differ(self, state: _State) -> _State:
+        """Shared parameters that differ between runs become the runs' own, about a mean."""
+        times, _ = _days(state.summaries)
+        differing = outcome_of(state.summaries, state.world, state.found, self.limits, times).differing
+        keys = {(x.effect, x.parameter): x for x in differing if (x.effect, x.parameter) in state.point.shared}
+        if not keys:
+            return state
+        priors = dict(state.point.priors)
+        for key in keys:
+            place = len(state.point.own) + sorted(state.point.shared).index(key)
+            values, sigmas = alone(state.world.runs, state.found, place)
+            width = WIDER * max(float(np.std(values[np.isfinite(sigmas)])), LEAST_WIDTH) * scale_of(key)
+            priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
+            self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
+        shared = {k: v for k, v in state.point.shared.items() if k not in keys}
+        return self._at(Point(priors, shared), state.named)
+
+
+def _within_bounds(world: Aligned, found: Population) -> Population:
+    """The fit with shared parameters inside what is possible."""
+    return dataclasses.replace(found, x=bounded_fit(found.runs, found.x, world, found.free))
+
+
+def _moved(point: Point, values: dict[ParameterId, float]) -> Point:
+    """The point with parameters set: a prior's mean where runs have their own values, else the shared value."""
+    priors = {k: Prior(values.get(k, p.mean), p.sigma) for k, p in point.priors.items()}
+    return Point(priors, {**point.shared, **{k: v for k, v in values.items() if k not in priors}})
+
+
+def _days(summaries: Sequence[RunSummary]) -> tuple[Array, bool]:
+    """Days since the first run, and whether they are known; else the runs' numbers."""
+    try:
+        starts = [datetime.fromisoformat(s.started) for s in summaries]
+        seconds = np.array([(x - min(starts)).total_seconds() for x in starts])
+    except (ValueError, TypeError):
+        return np.arange(len(summaries), dtype=np.float64), False
+    if len(set(seconds.tolist())) < len(seconds):
+        return np.arange(len(summaries), dtype=np.float64), False
+    return seconds / 86400.0, True
+
+
+def _best(tested: Sequence[Tested]) -> str:
+    """The refused candidate of greatest gain, in words."""
+    if not tested:
+        return ""
+    best = tested[0]
+    return f" (the best, {' + '.join(best.option.names)}: {best.refusal or 'dropped before'})"

@@ -1,0 +1,101 @@
+"""The joint verdict from the last pass: parameters over the runs, and each run's goodness of fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.priors import parameter_of, value_at
+from analysis.joint.alignment import Aligned
+from analysis.joint.constancy import Constancy, constancy
+from analysis.joint.population import Population, alone
+from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
+from analysis.joint.summary import RunSummary
+from analysis.loop.verdict import Verdict
+from analysis.residuals.forward_model import ParameterId
+from analysis.thresholds import Thresholds
+
+Array = NDArray[np.float64]
+
+LEAST_SHOWN = 1.0  # a calibration counts as seen where a run's own sigma is below so many of its prior's
+
+
+def outcome_of(
+    summaries: Sequence[RunSummary],
+    world: Aligned,
+    found: Population,
+    limits: Thresholds,
+    days: Array,
+    *,
+    names: tuple[str, ...] = (),
+    ties: tuple[tuple[str, ...], ...] = (),
+    **course: Any,
+) -> JointVerdict:
+    """The joint verdict.
+
+    Parameters
+    ----------
+    summaries, world, found
+        Of the last pass.
+    limits
+        Thresholds of the verdict.
+    days
+        Time of each run, (R,).
+    names, ties
+        What was named, and what ties with it.
+    course
+        ``candidates``, ``rounds``, ``passes`` and ``dated`` of the result.
+    """
+    columns = world.columns[: world.named]
+    level = limits.best_of_all_p / max(len(columns), 1)
+    parameters = tuple(_over_runs(world, found, i, key, days, level) for i, (key, _) in enumerate(columns))
+    runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
+    told = {"candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
+    verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
+    return JointVerdict(verdict, names, ties, tuple(sorted(parameters, key=lambda x: x.kind != "effect")), runs, **told)
+
+
+def _over_runs(world: Aligned, found: Population, place: int, key: ParameterId, days: Array, level: float) -> OverRuns:
+    """One parameter over the runs."""
+    values, sigmas = alone(world.runs, found, place)
+    own = place < len(world.width)
+    if own:
+        sigmas = np.where(sigmas < LEAST_SHOWN * world.width[place], sigmas, np.inf)
+    test = constancy(values, sigmas, days)
+    effect = not own or world.prior.precision[place] == 0.0
+    x, sigma = float(found.x[place]), found.sigma(place)
+    spread = float(found.spread[place]) if own else test.spread
+    inside = [(value_at(key, float(v)), _in_unit(key, float(v), float(s))) for v, s in zip(values, sigmas, strict=True)]
+    return OverRuns(
+        *key, parameter_of(key).unit, "effect" if effect else "calibration", value_at(key, x), _in_unit(key, x, sigma),
+        _in_unit(key, x, spread), tuple(v for v, _ in inside), tuple(s for _, s in inside),
+        _in_units(key, x, test), test.differs(level),
+    )  # fmt: skip
+
+
+def _in_units(key: ParameterId, x: float, test: Constancy) -> Constancy:
+    """The test with spread and trend in the parameter's unit."""
+    slope = float(np.sign(test.slope)) * _in_unit(key, x, abs(test.slope))
+    return replace(
+        test, spread=_in_unit(key, x, test.spread), slope=slope, slope_sigma=_in_unit(key, x, test.slope_sigma)
+    )
+
+
+def _in_unit(key: ParameterId, x: float, width: float) -> float:
+    """A width about a coordinate, in the parameter's unit; infinite where it is."""
+    if not np.isfinite(width):
+        return float("inf")
+    if parameter_of(key).power == 1.0:
+        return width * parameter_of(key).scale
+    return 0.5 * (value_at(key, x + width) - value_at(key, x - width))
+
+
+def _run(s: RunSummary, days: float) -> RunOutcome:
+    return RunOutcome(
+        s.recording, s.started, s.flights, s.steps, days, s.ratio, s.plate_rms_z, s.p_lack_of_fit, s.landing_rms_us,
+        s.noise_floor_us, s.failed,
+    )  # fmt: skip

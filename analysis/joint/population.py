@@ -1,0 +1,196 @@
+"""Hierarchical least squares: parameters that all runs share, and calibrations of each run about a common mean.
+
+Each run is a quadratic form in its own calibrations and the shared parameters. A run's calibrations are normal about
+the means of the population, with one spread a calibration; means, shared parameters and spreads follow from all runs.
+
+References
+----------
+N. M. Laird and J. H. Ware, Biometrics 38, 963 (1982): random effects, spreads by the EM algorithm.
+A. Gelman and J. Hill, Data Analysis Using Regression and Multilevel Models (Cambridge, 2007), chapter 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+MOST_ROUNDS = 300  # of the EM algorithm
+SETTLED = 1e-3  # relative change of the spreads, of the widest one, at which it ends
+LEAST_SPREAD = 1e-4  # of a prior's width: below, a calibration is common to all runs
+IDLE = 1e-9  # information, of one unit of a coordinate, below which nothing is known
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """Log likelihood of one run about a point, second order; calibrations first (q), then shared parameters.
+
+    Attributes
+    ----------
+    origin
+        The point, (K,).
+    gradient, information
+        Slope and negative curvature there, (K,) and (K, K).
+    """
+
+    origin: Array
+    gradient: Array
+    information: Array
+
+    def without_own(self, spread: Array) -> Quadratic:
+        """The run's own deviations integrated out: calibrations are then those of the population.
+
+        Parameters
+        ----------
+        spread
+            Standard deviation of each calibration from run to run, (q,).
+        """
+        q = len(spread)
+        inner = np.eye(q) + spread[:, None] * self.information[:q, :q] * spread
+        across = spread[:, None] * self.information[:q]
+        follow = np.linalg.solve(inner, np.column_stack([across, spread * self.gradient[:q]]))
+        return Quadratic(
+            self.origin, self.gradient - across.T @ follow[:, -1], self.information - across.T @ follow[:, :-1]
+        )
+
+    def slope_at(self, x: Array) -> Array:
+        """Gradient at a point, (K,)."""
+        return self.gradient - self.information @ (x - self.origin)
+
+    def loss_at(self, x: Array) -> float:
+        """Negative log likelihood at a point, above that of the origin, nats."""
+        away = x - self.origin
+        return float(0.5 * away @ self.information @ away - self.gradient @ away)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known before any run: means of the population and their precisions, (K,); precision 0 for nothing."""
+
+    mean: Array
+    precision: Array
+
+
+@dataclass(frozen=True)
+class Population:
+    """All runs together.
+
+    Attributes
+    ----------
+    x
+        Means of the calibrations, then shared parameters, (K,); what is not free stays where it began.
+    free
+        Places of what was fitted.
+    covariance
+        Of these.
+    spread
+        Of each calibration from run to run, (q,).
+    runs
+        Each run's quadratic, its own deviations integrated out.
+    prior
+    """
+
+    x: Array
+    free: Places
+    covariance: Array
+    spread: Array
+    runs: tuple[Quadratic, ...]
+    prior: Prior
+
+    def sigma(self, place: int) -> float:
+        """Standard deviation of a fitted mean or shared parameter; infinite where nothing is known."""
+        where = np.flatnonzero(self.free == place)
+        return float(np.sqrt(max(self.covariance[where[0], where[0]], 0.0))) if len(where) else np.inf
+
+
+def fit_population(
+    runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places, *, fixed_spread: bool = False
+) -> Population:
+    """Means, shared parameters and spreads of greatest likelihood.
+
+    Parameters
+    ----------
+    runs
+        One quadratic a run.
+    start
+        Values of what is not free, (K,).
+    spread
+        Where the spreads begin, (q,); a spread of zero stays zero.
+    prior
+        Of means and shared parameters.
+    free
+        Places of what is fitted: all calibrations first.
+    fixed_spread
+        Keep the spreads as given.
+
+    Returns
+    -------
+    Population
+    """
+    spread, width = spread.copy(), np.maximum(spread, 1e-300)
+    for _ in range(0 if fixed_spread else MOST_ROUNDS):
+        found = _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
+        squares = np.mean([_own_squares(run, found) for run in runs], axis=0)
+        after = spread * np.sqrt(squares)
+        change = float(np.max(np.abs(after - spread) / width, initial=0.0))
+        spread = np.where(after < LEAST_SPREAD * width, 0.0, after)
+        if change < SETTLED:
+            break
+    return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
+
+
+def _solved(runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places) -> Population:
+    """Means and shared parameters at given spreads."""
+    normal, push = normal_equations(runs, start, prior, free)
+    covariance = np.asarray(np.linalg.pinv(normal, rcond=1e-13, hermitian=True), dtype=np.float64)
+    x = start.copy()
+    x[free] += covariance @ push
+    return Population(x, free, covariance, spread, tuple(runs), prior)
+
+
+def normal_equations(runs: Sequence[Quadratic], at: Array, prior: Prior, free: Places) -> tuple[Array, Array]:
+    """Curvature and slope of the log posterior at a point, of what is free."""
+    normal = np.sum([run.information[np.ix_(free, free)] for run in runs], axis=0)
+    normal[np.diag_indices(len(free))] += prior.precision[free]
+    push = np.sum([run.slope_at(at)[free] for run in runs], axis=0)
+    return normal, push - prior.precision[free] * (at - prior.mean)[free]
+
+
+def _own_squares(run: Quadratic, found: Population) -> Array:
+    """Expected square of a run's deviations over their spread, (q,)."""
+    spread, free = found.spread, found.free
+    q = len(spread)
+    inverse = np.linalg.inv(np.eye(q) + spread[:, None] * run.information[:q, :q] * spread)
+    own = inverse @ (spread * run.slope_at(found.x)[:q])
+    follow = inverse @ (spread[:, None] * run.information[:q][:, free])
+    return np.asarray(np.diag(inverse) + own**2 + np.einsum("ij,jk,ik->i", follow, found.covariance, follow))
+
+
+def own_calibrations(run: Quadratic, found: Population) -> Array:
+    """Most probable calibrations of one run, given the population, (q,)."""
+    q, spread = len(found.spread), found.spread
+    inner = np.eye(q) + spread[:, None] * run.information[:q, :q] * spread
+    return np.asarray(found.x[:q] + spread * np.linalg.solve(inner, spread * run.slope_at(found.x)[:q]))
+
+
+def alone(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Array, Array]:
+    """Each run's own value of one parameter and its standard deviation, all else as in the population, (R,).
+
+    A run's other calibrations are free within the spreads; the one at ``place`` is not drawn to its mean.
+    """
+    spread = found.spread.copy()
+    if place < len(spread):
+        spread[place] = 0.0
+    values, sigmas = np.full(len(runs), found.x[place]), np.full(len(runs), np.inf)
+    for i, run in enumerate(runs):
+        rest = run.without_own(spread)
+        known = rest.information[place, place]
+        if known > IDLE:
+            values[i] += rest.slope_at(found.x)[place] / known
+            sigmas[i] = 1.0 / np.sqrt(known)
+    return values, sigmas

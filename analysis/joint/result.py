@@ -1,0 +1,130 @@
+"""Result of a joint verdict over many runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from analysis.joint.constancy import Constancy
+from analysis.loop.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """One run in the joint verdict.
+
+    Attributes
+    ----------
+    recording, started
+    flights, steps
+    days
+        Since the first run; its number where dates are not known.
+    ratio, plate_rms_z, p_lack_of_fit
+        Goodness of fit at the joint values, see `analysis.residuals.lack_of_fit.GoodnessOfFit`.
+    landing_rms_us, noise_floor_us
+        Error of its landings there, and the part of it that noise makes.
+    failed
+        Tests of a verdict that it does not pass; empty where it is explained.
+    """
+
+    recording: str
+    started: str
+    flights: int
+    steps: int
+    days: float
+    ratio: float
+    plate_rms_z: float
+    p_lack_of_fit: float
+    landing_rms_us: float
+    noise_floor_us: float
+    failed: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class OverRuns:
+    """A parameter over the runs.
+
+    Attributes
+    ----------
+    effect, parameter, unit
+    kind
+        ``effect`` (named), or ``calibration``.
+    value, sigma
+        Mean of all runs, or the value that they share.
+    spread
+        From run to run.
+    values, sigmas
+        Of each run by itself, (R,); infinite where it cannot tell.
+    constancy
+        Test of these values, with a trend per day.
+    differs
+        Whether they differ between runs beyond chance.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    kind: str
+    value: float
+    sigma: float
+    spread: float
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    constancy: Constancy
+    differs: bool
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate beside the declared model: gain of all runs, gain on runs left out, and its probability by chance."""
+
+    names: tuple[str, ...]
+    gain: float
+    held_out: float
+    error: float
+    p: float
+    refusal: str
+
+
+@dataclass(frozen=True)
+class JointVerdict:
+    """Joint verdict over many runs of one rig.
+
+    Attributes
+    ----------
+    verdict
+    names
+        Effects that the runs share.
+    ties
+        Sets that the runs do not distinguish from it, the one named first.
+    parameters
+        Named effects and calibrations over the runs.
+    runs
+    candidates
+        Of the first round, the best first.
+    rounds
+        Course of the search, a line each.
+    passes
+        How often every recording was read.
+    dated
+        Whether times are dates.
+    """
+
+    verdict: Verdict
+    names: tuple[str, ...]
+    ties: tuple[tuple[str, ...], ...]
+    parameters: tuple[OverRuns, ...]
+    runs: tuple[RunOutcome, ...]
+    candidates: tuple[Candidate, ...]
+    rounds: tuple[str, ...]
+    passes: int
+    dated: bool
+
+    @property
+    def odd(self) -> tuple[RunOutcome, ...]:
+        """Runs that the joint values do not explain."""
+        return tuple(run for run in self.runs if run.failed)
+
+    @property
+    def differing(self) -> tuple[OverRuns, ...]:
+        """Parameters that differ between runs."""
+        return tuple(x for x in self.parameters if x.differs)

@@ -1,0 +1,243 @@
+"""One run in a small table: what its recording tells about calibrations and about every candidate, to second order.
+
+A recording is read, reduced, fitted for its own calibrations, linearised there and let go; only the summary stays.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.candidates import candidates_of
+from analysis.attribution.chance import Place, places
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Hypothesis, Refits
+from analysis.attribution.priors import Prior, coordinate_of, null_value_of
+from analysis.explore.explanations import slopes_of
+from analysis.joint.population import Quadratic
+from analysis.loop.verdict import failed_tests
+from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.residuals.lack_of_fit import goodness_of_fit
+from analysis.residuals.noise_model import robust_weight
+from analysis.residuals.observations import Observations, observations_from
+from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
+from analysis.residuals.whitening import Whitener
+from analysis.thresholds import Thresholds
+from daq.recording import open_recording
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from model.effects.registry import resolve
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+LEAST_STEPS = 2  # of a run whose plate motion can be measured
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where runs are linearised.
+
+    Attributes
+    ----------
+    priors
+        Of what each run has its own value of: calibrations, and effects that differ between runs.
+    shared
+        Values of the effects named so far that all runs share.
+    """
+
+    priors: Mapping[ParameterId, Prior]
+    shared: Mapping[ParameterId, float] = field(default_factory=dict)
+
+    @property
+    def own(self) -> tuple[ParameterId, ...]:
+        """What each run has its own value of, in order."""
+        return tuple(sorted(self.priors))
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Effects whose shared parameters are set."""
+        return frozenset(name for name, _ in self.shared)
+
+
+@dataclass(frozen=True)
+class Option:
+    """One setting of a candidate: its effects, and the sizes that it frees, at given shapes."""
+
+    names: tuple[str, ...]
+    sizes: tuple[Place, ...]
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What is kept of one run.
+
+    Attributes
+    ----------
+    recording, started
+        Its name, and when it was begun (ISO 8601; empty where that is not known).
+    columns
+        What the quadratic's coordinates stand for: the run's own, the shared ones, then sizes of candidates.
+    options
+        The candidates.
+    quadratic
+        Log likelihood about the run's own fit.
+    flights, steps
+        How many.
+    ratio, p_lack_of_fit, plate_rms_z
+        Goodness of fit there, see `analysis.residuals.lack_of_fit.GoodnessOfFit`.
+    landing_rms_us, noise_floor_us
+        Error of all landings, and the part of it that noise makes.
+    failed
+        Tests of a verdict that it does not pass.
+    lost
+        Whether landings are so far off that nothing is linear.
+    """
+
+    recording: str
+    started: str
+    columns: tuple[Place, ...]
+    options: tuple[Option, ...]
+    quadratic: Quadratic
+    flights: int
+    steps: int
+    ratio: float
+    p_lack_of_fit: float
+    plate_rms_z: float
+    landing_rms_us: float
+    noise_floor_us: float
+    failed: tuple[str, ...]
+    lost: bool
+
+    def as_row(self) -> Row:
+        """For a journal: numbers, texts and arrays packed as text."""
+        flat = {k: v for k, v in vars(self).items() if k not in ("columns", "options", "quadratic")}
+        packed = {k: _packed(v) for k, v in vars(self.quadratic).items()}
+        return {**flat, **packed, "columns": self.columns, "options": [(o.names, o.sizes) for o in self.options]}
+
+    @classmethod
+    def from_row(cls, row: Row) -> RunSummary:
+        """From a journal."""
+        k = len(row["columns"])
+        arrays = {name: _unpacked(row[name]) for name in ("origin", "gradient", "information")}
+        quadratic = Quadratic(arrays["origin"], arrays["gradient"], arrays["information"].reshape(k, k))
+        flat = {k: v for k, v in row.items() if k not in (*arrays, "columns", "options", "failed")}
+        options = tuple(Option(tuple(names), tuple(map(_place, sizes))) for names, sizes in row["options"])
+        columns = tuple(map(_place, row["columns"]))
+        return cls(columns=columns, options=options, quadratic=quadratic, failed=tuple(row["failed"]), **flat)
+
+
+def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None = None) -> RunSummary:
+    """Reduce one recording to its summary.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    point
+        Where it is linearised; its own calibrations are fitted first.
+    limits
+        Thresholds of the verdict.
+    setup
+        Replaces the setup stored in the recording.
+
+    Raises
+    ------
+    InputError
+        Where the file is no recording, or shows too little.
+    """
+    with open_recording(path) as opened:
+        started = str(opened.attrs.get("started") or "")
+    seen = observations_from([path], setup=setup)
+    if len(seen.steps) < LEAST_STEPS or not len(seen.plate):
+        raise InputError(
+            f"{path}: wanted at least {LEAST_STEPS} steps whose plate motion can be measured, found {len(seen.steps)}; "
+            "leave this recording out"
+        )
+    world = ForwardModel(seen, _with_shared(seen, point))
+    fitter = Fitter(world, point.priors, np.ones(len(seen.steps), dtype=np.bool_))
+    fitted = Refits(fitter).converged((), Whitener.of(world, {}), (), {})
+    options = _options(world, fitted)
+    named = tuple((key, ()) for key in (*point.own, *sorted(point.shared)))
+    columns = (*named, *dict.fromkeys(place for option in options for place in option.sizes))
+    values = fitted.fitted.values
+    left = goodness_of_fit(world, values, limits)
+    rows, left_out = scored_rows(world, values, np.ones(len(seen.steps), dtype=np.bool_))
+    after, floors = held_out_errors(world, values, rows, left_out), noise_floors_us(world, values, rows)
+    return RunSummary(
+        str(path), started, columns, options, _linearised(world, fitter, fitted, columns, len(named)),
+        len(seen), len(seen.steps), left.ratio, left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us),
+        float(floors[0]), tuple(x.test for x in failed_tests(False, left, after, floors, limits)),
+        bool(fitted.whitener.lost),
+    )  # fmt: skip
+
+
+def common_priors(each: Sequence[Mapping[ParameterId, Prior]]) -> dict[ParameterId, Prior]:
+    """Priors of a population of runs: of each parameter the widest that any run states."""
+    out: dict[ParameterId, Prior] = {}
+    for priors in each:
+        for key, prior in priors.items():
+            if key not in out or prior.sigma > out[key].sigma:
+                out[key] = prior
+    return out
+
+
+def _with_shared(seen: Observations, point: Point) -> dict[str, dict[str, float]]:
+    """Declared effects, with what is shared added or put in their place."""
+    declared = resolve(seen.setup.declared_values())
+    found: dict[str, dict[str, float]] = {}
+    for (name, q), value in point.shared.items():
+        found.setdefault(name, {})[q] = value
+    return {**declared, **{name: {**declared.get(name, {}), **own} for name, own in resolve(found).items()}}
+
+
+def _options(world: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
+    """Candidates beside what is named; a drift within a run belongs to that run and is left to `close_loop`."""
+    out: dict[tuple[Place, ...], Option] = {}
+    for candidate in candidates_of(world):
+        if any(q.endswith(TREND) for _, q in candidate.free):
+            continue
+        for sizes in places([candidate], fitted):
+            out.setdefault(sizes, Option(candidate.names, sizes))
+    return tuple(out.values())
+
+
+def _linearised(
+    world: ForwardModel, fitter: Fitter, fitted: Hypothesis, columns: Sequence[Place], named: int
+) -> Quadratic:
+    """The run's log likelihood to second order; the origin is in coordinates of the parameters."""
+    at, whitener = {**world.base, **fitted.fitted.values}, fitted.whitener
+    raw, slopes = slopes_of(world, fitter, whitener, at, [key for key, _ in columns[:named]])
+    out = np.zeros((len(raw), len(columns)))
+    out[:, :named] = slopes
+    settings = dict.fromkeys(shapes for _, shapes in columns[named:])
+    for shapes in settings:
+        rows = [j for j in range(named, len(columns)) if columns[j][1] == shapes]
+        point = {**at, **dict(shapes)}
+        out[:, rows] = slopes_of(world, fitter, whitener, point, [columns[j][0] for j in rows])[1]
+    z, jacobian = whitener.white_all(raw), whitener.white_slopes(out, raw)
+    weighted = jacobian * robust_weight(z, whitener.odds)[:, None]
+    origin = [coordinate_of(key, at.get(key, null_value_of(key))) for key, _ in columns]
+    origin[named:] = [0.0] * (len(columns) - named)
+    information = weighted.T @ jacobian
+    return Quadratic(np.array(origin), -(weighted.T @ z), 0.5 * (information + information.T))
+
+
+def _packed(x: Array) -> str:
+    return base64.b64encode(np.ascontiguousarray(x, dtype="<f8").tobytes()).decode("ascii")
+
+
+def _unpacked(text: str) -> Array:
+    return np.frombuffer(base64.b64decode(text), dtype="<f8").astype(np.float64)
+
+
+def _place(entry: Sequence[Any]) -> Place:
+    """A column's meaning from JSON."""
+    (name, q), shapes = entry
+    return (name, q), tuple(((n, p), float(v)) for (n, p), v in shapes)

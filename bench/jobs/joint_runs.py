@@ -1,0 +1,89 @@
+"""Many runs of one rig judged together, each with its own calibrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.files.journal import Journal
+from daq.recording import open_recording
+
+BEGINS = b'{"key"'  # of a file of summaries
+
+
+def judge_runs(
+    recordings: Sequence[Path],
+    profile: Path | None,
+    summaries: Path | None,
+    json: str | None,
+    report: Path | None,
+) -> bool:
+    """Judge the runs, show the verdict and write what is asked for.
+
+    Parameters
+    ----------
+    recordings
+        Of one rig.
+    profile
+        Replaces the recordings' own.
+    summaries
+        Keeps the summary of each run, to go on after an interruption.
+    json, report
+        Where the verdict and its pictures go.
+
+    Returns
+    -------
+    bool
+        Whether everything could be written.
+
+    Raises
+    ------
+    InputError
+        For recordings or a profile that will not do.
+    OSError
+        Where a file cannot be read, or summaries cannot be kept.
+    """
+    from analysis.joint.join_runs import join_runs
+    from analysis.joint.verdict_json import as_json
+    from analysis.report.figures_joint import write_pictures
+    from bench.profiles.find import load_measuring
+    from bench.terminal.console import print_lines, write_json
+    from bench.terminal.joint_display import show
+    from bench.terminal.loop_display import keep
+    from bench.terminal.progress import progress_bar
+
+    quiet = json == "-"
+    setup = None if profile is None else load_measuring(profile)[0]
+    journal = None if summaries is None else Journal(summaries)
+    with progress_bar(quiet) as bar:
+        found = join_runs(recordings, setup=setup, journal=journal, progress=bar)
+    if not quiet:
+        show(found)
+
+    def pictures(folder: Path) -> None:
+        path = write_pictures(found, folder, simulated=_simulated(recordings))
+        if not quiet and path.exists():
+            print_lines(f"picture: {path}")
+
+    outputs = [("verdict as JSON", lambda: write_json(as_json(found), json))]
+    if report is not None:
+        outputs.append(("pictures", lambda: pictures(report)))
+    return keep(outputs)
+
+
+def holds_summaries(path: Path) -> bool:
+    """Whether a file was written by `judge_runs`, and may be gone on with."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(BEGINS)) in (BEGINS, b"")
+    except OSError:
+        return False
+
+
+def _simulated(recordings: Sequence[Path]) -> bool:
+    """Whether any run was made on the simulated rig."""
+    for path in recordings:
+        with open_recording(path) as opened:
+            if opened.attrs.get("simulated"):
+                return True
+    return False

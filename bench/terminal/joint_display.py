@@ -1,0 +1,50 @@
+"""Terminal display of a joint verdict."""
+
+from __future__ import annotations
+
+import math
+
+from analysis.joint.result import JointVerdict, OverRuns
+
+WORDS = {"explained": "explained", "unexplained": "unexplained", "nothing_missing": "nothing missing"}
+
+
+def show(found: JointVerdict) -> None:
+    """Print the verdict, what the runs share, what belongs to each, and the course of the search."""
+    from rich.console import Console
+    from rich.table import Table
+
+    out = Console(highlight=False)
+    names = f": {' + '.join(found.names)}" if found.names else ""
+    out.print(f"\nverdict on {len(found.runs)} runs: {WORDS[found.verdict]}{names}", style="bold", soft_wrap=True)
+    for run in found.odd:
+        out.print(f"  {run.recording} is not explained ({', '.join(run.failed)})", soft_wrap=True)
+    if len(found.ties) > 1:
+        others = "; ".join(" + ".join(names) for names in found.ties[1:])
+        out.print(f"  the runs cannot tell this from: {others}", soft_wrap=True)
+    table = Table("parameter", "unit", "all runs", "from run to run", "constant, p", "trend a day, p", "")
+    for x in found.parameters:
+        if x.kind == "effect" or any(map(math.isfinite, x.sigmas)):
+            table.add_row(*_row(x))
+    out.print(table)
+    runs = Table(
+        "run", "started" if found.dated else "number", "flights", "rms of residuals", "landing (us)", "floor (us)"
+    )
+    for run in found.runs:
+        when = run.started if found.dated else f"{run.days:.0f}"
+        runs.add_row(
+            run.recording, when, str(run.flights), f"{run.ratio:.2f}", f"{run.landing_rms_us:.1f}",
+            f"{run.noise_floor_us:.1f}",
+        )  # fmt: skip
+    out.print(runs)
+    for line in found.rounds:
+        out.print(f"  {line}", soft_wrap=True)
+
+
+def _row(x: OverRuns) -> tuple[str, ...]:
+    test = x.constancy
+    trend = f"{test.slope:.2g}, {test.p_trend:.2g}" if math.isfinite(test.slope_sigma) else "-"
+    return (
+        f"{x.effect}.{x.parameter}", x.unit, f"{x.value:.3g} +- {x.sigma:.2g}", f"{x.spread:.2g}",
+        f"{test.p:.2g}" if test.degrees else "-", trend, "differs" if x.differs else "",
+    )  # fmt: skip

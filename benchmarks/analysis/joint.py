@@ -1,0 +1,86 @@
+"""Joint verdicts over short runs of the other plant, whose calibrations differ every time; memory and processor time.
+
+    python -m benchmarks.analysis.joint --runs 10 --seed 1 --hide viscous_damping.rate_per_s=0.05 --alone
+
+``--alone`` closes the loop on each run by itself as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from typer.testing import CliRunner
+
+from analysis.joint.join_runs import join_runs
+from analysis.loop.close_loop import close_loop
+from bench.cli import app
+from benchmarks.plants import other_plant as plant
+
+SPREADS = {"drive_gain.relative": 0.004, "accelerometer_gain.relative": 0.0025, "phase_lag.delay_s": 1e-5}
+"""From run to run, standard deviations: half of what the profile states, or somewhat less."""
+
+
+def short_runs(folder: Path, runs: int, seed: int, hidden: Mapping[str, float]) -> list[Path]:
+    """Recordings of ten steps, of one rig whose calibrations are others every time."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for i in range(runs):
+        own = {name: spread * rng.standard_normal() for name, spread in SPREADS.items()}
+        gammas = tuple(np.round(np.linspace(0.6, 2.2, 10), 4).tolist())
+        run = plant.Run(gammas=gammas, seed=int(rng.integers(2**31)), hidden={**own, **hidden})
+        where = folder / f"run{i}"
+        csv = plant.write(run, where)
+        profile, recording = where / "profile.toml", where / "run.h5"
+        done = CliRunner().invoke(app, ["import", str(csv), "--profile", str(profile), "--out", str(recording)])
+        if done.exit_code:
+            raise RuntimeError(done.output)
+        csv.unlink()
+        out.append(recording)
+    return out
+
+
+def peak_mb() -> float:
+    """Most memory that this process has had, MB; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def main() -> None:
+    """Print the joint verdict, and those of single runs."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--hide", action="append", default=[], metavar="EFFECT.KEY=SIZE")
+    parser.add_argument("--alone", action="store_true")
+    args = parser.parse_args()
+    hidden = {name: float(size) for name, _, size in (one.partition("=") for one in args.hide)}
+    with tempfile.TemporaryDirectory() as name:
+        paths = short_runs(Path(name), args.runs, args.seed, hidden)
+        began = time.process_time()
+        found = join_runs(paths)
+        seconds = (time.process_time() - began) / len(paths) / found.passes
+        print(f"seed {args.seed}, {args.hide or 'nothing hidden'}: {found.verdict} {found.names}, ties {found.ties}")
+        print(f"  {found.passes} passes, {seconds:.2f} processor s a run and pass, at most {peak_mb():.0f} MB")
+        for line in found.rounds:
+            print(f"  {line}")
+        for x in found.parameters:
+            if x.kind == "effect":
+                smallest = min(x.sigmas)
+                print(
+                    f"  {x.effect}.{x.parameter} = {x.value:.3g} +- {x.sigma:.2g}; the best run alone +- {smallest:.2g}"
+                )
+        for path in paths if args.alone else ():
+            loop = close_loop([path])
+            print(f"  {path.parent.name} alone: {loop.verdict} {loop.names}, ties {loop.ties}")
+
+
+if __name__ == "__main__":
+    main()
