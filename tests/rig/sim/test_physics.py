@@ -158,6 +158,15 @@ def test_friction_delays_take_off_until_the_pull_exceeds_it() -> None:
     assert phase == pytest.approx(math.asin(1.3 / 2.0), abs=1e-6)
 
 
+def test_a_flight_that_rises_twice_under_friction_repeats_wherever_the_samples_fall() -> None:
+    """c = 2: the long flight stops falling and rises again in mid-air; in a locked motion all of them are alike."""
+    rod = Scenario("rod", {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.15}})
+    found = flights(rod, drive(1.5, 4.0, c=2), 24)
+    lengths = found[:, 1] - found[:, 0]
+    assert lengths.max() > 0.05
+    assert np.ptp(lengths[lengths > 0.05]) < 1e-7
+
+
 @pytest.mark.parametrize(("gamma_peak", "period"), [(1.57, 1), (1.90, 2)])
 def test_locked_cycle_with_restitution_lives_and_doubles_where_it_should(gamma_peak: float, period: int) -> None:
     """e = 0.4: coming from above, period 1 is locked inside its window 1.346 to 1.793 and doubled above it."""
