@@ -1,6 +1,6 @@
 """The plate while the drive fades from step to step: between the motions of both steps, as the drive's weight has it.
 
-A plate mode rings on from step to step, struck by flights in the fade, too: how hard depends on the plate's motion then.
+A plate mode rings on from step to step. Flights in the fade strike it, too: how hard depends on the plate's motion.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def step_length(period: float, tones: Floats) -> float:
 @compiled
 def between_steps(every: Floats, m: int, beside: int, share: float) -> Floats:
     """Tones of step ``m`` less a ``share`` that those of the step ``beside`` have; that of a plate at rest for -1."""
-    tones = every[m].copy()
+    tones: Floats = every[m].copy()
     for k in range(tones.shape[0]):
         tones[k, 1:] *= 1.0 - share
         for j in range(tones.shape[0] if beside >= 0 else 0):

@@ -6,7 +6,15 @@ import numpy as np
 
 from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode
-from model.integrator.plate import between_steps, mode_at_rest, mode_under_ball, project_mode, step_length, strike, with_state
+from model.integrator.plate import (
+    between_steps,
+    mode_at_rest,
+    mode_under_ball,
+    project_mode,
+    step_length,
+    strike,
+    with_state,
+)
 from model.integrator.records import (
     Chain,
     Events,

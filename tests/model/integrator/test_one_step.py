@@ -113,7 +113,7 @@ def fall_with_friction(plate, takeoff_s, mu_up, mu_down, dt):
 
 
 def test_a_short_rise_in_mid_air_feels_the_friction_of_a_rise():
-    """c = 3 under friction: a ball that rises for a fraction of a step in the middle of its fall lands when it should."""
+    """c = 3 under friction: a ball that rises for a fraction of a step within its fall lands when it should."""
     w, g = OMEGA_RADPS * np.array([1.0, 3.0]), 0.8 * G_MPS2
     plate = Plate(w, 1j * g * np.array([1.0, 9.0]))
     rod = {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.15}}
