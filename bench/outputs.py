@@ -33,11 +33,22 @@ CSV = Form("a table (CSV)", (".csv", ".txt"))
 PACKED_CSV = Form("a table (CSV)", (".csv", ".csv.gz", ".txt"))
 NPZ = Form("arrays (NPZ)", (".npz",), only=True)
 HDF5 = Form("HDF5", (".h5", ".hdf5"))
+PARQUET = Form("a table (Parquet)", (".parquet", ".pq"), only=True)
+NETCDF = Form("NetCDF", (".nc",), only=True)
+MATLAB = Form("a MATLAB file", (".mat",), only=True)
+UFF = Form("a universal file (UFF58)", (".uff", ".unv"), only=True)
+TDMS = Form("TDMS", (".tdms",), only=True)
 PROFILE = Form("a profile (TOML)", (".toml",))
+HTML = Form("a page (HTML)", (".html", ".htm"), only=True)
+PDF = Form("a page (PDF)", (".pdf",), only=True)
+LOOP = Form("a closed loop", (".loop",), only=True)
 TABLE = Form("a table (Parquet or CSV)", (".parquet", ".csv"), only=True)
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 PYTHON = Form("an effect (Python)", (".py",), only=True)
-KNOWN = {suffix for form in (JSON, PACKED_CSV, NPZ, HDF5, PROFILE, TABLE, PICTURE) for suffix in form.suffixes} | {
+FORMS = (
+    JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, LOOP, TABLE, PICTURE, PYTHON,
+)  # fmt: skip
+KNOWN = {suffix for form in FORMS for suffix in form.suffixes} | {
     ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",
     ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
 }  # fmt: skip

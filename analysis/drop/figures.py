@@ -68,11 +68,12 @@ def draw_times(drops: Sequence[Drop], verdict: Verdict, g_mps2: float, target: P
         longest, shortest = max(longest, float(flights[n - 1].max())), min(shortest, float(flights[n - 1].min()))
     grid = np.linspace(shortest, longest, 200)
     for name, colour in dict.fromkeys([("constant_restitution", "tab:orange"), (verdict.best, "tab:blue")]):
-        rung = verdict.rung(name)
-        top.plot(1e3 * grid, rung.model.next_flight_s(rung.fit.theta, grid, g_mps2) / grid, lw=1, color=colour)
-        label = f"{name}, rms {1e3 * rung.rms_s:.2f} ms"
+        candidate = verdict.candidate(name)
+        after = candidate.model.next_flight_s(candidate.fit.theta, grid, g_mps2)
+        top.plot(1e3 * grid, after / grid, lw=1, color=colour)
+        label = f"{name}, rms {1e3 * candidate.rms_s:.2f} ms"
         for d, drop in enumerate(drops):
-            left = rung.fit.residuals_s[d]
+            left = candidate.fit.residuals_s[d]
             n = drop.bounces.usable
             before = drop.bounces.intervals_s[n - 1]
             from_height = int(drop.height_m is not None and drop.bounces.missed[0] == 0)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.film.camera_fit import CameraFit, CameraRung
+from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion, with_doubts
 from analysis.drop.film.trajectory import SHAPES
 from analysis.drop.outcome import (
@@ -77,48 +77,48 @@ def of_camera(names: Sequence[str], fit: CameraFit, units: Units, rng: np.random
     """
     refuse_other_motion(fit, names[0])
     verdict = judge_camera(fit)
-    rung = verdict.best
-    measured_g = _gravity(fit, rung.shape, units, names[0])
-    g_fit = float(fit.shapes[rung.shape].values[0])
+    candidate = verdict.best
+    measured_g = _gravity(fit, candidate.shape, units, names[0])
+    g_fit = float(fit.shapes[candidate.shape].values[0])
     frame_s = units.frame_s if units.frame_s is not None else float(np.sqrt(g_fit / units.g_mps2))
     scale = units.scale_m if units.scale_m is not None else units.g_mps2 * frame_s**2 / g_fit
     timed = units.frame_s is not None
-    height = _height(fit, rung, scale, units, timed)
-    _refuse_slow_motion(names[0], fit, rung, units, scale)
+    height = _height(fit, candidate, scale, units, timed)
+    _refuse_slow_motion(names[0], fit, candidate, units, scale)
     quality = _quality(fit)
-    verdict = with_doubts(verdict, _doubts(quality, measured_g, fit, rung, units))
-    seen = fit.impacts[rung.shape]
+    verdict = with_doubts(verdict, _doubts(quality, measured_g, fit, candidate, units))
+    seen = fit.impacts[candidate.shape]
     payload: dict[str, Any] = {
         "kind": "camera",
         "files": list(names),
         "impacts_s": (seen.frame * frame_s).tolist() if timed else [],
         "impacts_frames": seen.frame.tolist(),
-        "models": [_model(r, fit, frame_s, scale, timed) for r in fit.rungs],
+        "models": [_model(r, fit, frame_s, scale, timed) for r in fit.candidates],
         "chosen": verdict.chosen,
-        "best": rung.model.name,
+        "best": candidate.model.name,
         "explained": not verdict.doubts,
         "unexplained_because": list(verdict.doubts),
         "tie_set": list(verdict.tie_set),
         "drop_height_m": height,
-        "restitution": _bounces(fit, rung, frame_s, scale, timed),
+        "restitution": _bounces(fit, candidate, frame_s, scale, timed),
         "friction": _friction(fit),
         "friction_up_down": _one_sided(fit, units),
         "acceleration_mps2": _accelerations(fit, units, frame_s, scale, rng) if timed else None,
         "g_mps2": measured_g,
         "scale_m_per_unit": {"value": scale if timed else None, "from_gravity": units.scale_m is None},
         "fit": quality,
-        "flights": _flights(fit, rung, frame_s, scale, timed),
+        "flights": _flights(fit, candidate, frame_s, scale, timed),
     }
     words = _in_words(payload, units, len(names))
-    declared = [] if verdict.doubts else _declared(rung, fit, frame_s, scale, timed, names)
+    declared = [] if verdict.doubts else _declared(candidate, fit, frame_s, scale, timed, names)
     return Outcome(payload, words, declared)
 
 
-def _refuse_slow_motion(where: str, fit: CameraFit, rung: CameraRung, units: Units, scale: float) -> None:
+def _refuse_slow_motion(where: str, fit: CameraFit, candidate: CameraCandidate, units: Units, scale: float) -> None:
     """A film whose playback rate would make the fall, or the ball, larger than any."""
     if not units.assumed_rate or units.frame_s is None:
         return
-    fall = float(np.nanmax(fit.fall_height[rung.shape][0], initial=0.0)) * scale
+    fall = float(np.nanmax(fit.fall_height[candidate.shape][0], initial=0.0)) * scale
     ball = (units.ball or 0.0) * scale
     if fall > _TALLEST_FALL_M or ball > _LARGEST_BALL_M:
         size = f" and a ball of {ball:.2g} m" if units.ball else ""
@@ -130,7 +130,7 @@ def _refuse_slow_motion(where: str, fit: CameraFit, rung: CameraRung, units: Uni
 
 
 def _doubts(
-    quality: dict[str, Any], g: dict[str, float | None] | None, fit: CameraFit, rung: CameraRung, units: Units
+    quality: dict[str, Any], g: dict[str, float | None] | None, fit: CameraFit, candidate: CameraCandidate, units: Units
 ) -> list[str]:
     """What contradicts the model, in words."""
     words = []
@@ -146,7 +146,7 @@ def _doubts(
         if abs(off) > max(CONTRADICTION_SIGMAS * sigma, _SAME_G * units.g_mps2):
             more = ""
             both = _one_sided(fit, units)
-            if "mu" in rung.model.parameters and both is not None:
+            if "mu" in candidate.model.parameters and both is not None:
                 more = (
                     f"; if both are right, friction differs: {with_interval(both['up'])} g going up, "
                     f"{with_interval(both['down'])} g coming down"
@@ -175,9 +175,11 @@ def _one_sided(fit: CameraFit, units: Units) -> dict[str, dict[str, float | None
     return out
 
 
-def _flights(fit: CameraFit, rung: CameraRung, frame_s: float, scale: float, timed: bool) -> list[dict[str, Any]]:
+def _flights(
+    fit: CameraFit, candidate: CameraCandidate, frame_s: float, scale: float, timed: bool
+) -> list[dict[str, Any]]:
     """Each flight's file, order, first and last frame, and apex."""
-    shape = fit.shapes[rung.shape]
+    shape = fit.shapes[candidate.shape]
     unit = frame_s if timed else 1.0
     return [
         {
@@ -217,22 +219,23 @@ def _si(name: str, value: Any, frame_s: float, scale: float) -> Any:
     return value * {"e0": 1.0, "e1_s_per_m": frame_s / scale, "k_per_m": 1.0 / scale, "mu": 1.0}[name]
 
 
-def _parameters(rung: CameraRung, fit: CameraFit) -> dict[str, tuple[float, float]]:
-    """Values and half widths of a rung in file units."""
-    out = {"e0": (float(rung.law.theta[0]), float(rung.law.half_width[0]))}
-    if "e1_s_per_m" in rung.model.parameters:
-        out["e1_s_per_m"] = (float(rung.law.theta[1]), float(rung.law.half_width[1]))
+def _parameters(candidate: CameraCandidate, fit: CameraFit) -> dict[str, tuple[float, float]]:
+    """Values and half widths of a candidate in file units."""
+    out = {"e0": (float(candidate.law.theta[0]), float(candidate.law.half_width[0]))}
+    if "e1_s_per_m" in candidate.model.parameters:
+        out["e1_s_per_m"] = (float(candidate.law.theta[1]), float(candidate.law.half_width[1]))
     for name, key in (("mu", "f"), ("k_per_m", "k")):
-        if name in rung.model.parameters:
-            column = SHAPES[rung.shape].index(key)
-            draws = fit.values[rung.shape][:, column]
-            out[name] = (float(fit.shapes[rung.shape].values[column]), LEVEL_SIGMAS * float(draws.std()))
+        if name in candidate.model.parameters:
+            column = SHAPES[candidate.shape].index(key)
+            draws = fit.values[candidate.shape][:, column]
+            out[name] = (float(fit.shapes[candidate.shape].values[column]), LEVEL_SIGMAS * float(draws.std()))
     return out
 
 
-def _model(rung: CameraRung, fit: CameraFit, frame_s: float, scale: float, timed: bool) -> dict[str, Any]:
+def _model(candidate: CameraCandidate, fit: CameraFit, frame_s: float, scale: float, timed: bool) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
-    for name, (value, half) in _parameters(rung, fit).items():
+    law = candidate.law
+    for name, (value, half) in _parameters(candidate, fit).items():
         if not timed and name in ("e1_s_per_m", "k_per_m"):
             continue  # would need a speed or a length
         low = max(value - half, 0.0) if name in ("k_per_m", "e0") else value - half
@@ -241,19 +244,19 @@ def _model(rung: CameraRung, fit: CameraFit, frame_s: float, scale: float, timed
             parameters[key] = entry
     factor = frame_s if timed else np.nan
     return {
-        "name": rung.model.name,
+        "name": candidate.model.name,
         "parameters": parameters,
-        "rms_ms": milliseconds(_rms(rung.residual_frames) * factor),
-        "held_out_rms_ms": milliseconds(_rms(rung.held_out_frames) * factor),
-        "zero_excluded": rung.significant,
-        "restitution_scatter": rung.law.scatter,
-        "chi_square": {"value": rung.law.chi_square, "freedom": rung.law.freedom, "chance": rung.law.chance},
+        "rms_ms": milliseconds(_rms(candidate.residual_frames) * factor),
+        "held_out_rms_ms": milliseconds(_rms(candidate.held_out_frames) * factor),
+        "zero_excluded": candidate.significant,
+        "restitution_scatter": law.scatter,
+        "chi_square": {"value": law.chi_square, "freedom": law.freedom, "chance": law.chance},
         "covariance": {
-            "of": [name for name in SHAPES[rung.shape]],
-            "matrix": fit.shapes[rung.shape].covariance.tolist(),
+            "of": [name for name in SHAPES[candidate.shape]],
+            "matrix": fit.shapes[candidate.shape].covariance.tolist(),
             "unit": "the file's unit and frames",
         },
-        "identifiable": bool(np.isfinite(rung.law.half_width).all()),
+        "identifiable": bool(np.isfinite(law.half_width).all()),
     }
 
 
@@ -261,12 +264,14 @@ def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
-def _height(fit: CameraFit, rung: CameraRung, scale: float, units: Units, timed: bool) -> dict[str, float | None]:
+def _height(
+    fit: CameraFit, candidate: CameraCandidate, scale: float, units: Units, timed: bool
+) -> dict[str, float | None]:
     """Height from which the ball fell freely to its first impact."""
-    values, draws = fit.fall_height[rung.shape]
+    values, draws = fit.fall_height[candidate.shape]
     if not timed and units.scale_m is None:
         return interval(np.nan, np.nan, np.nan)
-    g_draws = fit.values[rung.shape][:, 0] / float(fit.shapes[rung.shape].values[0])
+    g_draws = fit.values[candidate.shape][:, 0] / float(fit.shapes[candidate.shape].values[0])
     out = []
     for value, own in zip(values, draws.T, strict=True):
         sigma = float(np.std(own / (g_draws if units.scale_m is None else 1.0))) / max(float(value), 1e-12)
@@ -276,8 +281,10 @@ def _height(fit: CameraFit, rung: CameraRung, scale: float, units: Units, timed:
     return pooled_height(out)
 
 
-def _bounces(fit: CameraFit, rung: CameraRung, frame_s: float, scale: float, timed: bool) -> list[dict[str, Any]]:
-    seen = fit.impacts[rung.shape]
+def _bounces(
+    fit: CameraFit, candidate: CameraCandidate, frame_s: float, scale: float, timed: bool
+) -> list[dict[str, Any]]:
+    seen = fit.impacts[candidate.shape]
     out = []
     for i in np.flatnonzero(seen.bounced):
         ratio = float(seen.speed_out[i] / seen.speed_in[i])
@@ -366,12 +373,12 @@ def _in_words(payload: dict[str, Any], units: Units, files: int) -> list[str]:
 
 
 def _declared(
-    rung: CameraRung, fit: CameraFit, frame_s: float, scale: float, timed: bool, names: Sequence[str]
+    candidate: CameraCandidate, fit: CameraFit, frame_s: float, scale: float, timed: bool, names: Sequence[str]
 ) -> list[Any]:
-    bounces = len(rung.law.predicted)
-    source = f"drop test by camera, {len(names)} file(s), {bounces} bounces ({names[0]}), {rung.model.name}"
+    bounces = len(candidate.law.predicted)
+    source = f"drop test by camera, {len(names)} file(s), {bounces} bounces ({names[0]}), {candidate.model.name}"
     out = []
-    for name, (value, half) in _parameters(rung, fit).items():
+    for name, (value, half) in _parameters(candidate, fit).items():
         if timed or name in ("e0", "mu"):
             own = _si(name, half / LEVEL_SIGMAS, frame_s, scale)
             out += declared_as(name, float(_si(name, value, frame_s, scale)), float(own), source)

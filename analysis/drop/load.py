@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
 from analysis.drop.options.corrections import NOTHING, Corrections
 from analysis.drop.options.progress import Progress
-from analysis.drop.read.readings import Points, read_tables
+from analysis.drop.read.contents import read_tables
+from analysis.drop.read.readings import Points
 from analysis.drop.read.tables import read_grids
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.one_ahead import Drop
@@ -28,6 +30,8 @@ _OTHER_SOUND_STARTS = (b"ID3", b"OggS", b"fLaC", b"\xff\xfb", b"\xff\xf3", b"\xf
 
 
 _IGNORE_REACH_S = 0.02
+_LONGEST_STEP_S = 5.0
+_ROUNDED_FRAMES = 0.1
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class Path2D:
         Heights are metres.
     tracked : Tracked or None
         For a film.
+    remarks, not_read : tuple of str
+        What was noticed, and what of the file was not read, with the reason (with the file's first path).
     """
 
     clip: Clip
@@ -50,6 +56,7 @@ class Path2D:
     metres: bool
     tracked: Tracked | None = None
     remarks: tuple[str, ...] = ()
+    not_read: tuple[str, ...] = ()
 
 
 def load(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Drop | Path2D:
@@ -115,27 +122,69 @@ def _film(path: Path, progress: Progress | None, corrections: Corrections) -> Pa
 
 
 def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
-    found = read_tables(read_grids(path), str(path))
+    """Every drop of a table; one that is refused is named, and the others are read."""
+    contents = read_tables(read_grids(path), str(path))
     drops: list[Drop] = []
     paths: list[Path2D] = []
-    for number, (label, item) in enumerate(found):
-        name = path.name if len(found) == 1 else f"{path.name} ({label or number + 1})"
-        if isinstance(item, Points):
-            paths.append(_path(item, name, corrections))
-        else:
+    not_read = list(contents.not_read)
+    refused: InputError | None = None
+    for number, (label, item) in enumerate(contents.found):
+        name = path.name if len(contents.found) == 1 else f"{path.name} ({label or number + 1})"
+        try:
+            if isinstance(item, Points):
+                paths.append(_path(item, name, corrections))
+                continue
             read = _drops(path, Onsets(item, np.ones(len(item)), np.full(len(item), np.nan)), 0.0, corrections)
-            more = "" if len(read) == 1 else " {} of " + str(len(read))
-            drops += [replace(drop, name=name + more.format(k + 1)) for k, drop in enumerate(read)]
-    return drops or paths
+        except InputError as error:
+            refused = refused or (error if isinstance(item, Points) else _in_milliseconds(error, item))
+            not_read.append(f"{label or number + 1}: {_without(str(error), path)}")
+            continue
+        more = "" if len(read) == 1 else " {} of " + str(len(read))
+        drops += [replace(drop, name=name + more.format(k + 1)) for k, drop in enumerate(read)]
+    if refused is not None and not drops and not paths:
+        raise refused
+    said = tuple(f"{path.name}: not read: {words}" for words in not_read)
+    if drops:
+        return [replace(drops[0], not_read=said), *drops[1:]]
+    return [replace(paths[0], not_read=said), *paths[1:]]
+
+
+def _in_milliseconds(error: InputError, times: Array) -> InputError:
+    """The error with a hint, where the numbers would be seconds too long for any flight."""
+    if len(times) > 1 and float(np.median(np.diff(np.sort(times)))) > _LONGEST_STEP_S:
+        return InputError(f"{error}. Are these milliseconds? Then say so in the heading: time (ms)")
+    return error
+
+
+def _without(words: str, path: Path) -> str:
+    """A reason without the file's name in front."""
+    for start in (f"{path}: ", f"{path.name}: "):
+        words = words.removeprefix(start)
+    return re.sub(r"^.*?\): ", "", words) if words.startswith(f"{path.name} (") else words
 
 
 def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
-    steps = np.diff(np.unique(found.clock))
-    frame_s = float(np.median(steps)) if found.in_seconds else 1.0
+    frame_s = _frame_s(found.clock) if found.in_seconds else 1.0
     kept = corrections.keeps(found.clock, 0.6 * frame_s)
     if corrections.region is not None:
         left, top, right, bottom = corrections.region
         kept &= (found.x >= left) & (found.x <= right) & (found.y >= top) & (found.y <= bottom)
     track = ball_of(found.clock[kept], found.x[kept], found.y[kept], name, corrections.axis_deg)
-    clip = Clip(name, track.clock / frame_s, track.height, track.acceleration * frame_s**2)
+    clip = Clip(name, _in_frames(track.clock, frame_s), track.height, track.acceleration * frame_s**2)
     return Path2D(clip, frame_s if found.in_seconds else None, found.metres, remarks=track.remarks)
+
+
+def _frame_s(clock: Array) -> float:
+    """Seconds a frame from times that may be rounded: the whole time over the number of steps."""
+    times = np.unique(clock)
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    return float(steps.sum() / np.maximum(np.round(steps / usual), 1.0).sum())
+
+
+def _in_frames(clock: Array, frame_s: float) -> Array:
+    """Times in frames from the first; on whole frames where all are there but for rounding."""
+    frames = (clock - clock[0]) / frame_s
+    whole = np.round(frames)
+    rounded = bool(np.abs(frames - whole).max() < _ROUNDED_FRAMES)
+    return np.asarray(clock[0] / frame_s + (whole if rounded else frames))

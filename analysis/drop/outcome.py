@@ -119,7 +119,7 @@ def of_times(
         "kind": "times",
         "files": [drop.name for drop in drops],
         "impacts_s": [float(t) for drop in drops for t in drop.bounces.impacts_s],
-        "models": [_model(rung, drops[0].height_m is not None) for rung in verdict.rungs],
+        "models": [_model(candidate, drops[0].height_m is not None) for candidate in verdict.candidates],
         "chosen": verdict.chosen,
         "best": verdict.best,
         "explained": verdict.chosen != UNEXPLAINED,
@@ -138,7 +138,7 @@ def _contradicted(payload: dict[str, Any], verdict: Verdict) -> None:
     """Stated heights taken as data that the impacts contradict, and that friction does not account for."""
     off = [one["stated_height_m"]["sigmas_off"] for one in payload["drops"] if "sigmas_off" in one["stated_height_m"]]
     worst = max(off, key=abs, default=0.0)
-    if abs(worst) > CONTRADICTION_SIGMAS and "mu" not in verdict.rung(verdict.best).model.parameters:
+    if abs(worst) > CONTRADICTION_SIGMAS and "mu" not in verdict.candidate(verdict.best).model.parameters:
         payload["unexplained_because"].append(
             f"a stated height taken as data is {worst:+.1f} sigma from what the impacts say, and friction does not "
             "account for it: check the height, and from which point of the ball it was measured"
@@ -146,30 +146,30 @@ def _contradicted(payload: dict[str, Any], verdict: Verdict) -> None:
         payload |= {"chosen": UNEXPLAINED, "explained": False}
 
 
-def _model(rung: Judged, with_height: bool) -> dict[str, Any]:
-    fit, half = rung.fit, rung.fit.half_width()
+def _model(candidate: Judged, with_height: bool) -> dict[str, Any]:
+    fit, half = candidate.fit, candidate.fit.half_width()
     parameters = {}
-    for name, value, reach in zip(rung.model.parameters, fit.theta, half, strict=True):
+    for name, value, reach in zip(candidate.model.parameters, fit.theta, half, strict=True):
         floor, ceiling = BOUNDS[name]
         entry = interval(value, max(value - reach, floor), min(value + reach, ceiling))
         if name == "mu":
             parameters["mu_up"] = parameters["mu_down"] = entry
         else:
             parameters[name] = entry
-    if not rung.identifiable:
+    if not candidate.identifiable:
         e = min(float(fit.theta[0]), 1.0)
         most = (1.0 - e * e) / (1.0 + e * e)
         parameters["e0"] = interval(fit.theta[0], fit.theta[0] - half[0], max(1.0, fit.theta[0]))
         parameters["mu_up"] = parameters["mu_down"] = interval(0.0, 0.0, most)
     chi2, freedom = chi_square(fit, _USUAL_JITTER_S)
     return {
-        "name": rung.model.name,
+        "name": candidate.model.name,
         "parameters": parameters,
-        "covariance": {"of": list(rung.model.parameters), "matrix": fit.covariance.tolist()},
-        "rms_ms": milliseconds(rung.rms_s),
-        "held_out_rms_ms": milliseconds(rung.held_out_rms_s),
-        "identifiable": rung.identifiable,
-        "zero_excluded": rung.identifiable and rung.significant,
+        "covariance": {"of": list(candidate.model.parameters), "matrix": fit.covariance.tolist()},
+        "rms_ms": milliseconds(candidate.rms_s),
+        "held_out_rms_ms": milliseconds(candidate.held_out_rms_s),
+        "identifiable": candidate.identifiable,
+        "zero_excluded": candidate.identifiable and candidate.significant,
         "jitter_ms": 1e3 * fit.widths.jitter_s,
         "restitution_scatter": fit.widths.scatter,
         "rebound_scatter_ms": 1e3 * fit.widths.rebound_s,
@@ -178,26 +178,26 @@ def _model(rung: Judged, with_height: bool) -> dict[str, Any]:
 
 
 def _height(drop: Drop, verdict: Verdict, g_mps2: float, rng: np.random.Generator) -> dict[str, float | None]:
-    """Drop height from the first flight, over every rung that the data leave standing."""
+    """Drop height from the first flight, over every candidate that the data leave standing."""
     if drop.bounces.missed[0] != 0:
         return interval(np.nan, np.nan, np.nan)
     first = float(drop.bounces.intervals_s[0])
     lows, highs, value = [], [], np.nan
-    chosen = verdict.rung(verdict.best)
-    for rung in verdict.rungs:
-        name, fit = rung.model.name, rung.fit
-        simple = len(rung.model.parameters) <= 2 or rung is chosen
-        if not rung.identifiable or not simple or gain_of(chosen, rung)[1]:
+    chosen = verdict.candidate(verdict.best)
+    for candidate in verdict.candidates:
+        name, fit = candidate.model.name, candidate.fit
+        simple = len(candidate.model.parameters) <= 2 or candidate is chosen
+        if not candidate.identifiable or not simple or gain_of(chosen, candidate)[1]:
             continue
         sigma = fit.half_width() / LEVEL_SIGMAS
         scale = sigma / np.maximum(np.sqrt(np.diag(fit.covariance)), 1e-300)
         theta = fit.theta + scale * rng.multivariate_normal(np.zeros(len(sigma)), fit.covariance, _DRAWS, method="svd")
-        low, high = np.array([BOUNDS[p] for p in rung.model.parameters]).T
+        low, high = np.array([BOUNDS[p] for p in candidate.model.parameters]).T
         flight = first + np.sqrt(2.0) * fit.widths.jitter_s * rng.standard_normal(_DRAWS)
         scatter = fit.widths.scatter * rng.standard_normal(_DRAWS)
-        draws = rung.model.drop_height_m(np.clip(theta, low, high), flight, g_mps2, scatter)
+        draws = candidate.model.drop_height_m(np.clip(theta, low, high), flight, g_mps2, scatter)
         if name == verdict.best:
-            value = float(rung.model.drop_height_m(fit.theta, np.array(first), g_mps2, np.array(0.0)))
+            value = float(candidate.model.drop_height_m(fit.theta, np.array(first), g_mps2, np.array(0.0)))
         if np.isfinite(draws).sum() > 0.5 * _DRAWS:
             a, b = np.nanquantile(draws, [0.025, 0.975])
             lows.append(a)
@@ -317,18 +317,18 @@ def describe_choice(payload: dict[str, Any]) -> list[str]:
 
 
 def _measured(verdict: Verdict, drops: Sequence[Drop]) -> list[Measured]:
-    rung = verdict.rung(verdict.chosen)
-    rows = int(np.isfinite(rung.fit.residuals_s).sum())
+    candidate = verdict.candidate(verdict.chosen)
+    rows = int(np.isfinite(candidate.fit.residuals_s).sum())
     source = f"drop test by impact times, {len(drops)} drop(s), {rows} bounces ({drops[0].name}), {verdict.chosen}"
-    sigma = rung.fit.half_width() / LEVEL_SIGMAS
+    sigma = candidate.fit.half_width() / LEVEL_SIGMAS
     out = []
-    for name, value, own in zip(rung.model.parameters, rung.fit.theta, sigma, strict=True):
+    for name, value, own in zip(candidate.model.parameters, candidate.fit.theta, sigma, strict=True):
         out += declared_as(name, float(value), float(own), source)
     return out
 
 
 def declared_as(name: str, value: float, sigma: float, source: str) -> list[Measured]:
-    """A ladder's parameter under the names of the effect library; nothing where it is compatible with zero."""
+    """A model's parameter under the names of the effect library; nothing where it is compatible with zero."""
     if not np.isfinite(sigma) or not abs(value) > LEVEL_SIGMAS * sigma:
         return []
     effect = {"k_per_m": "quadratic_drag", "mu": "coulomb_friction"}.get(name, "restitution")

@@ -16,7 +16,7 @@ from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
 from model.bifurcations.forbidden_zones import forbidden_zones
-from model.bifurcations.sweep import observed_bifurcations
+from model.bifurcations.sweep import TYPES, each_observed
 from model.effects.registry import effect, resolve
 from model.effects.routing import Effects, accelerometer_factor, ball_effects
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
@@ -321,10 +321,14 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), BIFURCATION_RANGE * max(p.gamma for p in plates)
-    found = [
-        b for b in observed_bifurcations(ball, low, high, sweep="up", steps=BIFURCATION_STEPS) if b.type not in STARTS
-    ]
-    if not found:
+    wanted, found = "" if measured is None else measured.type, None
+    for change in each_observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS):
+        if change.type in STARTS:
+            continue
+        found = found or change
+        if wanted not in TYPES or change.type == wanted:
+            same = change.gamma if change.type == wanted else nan
+            return FirstBifurcation(measured, found.type, found.gamma, same)
+    if found is None:
         return FirstBifurcation(measured, "", nan, nan)
-    same = next((b.gamma for b in found if measured is not None and b.type == measured.type), nan)
-    return FirstBifurcation(measured, found[0].type, found[0].gamma, same)
+    return FirstBifurcation(measured, found.type, found.gamma, nan)

@@ -201,7 +201,10 @@ class PlateTable:
 
 @dataclass(frozen=True)
 class Source:
-    """Provenance of one recording, as its file states it."""
+    """Provenance of one recording, as its file states it.
+
+    ``identity`` is `daq.recording.identity.stored_id`, by which the verdict is found again beside the recording.
+    """
 
     file: str
     rig: str
@@ -211,6 +214,7 @@ class Source:
     note: str
     software_version: str
     software_commit: str
+    identity: str = ""
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,8 @@ def _value(kind: Any, tree: Any, file: h5py.File) -> Any:
         return {key: _value(inner[1], x, file) for key, x in tree.items()}
     if dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
-        return kind(**{f.name: _value(hints[f.name], tree[f.name], file) for f in dataclasses.fields(kind)})  # type: ignore[operator]
+        there = [f.name for f in dataclasses.fields(kind) if f.name in tree or f.default is dataclasses.MISSING]
+        return kind(**{name: _value(hints[name], tree[name], file) for name in there})  # type: ignore[operator]
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return kind.model_validate(tree)
     return float(tree) if kind is float else tree

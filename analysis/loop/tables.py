@@ -22,6 +22,7 @@ from analysis.loop.result import (
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel, Values
 from daq.recording import open_recording
+from daq.recording.identity import stored_id
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.effects.registry import resolve
@@ -75,9 +76,10 @@ def source_of(path: Path) -> Source:
     with open_recording(path) as opened:
         setup, attrs = opened.setup, opened.attrs
         rig = f"{setup.name} ({setup.description})" if setup.description else setup.name
-        texts = (str(attrs.get(key, "")) for key in ("note", "software_version", "software_commit"))
+        note, version, commit = (str(attrs.get(key, "")) for key in ("note", "software_version", "software_commit"))
         started, backend = str(attrs.get("started", "")), str(attrs.get("backend", ""))
-        return Source(path.name, rig, started, backend, bool(attrs.get("simulated", False)), *texts)
+        simulated = bool(attrs.get("simulated", False))
+        return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened))
 
 
 def first_bifurcations(

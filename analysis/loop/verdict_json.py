@@ -70,6 +70,7 @@ def as_json(
         "notes": list(loop.notes),
         "flights": len(loop.flights),
         "sources": list(loop.paths),
+        "source_ids": [source.identity for source in loop.sources],
     }
 
 

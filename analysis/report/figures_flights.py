@@ -50,9 +50,10 @@ def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure) ->
     marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
     x, y = values[np.maximum(flights.step, 0)], 1e3 * flights.duration_s
     plain = true & ~marked
-    ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=style.MEASURED, alpha=0.75, label="measured")
+    (line,) = ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=style.MEASURED, alpha=0.75, label="measured")
+    style.name_flights(line, np.flatnonzero(plain))
     if np.any(true & marked):
-        ax.plot(
+        (line,) = ax.plot(
             x[true & marked],
             y[true & marked],
             "x",
@@ -61,6 +62,7 @@ def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure) ->
             color=style.DOUBTFUL,
             label="measured: double hit, or unsure",
         )
+        style.name_flights(line, np.flatnonzero(true & marked))
     ax.set_xlabel(shown.label)
     ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
     top = max(top, float(y[true].max()) if true.any() else 0.0)
@@ -112,7 +114,8 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
         model = 1e3 * own.predicted_s
         pairs = np.append(model, model[:1]) if own.periodic else model
         ax.plot(pairs[:-1], pairs[1:], "s", ms=9, mew=1.4, mfc="none", color=style.MODEL, label="model")
-        ax.plot(tau[:-1], tau[1:], "o", ms=3.5, mew=0, color=style.MEASURED, label="measured")
+        (line,) = ax.plot(tau[:-1], tau[1:], "o", ms=3.5, mew=0, color=style.MEASURED, label="measured")
+        style.name_flights(line, np.flatnonzero(good)[:-1])
         span = np.concatenate([tau, model])
         pad = 0.08 * (np.ptp(span) if np.ptp(span) > 0 else 1.0) + 0.5
         limits = (span.min() - pad, span.max() + pad)

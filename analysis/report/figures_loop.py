@@ -42,8 +42,14 @@ def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
     ax.semilogy(gamma, floor, "_", ms=11, mew=2.0, color=FLOOR, label="noise floor")
     for name, side, colour in sides(loop):
         error = _by_step(loop, side.landing_residual_s, lambda x: 1.4826 * np.median(np.abs(x)))
-        ax.semilogy(gamma[~held], error[~held], "o", ms=4, color=colour, label=name)
-        ax.semilogy(gamma[held], error[held], "D", ms=6, mfc="none", mew=1.5, color=colour, label=f"{name}, held out")
+        mark: dict[str, Any] = (
+            {"mfc": "none", "marker": "s", "ms": 6.5} if colour == BEFORE else {"marker": "o", "ms": 4}
+        )
+        ax.semilogy(gamma[~held], error[~held], ls="", color=colour, label=name, **mark)
+        size = 8 if colour == BEFORE else 5
+        ax.semilogy(
+            gamma[held], error[held], "D", ms=size, mfc="none", mew=1.5, color=colour, label=f"{name}, held out"
+        )
     ax.set_xlabel(shown.label)
     ax.set_ylabel(r"landing error (robust), $\mu$s")
     ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -77,7 +77,7 @@ def _draw(
         values = (shown.factor if covariate == "gamma" else about.scale) * x[covariate][rows]
         column = axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]
         for ax, (side, predicted, colour) in zip(column, shown_sides, strict=True):
-            _panel(ax, values, 1e6 * residual_of(predicted)[rows], colour, floor_us)
+            _panel(ax, values, 1e6 * residual_of(predicted)[rows], np.flatnonzero(rows), colour, floor_us)
             if i % COLUMNS == 0:
                 ax.set_ylabel(f"{side}, $\\mu$s", color=colour)
         for ax in column[:-1]:
@@ -91,7 +91,7 @@ def _draw(
     axes[0, 0].set_title(f"{event}: measured minus predicted", loc="left", fontsize=10)
 
 
-def _panel(ax: Any, x: Array, residual_us: Array, colour: str, floor_us: float) -> None:
+def _panel(ax: Any, x: Array, residual_us: Array, flights: NDArray[np.int64], colour: str, floor_us: float) -> None:
     """One covariate: residuals (triangles: beyond the axis), medians of equal shares, the noise floor."""
     known = np.isfinite(x) & np.isfinite(residual_us)
     x, y = x[known], residual_us[known]
@@ -101,7 +101,7 @@ def _panel(ax: Any, x: Array, residual_us: Array, colour: str, floor_us: float) 
     limit = 1.15 * max(float(np.percentile(np.abs(y), SHOWN)), AT_LEAST_FLOORS * floor, 1e-3)
     ax.axhspan(-floor, floor, color=FLOOR, alpha=0.35, lw=0)
     ax.axhline(0.0, color=FLOOR, lw=0.6)
-    beyond = clipped_dots(ax, x, y, limit, color=colour)
+    beyond = clipped_dots(ax, x, y, limit, flights[known], color=colour)
     if beyond:
         place = {"xycoords": "axes fraction", "ha": "right", "bbox": PAPER}
         ax.annotate(f"{beyond} beyond", (0.98, 0.04), fontsize=6.5, color=colour, **place)

@@ -92,15 +92,7 @@ def write_report(
         "software_version": software_version(),
         "software_commit": software_commit(),
     }
-    pictures: dict[str, Callable[[Figure], None]] = {
-        "errors": partial(draw_errors, loop),
-        "residuals": partial(draw_landings, loop),
-        "takeoffs": partial(draw_takeoffs, loop),
-        "plate": partial(draw_plate, loop),
-        "candidates": partial(draw_candidates, loop),
-    }
-    if loop.discovered is not None:
-        pictures["discovered"] = partial(draw_discovery, loop.discovered)
+    pictures = loop_figures(loop)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         payload = json.dumps(_payload(loop, software, kept), indent=1)
@@ -113,6 +105,20 @@ def write_report(
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page
+
+
+def loop_figures(loop: ClosedLoop) -> dict[str, Callable[[Figure], None]]:
+    """Functions that draw the figures of a closed loop, by name."""
+    pictures: dict[str, Callable[[Figure], None]] = {
+        "errors": partial(draw_errors, loop),
+        "residuals": partial(draw_landings, loop),
+        "takeoffs": partial(draw_takeoffs, loop),
+        "plate": partial(draw_plate, loop),
+        "candidates": partial(draw_candidates, loop),
+    }
+    if loop.discovered is not None:
+        pictures["discovered"] = partial(draw_discovery, loop.discovered)
+    return pictures
 
 
 def _payload(loop: ClosedLoop, software: dict[str, str], kept: KeptTerm | None) -> dict[str, Any]:
@@ -164,17 +170,28 @@ def _page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: KeptTe
         f"<title>Closed loop: {names}</title>",
         f"<style>{STYLE}</style><h1>Closed loop</h1><p>{mark} {names}</p>",
         f"<p class='verdict' style='--c:{COLOURS[loop.verdict]}'><b>{html.escape(verdict_line(loop))}</b></p>",
-        f"<p>{_html(_capital(rejected_in_words(loop)))}.</p>" if loop.rejected is not None else "",
-        _provenance_table(loop, software),
-        f"<p>{_html(_definition(loop, scale))}</p>",
+        f"<p>{plain_html(_capital(rejected_in_words(loop)))}.</p>" if loop.rejected is not None else "",
+        provenance_table(loop, software),
+        f"<p>{plain_html(_definition(loop, scale))}</p>",
+        *loop_parts(loop, scale, partial(_picture, folder), kept),
+        "</html>",
+    ]
+    return "\n".join(p for p in parts if p)
+
+
+def loop_parts(
+    loop: ClosedLoop, scale: GammaScale, picture: Callable[[str], str], kept: KeptTerm | None = None
+) -> list[str]:
+    """The residual story of a closed loop as HTML; ``picture`` gives the element of a figure by its name."""
+    return [
         _errors_table(loop),
-        _picture(folder, "errors"),
+        picture("errors"),
         _effects_table(loop),
         _bifurcation_sentence(loop.first_bifurcations, scale),
         "<h2>Why</h2>",
         _reasoning(loop),
-        _picture(folder, "candidates"),
-        _picture(folder, "discovered"),
+        picture("candidates"),
+        picture("discovered"),
         forms_table(loop.discovered) if loop.discovered is not None else "",
         kept_section(kept) if kept is not None else "",
         "<h2>What else it could be</h2>",
@@ -186,15 +203,13 @@ def _page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: KeptTe
         "<h2>Residuals against what might cause them</h2>",
         "<p>Every event is predicted from the one before it. Grey: the noise floor. Line: medians. Triangles: "
         "residuals beyond the axis, drawn at its edge; their number stands beside them.</p>",
-        _picture(folder, "residuals"),
-        _picture(folder, "takeoffs"),
-        _picture(folder, "plate"),
-        "</html>",
+        picture("residuals"),
+        picture("takeoffs"),
+        picture("plate"),
     ]
-    return "\n".join(p for p in parts if p)
 
 
-def _html(text: str) -> str:
+def plain_html(text: str) -> str:
     """Plain text as HTML, with the figures' signs for microseconds, gamma and plus or minus."""
     signs = {
         r" us\b": " &micro;s",
@@ -219,23 +234,24 @@ def _definition(loop: ClosedLoop, scale: GammaScale) -> str:
     return scale.definition + (" The discovered curve alone is over gamma = A w^2/g." if also else "")
 
 
-def _provenance_table(loop: ClosedLoop, software: dict[str, str]) -> str:
+def provenance_table(loop: ClosedLoop, software: dict[str, str]) -> str:
     """Date, rig, note and versions of each recording, and of this page."""
     rows = []
     for m in loop.sources:
         note = f"; note: {m.note}" if m.note else ""
         when = m.started[:19].replace("T", " ")
-        version = _software(m.software_version, m.software_commit)
+        version = software_words(m.software_version, m.software_commit)
         rows.append(
             (m.file, f"{m.rig}, back end {m.backend}; {when + ' UTC' if when else 'date unknown'}; {version}{note}")
         )
-    own = _software(software["software_version"], software["software_commit"])
+    own = software_words(software["software_version"], software["software_commit"])
     rows.append(("this page", f"{software['date']}; {own}"))
     body = "".join(f"<tr><td>{html.escape(a)}</td><td>{html.escape(b)}</td></tr>" for a, b in rows)
     return f"<table class='meta'>{body}</table>"
 
 
-def _software(version: str, commit: str) -> str:
+def software_words(version: str, commit: str) -> str:
+    """Version and commit of the software, as text."""
     return f"shakerbench {version}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
 
 
@@ -290,14 +306,15 @@ def _bifurcation_sentence(first: FirstBifurcations | None, scale: GammaScale) ->
         low, high = scale.factor * first.measured.gamma_low, scale.factor * first.measured.gamma_high
         measured = f"{first.measured.type} between {scale.name} {low:.4f} and {high:.4f}"
     before, after = predicted(first.before), predicted(first.after)
-    return _html(f"First bifurcation: in the data {measured}; before: {before}; after: {after}.").join(("<p>", "</p>"))
+    words = f"First bifurcation: in the data {measured}; before: {before}; after: {after}."
+    return f"<p>{plain_html(words)}</p>"
 
 
 def _reasoning(loop: ClosedLoop) -> str:
     summaries = [
         f"<li><b>{plain(f.name)}</b>: {html.escape(effect(f.name).effect.summary)}.</li>" for f in loop.effects
     ]
-    lines = [f"<li>{_html(_capital(r))}</li>" for r in reasoning(loop)]
+    lines = [f"<li>{plain_html(_capital(r))}</li>" for r in reasoning(loop)]
     return f"<ol>{''.join(lines)}</ol>" + (f"<ul>{''.join(summaries)}</ul>" if summaries else "")
 
 
@@ -306,7 +323,7 @@ def _alternatives(loop: ClosedLoop) -> str:
     if not others:
         return "<p>No other named set of effects predicts the held-out steps as well.</p>"
     hints = "".join(
-        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {_html(how)}</li>"
+        f"<li>{plain(f.name)} against {html.escape(plain(o))}: {plain_html(how)}</li>"
         for f in loop.effects
         for o, how in effect(f.name).effect.confused_with.items()
         if any(plain(o) in x for x in others)
@@ -327,7 +344,7 @@ def _remains(loop: ClosedLoop) -> str:
         words += f"<p>What is left goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
     if loop.discovered is not None:
         words += f"<p>Discovered: {html.escape(loop.discovered.description)}.</p>"
-    notes = "".join(f"<li>{_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))
+    notes = "".join(f"<li>{plain_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))
     return words + (f"<ul>{notes}</ul>" if notes else "")
 
 

@@ -53,6 +53,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
+FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
 FORMATS: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}}  # and their metadata
 
 
@@ -98,13 +99,22 @@ def _add_badge(figure: Figure, badge: str) -> None:
     colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE
     box = {"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"}
     at: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 8, "color": "white", "weight": "bold"}
-    figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, **at)
+    figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)  # a file may be called $x$
     layout: Any = figure.get_layout_engine()
     layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / height))
 
 
-def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, **style: Any) -> int:
+def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:
+    """Say which flight is behind each point of a drawn line: ``rows`` (n,) of the table of flights."""
+    setattr(line, FLIGHT_ROWS, np.asarray(rows, np.int64))
+
+
+def clipped_dots(
+    ax: Any, x: Floats, y: Floats, limit: float, flights: npt.NDArray[np.int64] | None = None, **style: Any
+) -> int:
     """Dots within ``+-limit``; points beyond are triangles at the edge that point outwards.
+
+    ``flights`` (n,) are the rows of the flights behind the points, where there are any.
 
     Returns
     -------
@@ -113,10 +123,14 @@ def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, **style: Any) -> i
     """
     above, below = y > limit, y < -limit
     inside = ~above & ~below
-    ax.plot(x[inside], y[inside], ".", ms=4.5, mew=0, alpha=0.6, **style)
+    (line,) = ax.plot(x[inside], y[inside], ".", ms=4.5, mew=0, alpha=0.6, **style)
+    if flights is not None:
+        name_flights(line, flights[inside])
     for rows, mark, edge in ((above, "^", limit), (below, "v", -limit)):
         if not rows.any():  # the extent of an unclipped line without points would be the figure's corner
             continue
         at = np.full(int(rows.sum()), 0.95 * edge)
-        ax.plot(x[rows], at, mark, ms=4.5, mfc="none", mew=0.8, clip_on=False, **style)
+        (line,) = ax.plot(x[rows], at, mark, ms=4.5, mfc="none", mew=0.8, clip_on=False, **style)
+        if flights is not None:
+            name_flights(line, flights[rows])
     return int(above.sum() + below.sum())

@@ -7,18 +7,19 @@ tones), propagated through the prediction; it is never taken from the scatter of
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.residuals.covariates import COVARIATES, covariates
+from analysis.residuals.memory import Memory
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import INEXACT, Ringing
-from analysis.residuals.plate_observables import PLAIN_HOOKS_OF_KIND, expected, power_uncertainty
+from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty
 from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.one_step import Detection, Predicted, one_ahead
@@ -27,7 +28,6 @@ Array = NDArray[np.float64]
 ParameterId = tuple[str, str]
 Values = Mapping[ParameterId, float]
 Own = tuple[tuple[ParameterId, float], ...]
-_T = TypeVar("_T")
 
 TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
 EDGE_STEP_S = 2e-6  # finite difference of an edge
@@ -69,22 +69,6 @@ class Residuals:
     landing_s: Array
     plate: Array
     predicted: Predicted
-
-
-class Memory:
-    """Results by their key, forgotten together when they are too many; threads may use it at once."""
-
-    def __init__(self, most: int) -> None:
-        self._most, self._kept = most, dict[Hashable, Any]()
-
-    def recall(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """The result kept under ``key``; made, and kept, where there is none."""
-        found = self._kept.get(key)
-        if found is None:
-            if len(self._kept) >= self._most:
-                self._kept.clear()
-            found = self._kept[key] = make()
-        return cast(_T, found)
 
 
 class ForwardModel:
@@ -208,7 +192,7 @@ class ForwardModel:
         """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""
         point, total = self.start(values), np.zeros(len(self.evidence.plate))
         for name in dict.fromkeys(name for name, _ in point):
-            if plate_hooks() & effect(name).hooks.keys():
+            if PLATE_HOOKS & effect(name).hooks.keys():
                 total = total + self._expected_of(name, _own(name, point))
         return total
 
@@ -225,8 +209,12 @@ class ForwardModel:
         tones: NDArray[np.complex128] | None = None,
         rows: Array | None = None,
         kick: tuple[float, float] = (0.0, 0.0),
+        near: Predicted | None = None,
     ) -> Predicted:
-        """One event ahead at ``values``; times as the instrument would show them."""
+        """One event ahead at ``values``; times as the instrument would show them.
+
+        ``near`` is a prediction of almost the same: a plate mode keeps its share in the measured tones.
+        """
         ev = self.evidence
         step = ev.measured.step
         shift = self.per_step(values, "contact_delay_s", 0.0)[step]
@@ -250,6 +238,7 @@ class ForwardModel:
             Detection(gap, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps),
             kick=kick,
             probe=self.ringing,
+            mode=near,
         )
         return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
 
@@ -299,9 +288,9 @@ class ForwardModel:
         tuple of bool arrays, shape (n,)
             Events whose own landing, the one before, and the one two before has been moved.
         """
-        index = np.arange(len(self.evidence))
+        index, near = np.arange(len(self.evidence)), self.predicted(values)
         for colour in range(3):
-            moved = self.predict(values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0))
+            moved = self.predict(values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0), near=near)
             yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -347,7 +336,8 @@ class ForwardModel:
         moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
         for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
             by = wider[:, j // 2, None] * steps.spread_mps2[:, j]
-            moves.append(({"tones": steps.plate.acceleration_mps2 + by}, {"tones": steps.plate.acceleration_mps2 - by}))
+            z = steps.plate.acceleration_mps2
+            moves.append(({"tones": z + by, "near": base}, {"tones": z - by, "near": base}))
         moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in self._kicks(values)]
         for there, back_again in moves:  # the nonlinear part of so large a change counts as noise of each event
             ahead, behind = self.predict(values, **there), self.predict(values, **back_again)
@@ -382,12 +372,6 @@ def _own(name: str, point: Values) -> Own:
 def _having(hook: str) -> tuple[Registered, ...]:
     """Effects that define a hook."""
     return tuple(r for r in registry() if hook in r.hooks)
-
-
-@functools.cache
-def plate_hooks() -> frozenset[str]:
-    """Hooks that change the expected value of plate data."""
-    return frozenset({"harmonics", *PLAIN_HOOKS_OF_KIND})
 
 
 @functools.cache

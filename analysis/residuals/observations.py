@@ -164,7 +164,7 @@ def observations_from(
             flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
             if on_flights is not None:
                 on_flights(recording, flights)
-            parts.append(_part(recording, flights, recording.setup))
+            parts.append(observed(recording, flights))
     return parts[0] if len(parts) == 1 else join(parts)
 
 
@@ -172,8 +172,9 @@ def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float
     return lambda part: progress(name, part)
 
 
-def _part(recording: Recording, flights: Flights, setup: Setup) -> Observations:
-    """Observations of a single recording."""
+def observed(recording: Recording, flights: Flights) -> Observations:
+    """Observations of a single recording and its flights."""
+    setup = recording.setup
     fitted = [s for s in flights.plate.steps if s is not None]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     for i, s in enumerate(fitted):

@@ -255,7 +255,7 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
     out = np.zeros(len(data))
     for entry in registry():
         table = values.get(entry.effect.name)
-        if table is None or not entry.hooks.keys() & {"harmonics", *PLAIN_HOOKS_OF_KIND}:
+        if table is None or not entry.hooks.keys() & PLATE_HOOKS:
             continue
         points = np.array(list(table.values()))
         for point in np.unique(points, axis=1).T:
@@ -281,6 +281,9 @@ PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "offset_mps2": (OFFSET, float),
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
 }
+"""Hooks with one number for one kind of datum."""
+PLATE_HOOKS = frozenset({"harmonics", *PLAIN_HOOKS_OF_KIND})
+"""Hooks that change the expected value of plate data."""
 
 
 def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[str, Any], p: dict[str, float]) -> None:

@@ -92,7 +92,7 @@ def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArra
             for unit in (1.0, 1j):
                 z = ev.steps.plate.acceleration_mps2.copy()
                 z[:, k] += sign * unit * ev.steps.sigma_mps2[:, k]
-                out |= _jumps(base, world.predict(values, tones=z), GRAZING_SIGMAS * usual)
+                out |= _jumps(base, world.predict(values, tones=z, near=base), GRAZING_SIGMAS * usual)
     return np.asarray(out)
 
 

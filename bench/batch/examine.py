@@ -6,6 +6,7 @@ A recording that cannot be read gives a row with the reason; it stops nothing. N
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,7 @@ Row = dict[str, Any]
 PARTS = ("reprocess", "compare", "close-loop")
 
 
-def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None) -> Row:
+def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, verdicts: Path | None = None) -> Row:
     """The row of one recording.
 
     Parameters
@@ -36,6 +37,8 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None) -> 
         What to do, of `PARTS`.
     profile
         Replaces the recording's own.
+    verdicts
+        Folder for the whole verdict as JSON, as `close-loop` writes it: the catalogue of runs finds it there.
 
     Returns
     -------
@@ -45,13 +48,13 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None) -> 
     began = time.process_time()
     row: Row = {"failed": None}
     try:
-        _fill(row, path, parts, profile)
+        _fill(row, path, parts, profile, verdicts)
     except (InputError, ValueError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
         row["failed"] = f"{type(error).__name__}: {error}" if not isinstance(error, InputError) else str(error)
     return row | {"processor_s": time.process_time() - began}
 
 
-def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None) -> None:
+def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, verdicts: Path | None) -> None:
     """Add columns part by part, so that what was found before a failure stays."""
     from analysis.flights.assemble import flights_of
     from bench.profiles.find import load_measuring
@@ -68,7 +71,7 @@ def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None) ->
             if "compare" in parts and "continuity" in opened.channels:
                 row |= compared(table, opened)
     if "close-loop" in parts:
-        row |= closed(path, setup)
+        row |= closed(path, setup, verdicts)
 
 
 def described(opened: Recording) -> Row:
@@ -115,11 +118,18 @@ def compared(table: Flights, opened: Recording) -> Row:
     }
 
 
-def closed(path: Path, setup: Setup | None) -> Row:
+def closed(path: Path, setup: Setup | None, verdicts: Path | None) -> Row:
     """The verdict of the closed loop; the values of what it names, each with its interval."""
     from analysis.loop.close_loop import close_loop
+    from analysis.loop.verdict_json import as_json
+    from daq.files.whole_file import write_whole
 
-    return verdict_row(close_loop([path], setup=setup))
+    loop = close_loop([path], setup=setup)
+    if verdicts is not None:
+        verdicts.mkdir(parents=True, exist_ok=True)
+        name = f"{path.stem}-{loop.sources[0].identity[:8]}.json"
+        write_whole(verdicts / name, json.dumps(as_json(loop), indent=1))
+    return verdict_row(loop)
 
 
 def verdict_row(loop: ClosedLoop) -> Row:

@@ -31,11 +31,14 @@ class Batch:
         Of `bench.batch.examine.PARTS`.
     profile
         Replaces the recordings' own.
+    verdicts
+        Folder for the verdicts as JSON.
     """
 
     recordings: Sequence[Path]
     parts: tuple[str, ...]
     profile: Path | None = None
+    verdicts: Path | None = None
 
     def key(self, path: Path) -> str:
         """What a row depends on: the file as it is now, what is done, the profile, and the software."""
@@ -81,7 +84,8 @@ def run_batch(
 def _examined(batch: Batch, todo: list[Path], workers: int, cluster: str | None) -> Iterator[tuple[Path, Row]]:
     """Rows as they come in; a worker that died is the reason in its recording's row."""
     here = None if batch.profile is None else batch.profile.resolve()
-    tasks = ((path, (path.resolve(), batch.parts, here)) for path in todo)
+    verdicts = None if batch.verdicts is None else batch.verdicts.resolve()
+    tasks = ((path, (path.resolve(), batch.parts, here, verdicts)) for path in todo)
     for outcome in outcomes(examine, tasks, workers=workers, cluster=cluster):
         row = outcome.result
         yield outcome.key, row if row is not None else {"failed": str(outcome.error), "processor_s": None}

@@ -26,7 +26,8 @@ def command(
     """Examine every recording of a laboratory; a table with one row each.
 
     Rows are kept in FILE.rows as they come in. The same command, given again, goes on where it was stopped, and does
-    again only what failed or has changed since. A recording that fails has its reason in the table.
+    again only what failed or has changed since. A recording that fails has its reason in the table. Whole verdicts are
+    kept in a folder beside the table; bench runs shows them, where that is the recordings' folder or below.
 
     Example: bench batch runs/ --out runs.parquet --workers 4
 
@@ -52,7 +53,7 @@ def command(
         if profile is not None:
             load_measuring(profile)
         recordings, others = find_recordings(places)
-        batch = Batch(recordings, _parts(do, PARTS), profile)
+        batch = Batch(recordings, _parts(do, PARTS), profile, out.with_name(f"{out.stem}-verdicts"))
         rows = run_batch(batch, Journal(rows_file), workers=workers, cluster=cluster, told=None if quiet else _tell)
         write_table(rows, out)
     except (InputError, ValueError) as error:

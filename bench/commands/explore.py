@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def command(
     profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
-    folder: Path = typer.Option(..., "--out", metavar="FOLDER", help="For recordings and report; gone on with."),
+    out: Path = typer.Option(..., "--out", metavar="FOLDER", help="For recordings and report; gone on with."),
     until: list[str] = typer.Option([], "--until", help="effect.parameter=deviation asked for; repeatable."),
     limit: float = typer.Option(1.0, "--limit", min=0.01, help="'Nothing missing' down to so much of what matters."),
     budget_s: float | None = typer.Option(None, "--budget", min=1.0, help="Rig seconds; the profile's own ramp's."),
@@ -51,21 +51,21 @@ def command(
     say = _nothing if quiet else typer.echo
     try:
         check_outputs(
-            Folder("--out", folder, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite
+            Folder("--out", out, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite
         )
         checked, text = load(profile)
         aims = Aims(
             budget_s or run_seconds(checked), _targets(until), limit, _numbers(ratios, "--ratios", int),
             _numbers(frequencies, "--frequencies", float), steps, hold_cycles,
         )  # fmt: skip
-        folder.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
         drive = partial(_drive, scenario, seed, quiet)
-        found = explore(text, folder, aims, drive, say=say, ask=_asked if ask else None)
-        complete = quiet or _report(found, folder)
+        found = explore(text, out, aims, drive, say=say, ask=_asked if ask else None)
+        complete = quiet or _report(found, out)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
-        fail(f"{error}; what was recorded is in {folder}: the same call goes on there", EXIT_FAILED)
+        fail(f"{error}; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
     write_json(as_json(found, aims.budget_s), json)
     say(f"{found.why}; {len(found.blocks)} blocks, {found.rig_s:.1f} s of rig time")
     if found.failed or not complete:

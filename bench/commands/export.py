@@ -7,7 +7,20 @@ from pathlib import Path
 
 import typer
 
-from bench.outputs import HDF5, JSON, NPZ, PACKED_CSV, File, Overwrite, check_outputs
+from bench.outputs import (
+    HDF5,
+    JSON,
+    MATLAB,
+    NETCDF,
+    NPZ,
+    PACKED_CSV,
+    PARQUET,
+    TDMS,
+    UFF,
+    File,
+    Overwrite,
+    check_outputs,
+)
 from bench.terminal.console import EXIT_USAGE, fail, write_json
 
 
@@ -17,23 +30,34 @@ class Kind(enum.StrEnum):
     csv = "csv"
     npz = "npz"
     h5 = "h5"
+    parquet = "parquet"
+    nc = "nc"
+    mat = "mat"
+    uff = "uff"
+    tdms = "tdms"
 
 
-FORMS = {"csv": PACKED_CSV, "npz": NPZ, "h5": HDF5}
+FORMS = {
+    "csv": PACKED_CSV, "npz": NPZ, "h5": HDF5, "parquet": PARQUET, "nc": NETCDF, "mat": MATLAB, "uff": UFF,
+    "tdms": TDMS,
+}  # fmt: skip
+OTHER_ENDINGS = {"hdf5": "h5", "pq": "parquet", "unv": "uff"}
 
 
 def command(
     recording: Path = typer.Argument(..., metavar="REC.h5", help="Recording to read."),
     out: Path = typer.Option(..., "--out", "-o", metavar="FILE", help="File to create."),
     to: Kind = typer.Option(None, "--to", help="Kind of file; by default what the ending of FILE says."),
-    rate: float = typer.Option(None, "--rate", metavar="HZ", help="CSV and NPZ: another rate, as 20000."),
+    rate: float = typer.Option(None, "--rate", metavar="HZ", help="Another rate, as 20000; not for h5, uff, tdms."),
     json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write a summary as JSON; - is the screen."),
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a recording as CSV (also .csv.gz), NPZ, or HDF5 packed with gzip for readers without the LZ4 plugin.
+    """Write a recording as CSV (also .csv.gz), NPZ, Parquet, NetCDF, MATLAB 7.3, UFF58, TDMS, or HDF5 with gzip.
 
-    CSV and NPZ hold time_s and each channel in volts, and can be imported again. A sound card's recording keeps the
-    card's own rate; --rate 20000 writes a view at 20 kHz (needs the package soxr).
+    CSV, NPZ, Parquet and MATLAB hold time_s and each channel in volts, HDF5, NetCDF and TDMS the codes with their
+    scale; each can be imported again but Parquet. Parquet, NetCDF and TDMS need the extra interchange. h5 is for
+    readers without the LZ4 plugin. A sound card's recording keeps the card's own rate; --rate 20000 writes a view at
+    20 kHz (needs the package soxr).
 
     Example: bench export run.h5 --to csv --out run.csv
     """
@@ -43,9 +67,9 @@ def command(
     from daq.setup.errors import InputError
 
     kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()
-    kind = "h5" if kind == "hdf5" else kind
+    kind = OTHER_ENDINGS.get(kind, kind)
     if kind not in list(Kind):
-        fail(f"{out}: the ending does not say what to write; wanted --to csv, npz or h5.", EXIT_USAGE)
+        fail(f"{out}: the ending does not say what to write; wanted --to {', '.join(Kind)}.", EXIT_USAGE)
     outputs = File("--out", out, FORMS[kind]), File("--json", json_out, JSON)
     try:
         check_outputs(*outputs, inputs=[recording], overwrite=overwrite)

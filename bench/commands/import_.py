@@ -12,7 +12,7 @@ from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, writ
 
 
 def command(
-    raw: Path = typer.Argument(..., metavar="RAW", help="CSV (also .gz), HDF5, NPZ, WAV or MAT file."),
+    raw: Path = typer.Argument(..., metavar="RAW", help="CSV (also .gz), HDF5, NPZ, WAV, MAT, UFF58, TDMS, MDF4."),
     profile: Path = typer.Option(..., "--profile", "-p", metavar="P.toml", help="What was measured with what."),
     out: Path = typer.Option(..., "--out", "-o", metavar="REC.h5", help="Recording to create; never overwritten."),
     mapping: list[str] = typer.Option(
@@ -38,7 +38,7 @@ def command(
     """Turn somebody's file into a recording. Values are stored as they are; steps are found from the drive.
 
     Columns named time_s, continuity_v, accelerometer_v, drive_v (and the like) are recognised. Without a continuity
-    column only the plate is analysed.
+    column only the plate is analysed. Universal files (UFF58), TDMS and MDF4 need the extra interchange.
 
     Example: bench import run.csv --profile rig.toml --out run.h5 --map drive="CH 3:mV"
 

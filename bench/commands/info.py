@@ -78,6 +78,14 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             "tone_ratio": setup.forcing.ratio,
             "declared": setup.declared_values(),
         },
+        "notes": [
+            {
+                "at_s": row["first_sample"] / opened.rate_hz,
+                "unix_ns": int(row["unix_ns"]),
+                "text": row["text"].decode(errors="replace"),
+            }
+            for row in opened.notes
+        ],
         "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
     }
@@ -116,6 +124,7 @@ def _print(told: dict[str, Any]) -> None:
         "steps": str(len(told["steps"])),
     }  # fmt: skip
     print_lines(*(f"  {key:<9} {value}" for key, value in lines.items()))
+    print_lines(*(f"  noted     at {note['at_s']:.3f} s: {note['text']}" for note in told["notes"]))
     if not told["steps"]:
         return
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)

@@ -26,11 +26,17 @@ def command(
     resume: Path | None = typer.Option(None, "--resume", metavar="REC.h5", help="Go on where this recording stopped."),
     step: int | None = typer.Option(None, "--step", metavar="N", help="With --resume: repeat step N alone."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
+    live: bool = typer.Option(False, "--live", help="Serve a page on which the run is watched and stopped."),
+    host: str = typer.Option("127.0.0.1", "--host", help="Of the page; other machines need the token in its address."),
+    port: int | None = typer.Option(None, "--port", min=0, max=65535, help="Of the page; by default a free one."),
+    watch: bool = typer.Option(False, "--watch", help="Print after each step how the residuals stand."),
     overwrite: Overwrite = False,
 ) -> None:
     """Run a profile's ramp and record it; Ctrl-C ramps the drive down and keeps the recording.
 
     Example: bench ramp simulated --out first.h5 --note "first light"
+
+    With --live or --watch a simulated rig is paced to the clock, as with --real-time.
 
     Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is kept), 2 when the call
     was wrong.
@@ -40,6 +46,7 @@ def command(
 
     from bench.jobs.resume import continued
     from bench.jobs.run_ramp import make_backend, record
+    from bench.live.beside import onlooking
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
     from bench.profiles.plan import planned, refusal
@@ -64,9 +71,12 @@ def command(
             raise InputError(refusal(profile, faults))
         for doubt in calibration_warnings(checked, datetime.date.today()):
             warn(f"{profile}: {doubt}")
-        backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
-        summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-",
-                         paced=real_time)  # fmt: skip
+        paced = real_time or live or watch
+        backend = make_backend(checked, scenario=scenario, seed=seed, real_time=paced, replay=replay)
+        page = (host, port) if live else None
+        with onlooking(checked, out.parent, page=page, watch=watch) as onlooker:
+            summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-" or watch,
+                             paced=paced, onlooker=onlooker)  # fmt: skip
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:

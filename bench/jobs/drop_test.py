@@ -152,6 +152,9 @@ def run(request: Request, out: Path | None, progress: Progress | None = None) ->
     if times and paths:
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
     outcome = _from_times(times, stated, request, out) if times else _from_paths(paths, stated, request, out)
+    not_read = [words for item, _ in loaded for words in item.not_read]
+    outcome.payload["not_read"] = not_read
+    outcome.sentences += not_read
     outcome.payload["options"] = request.as_json()
     return outcome
 
@@ -204,7 +207,7 @@ def _from_paths(paths: list[Path2D], stated: list[Height | None], request: Reque
             if item.tracked is not None:
                 drawn = draw_track(item.tracked, item.clip.name, _target(out, item.clip.name, "track"))
                 outcome.sentences.append(f"check picture: {drawn}")
-        shape = next(r.shape for r in fit.rungs if r.model.name == outcome.payload["best"])
+        shape = next(r.shape for r in fit.candidates if r.model.name == outcome.payload["best"])
         drawn = draw_camera(fit, shape, ", ".join(names[:3]), _target(out, names[0], "residuals"), units.frame_s)
         outcome.sentences.append(f"picture: {drawn}")
     return outcome

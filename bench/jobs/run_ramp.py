@@ -2,25 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Protocol
 
 from bench.profiles.find import find_scenario
 from bench.terminal.run_display import run_display
 from bench.terminal.signals import stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
+from daq.setup.setup import Setup
 from rig.backends.base import Backend
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.priority import before_other_work
-from rig.execution.run import RunSummary, run_ramp
+from rig.execution.run import RunSummary, Status, StopRequest, run_ramp
 from rig.profile import Profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import largest_block
 from rig.sim.scenario import Scenario
+
+
+class Onlooker(Protocol):
+    """One who watches a run from outside its process, and may ask things of it."""
+
+    def recorder(self, path: Path, setup: Setup, **options: Any) -> RecorderProcess:
+        """A recorder whose frames others can read."""
+        ...
+
+    def begin(
+        self, recorder: RecorderProcess, backend: Backend, request: StopRequest, progress: Callable[[Status], None]
+    ) -> Callable[[Status], None]:
+        """The run begins; returns what is to be called after each block in place of ``progress``."""
+        ...
+
+    def end(self, summary: RunSummary | None, fault: str = "") -> None:
+        """The run is over, or failed with ``fault`` before it had an outcome."""
+        ...
 
 
 def make_backend(
@@ -47,10 +67,12 @@ def record(
     extra: dict[str, Any] | None = None,
     quiet: bool = False,
     paced: bool = False,
+    onlooker: Onlooker | None = None,
 ) -> RunSummary:
     """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly.
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
+    An ``onlooker`` needs such a process.
     """
     programme = plan(profile)
     options: dict[str, Any] = {
@@ -71,14 +93,21 @@ def record(
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
             block_samples = largest_block(programme.clock, profile.backend.block_samples)
-            writer: RecordingWriter | RecorderProcess = RecorderProcess(
+            make = RecorderProcess if onlooker is None else onlooker.recorder
+            writer: RecordingWriter | RecorderProcess = make(
                 out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
             )
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
+        if onlooker is not None and isinstance(writer, RecorderProcess):
+            progress = onlooker.begin(writer, backend, request, progress)
+        summary: RunSummary | None = None
         try:
-            return run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)
+            summary = run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)
+            return summary
         finally:
+            if onlooker is not None:
+                onlooker.end(summary, "the run ended with an error of its own; see the terminal")
             if not writer.n_samples:  # a device that never answered: nothing to keep, and the name stays free
                 out.unlink(missing_ok=True)
 

@@ -77,9 +77,9 @@ def films(count: int, seed: int) -> None:
                 print(f"{k:3d} refused: {error}", flush=True)
                 continue
         fit = fit_camera([Clip("x", track.clock, track.height, track.acceleration)], np.random.default_rng(k))
-        name = choose(fit.rungs)[0]
+        name = choose(fit.candidates)[0]
         names[name] += 1
-        law = next(r.law for r in fit.rungs if r.model.name == "coulomb_friction")
+        law = next(r.law for r in fit.candidates if r.model.name == "coulomb_friction")
         friction, spread = float(fit.shapes["friction"].values[1]), float(fit.values["friction"][:, 1].std())
         rows.append((paper, law.theta[0] - e0, law.half_width[0] / 1.96, friction - f, spread))
         off, sigma = rows[-1][1:3]
@@ -103,7 +103,7 @@ def _summary(table: np.ndarray, names: Counter[str]) -> None:
 CAUSES = ("constant_restitution", "speed_dependent_restitution", "quadratic_drag", "coulomb_friction")
 
 
-def ladders(count: int, seed: int, heard: bool) -> None:
+def single_drops(count: int, seed: int, heard: bool) -> None:
     """Single drops of random truth, as sound or as a table of events: impacts, verdict, and coverage.
 
     Every fourth has nothing but a restitution, one that falls with speed, drag, or friction. Friction cannot be seen in
@@ -264,7 +264,7 @@ def main() -> None:
     if chosen.what == "films":
         films(chosen.count, chosen.seed)
     elif chosen.what in ("times", "sounds"):
-        ladders(chosen.count, chosen.seed, heard=chosen.what == "sounds")
+        single_drops(chosen.count, chosen.seed, heard=chosen.what == "sounds")
     else:
         real(chosen.folder, chosen.only)
 

@@ -2,7 +2,9 @@
 
 Run ``python -m benchmarks.analysis.drop_films``. Drops are integrated by an adaptive Runge-Kutta method (DOP853) with
 events; blocks are polygons seen through a camera that is rolled, tilted and has a lens, filled at eight times the
-resolution. Truths and seeds are drawn before anything is analysed, and every film counts.
+resolution. Truths and seeds are drawn before anything is analysed, and every film counts. With ``--hard`` the films
+are, in turn: a tall block at 30 frames a second, a strong lens, repeated frames, a camera held in the hand, a rolling
+shutter.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -50,6 +52,9 @@ class Scene:
     rod: bool
     codec: str
     quality: int
+    repeat_every: int = 0  # every so many-th frame shows the one before; 0: none
+    shake_px: float = 0.0
+    shutter: float = 0.0  # part of a frame's time that the rolling shutter takes from the top to the bottom row
 
 
 def draw_scene(seed: int, k: int) -> Scene:
@@ -77,6 +82,26 @@ def draw_scene(seed: int, k: int) -> Scene:
         codec="mp4v" if k % 2 else "MJPG",
         quality=int(rng.integers(60, 96)),
     )
+
+
+HARD = ("tall block at 30/s", "strong lens", "repeated frames", "hand-held", "rolling shutter")
+
+
+def hard_scene(seed: int, k: int) -> Scene:
+    """A scene of the kind ``HARD[k % 5]``."""
+    rng = np.random.default_rng([seed, k, 2])
+    fps = float(rng.uniform(200.0, 300.0))
+    scene = replace(draw_scene(seed, 5 * k + 1), fps=fps, hold_s=0.05, rest_s=0.05, roll_deg=0.0)
+    if k % 5 == 0:
+        drop = float(rng.uniform(0.3, 0.6))
+        return replace(scene, fps=30.0, block_m=0.02, drop_m=drop, friction=float(rng.uniform(0.0, 0.2)), exposure=0.1)
+    if k % 5 == 1:
+        return replace(scene, lens=float(rng.choice([-1.0, 1.0]) * rng.uniform(0.03, 0.08)))
+    if k % 5 == 2:
+        return replace(scene, repeat_every=int(rng.integers(4, 9)))
+    if k % 5 == 3:
+        return replace(scene, shake_px=float(rng.uniform(1.0, 4.0)))
+    return replace(scene, shutter=float(rng.uniform(0.3, 0.9)))
 
 
 def fall(scene: Scene) -> tuple[Array, Array]:
@@ -131,8 +156,16 @@ def film(target: Path, scene: Scene, rng: np.random.Generator) -> tuple[float, N
     shade = 150.0 - scene.contrast
     writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*scene.codec), 30.0, (columns, rows))
     writer.set(cv2.VIDEOWRITER_PROP_QUALITY, scene.quality)
+    shaking = cv2.GaussianBlur(rng.normal(0.0, 1.0, (int(seconds * scene.fps) + 1, 2)), (1, 31), 0.0, sigmaY=8.0)
+    shaking *= scene.shake_px / max(float(shaking.std()), 1e-9)
+    shown = np.zeros((rows, columns, 3), dtype=np.uint8)
     for k in range(int(seconds * scene.fps)):
-        instants = (k + (np.arange(6) + 0.5) / 6 * scene.exposure) / scene.fps
+        if scene.repeat_every and k % scene.repeat_every == scene.repeat_every - 1:
+            writer.write(shown)
+            continue
+        row = camera(np.array([[0.0, float(np.interp(k / scene.fps, times, heights)) + 0.5 * scene.block_m]]))[0, 1]
+        late = scene.shutter * row / rows  # the rows that show the block are read then
+        instants = (k + late + (np.arange(6) + 0.5) / 6 * scene.exposure) / scene.fps
         frames = []
         for height in np.interp(instants, times, heights):
             picture = still.copy()
@@ -145,7 +178,12 @@ def film(target: Path, scene: Scene, rng: np.random.Generator) -> tuple[float, N
         if scene.rod:
             _paint(picture, rod, 110.0)
         picture = cv2.GaussianBlur(picture, (0, 0), scene.defocus_px) + rng.normal(0.0, scene.noise, picture.shape)
-        writer.write(cv2.cvtColor(np.clip(picture, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+        if scene.shake_px:
+            move = np.array([[1.0, 0.0, shaking[k, 0]], [0.0, 1.0, shaking[k, 1]]])
+            size = (columns, rows)
+            picture = cv2.warpAffine(picture, move, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        shown = cv2.cvtColor(np.clip(picture, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+        writer.write(shown)
     writer.release()
     ends = camera(np.array([[0.0, 0.5 * scene.block_m], [0.0, scene.drop_m + 0.5 * scene.block_m]]))
     return scene.drop_m / float(np.linalg.norm(ends[1] - ends[0])), np.empty(0, dtype=bool)
@@ -220,17 +258,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=20261122)
+    parser.add_argument("--hard", action="store_true", help="films of the hard kinds")
     parser.add_argument("--only", type=int, nargs="*", default=None)
     asked = parser.parse_args()
     offs: dict[str, list[tuple[float, float]]] = {"e": [], "f": [], "g": []}
     names: Counter[str] = Counter()
     for k in asked.only if asked.only is not None else range(asked.count):
-        scene = draw_scene(asked.seed, k)
+        scene = hard_scene(asked.seed, k) if asked.hard else draw_scene(asked.seed, k)
         found = measure(scene, asked.seed, k)
         short = (
             f"{k:3d} block {1e3 * scene.block_m:4.1f} drop {1e3 * scene.drop_m:5.1f} mm {scene.fps:5.0f}/s "
             f"contrast {scene.contrast:4.0f} roll {scene.roll_deg:+5.1f}"
-        )
+        ) + (f" ({HARD[k % 5]})" if asked.hard else "")
         if isinstance(found, str):
             names["refused"] += 1
             print(short, found[:150], flush=True)

@@ -1,4 +1,4 @@
-"""Recordings for other readers: CSV, NPZ, plain HDF5, another sample rate.
+"""Recordings for other readers: CSV, NPZ, plain HDF5, Parquet, NetCDF, MATLAB, UFF58, TDMS; another sample rate.
 
 Other rooms take `export`, `resample`.
 """

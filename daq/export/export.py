@@ -1,4 +1,4 @@
-"""Write a recording for readers that know nothing of it: CSV, NPZ, or HDF5 with gzip instead of LZ4.
+"""Write a recording for readers that know nothing of it: tables, arrays, HDF5 with gzip, and what other fields use.
 
 What is written reads back to the same numbers (`bench import` of the CSV gives the same codes
 when divided by their scale), and appears under its name only when it is whole.
@@ -16,13 +16,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.export.columnar import export_netcdf, export_parquet
+from daq.export.matlab import export_matlab
 from daq.export.resample import Resampled
+from daq.export.tdms import export_tdms
+from daq.export.uff58 import export_uff58
 from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.files.whole_file import whole
 from daq.recording.reader import Recording
 from daq.setup.errors import InputError
 
-Kind = Literal["csv", "npz", "h5"]
+Kind = Literal["csv", "npz", "h5", "parquet", "nc", "mat", "uff", "tdms"]
+AS_RECORDED = ("h5", "uff", "tdms")  # kinds that hold the samples as they were taken, never at another rate
 Progress = Callable[[int], None]
 _ROWS = 16384
 
@@ -44,8 +49,10 @@ def export(
     out
         File to create; an ending ``.gz`` of a CSV packs it.
     kind
-        ``csv``: ``time_s`` and one column in volts a channel. ``npz``: the same as arrays, with ``rate_hz``, ``steps``
-        and ``setup_json``. ``h5``: the recording itself, compressed with gzip, which every HDF5 reader knows.
+        ``csv``: ``time_s`` and one column in volts a channel; ``parquet``, ``mat`` (MATLAB 7.3) the same. ``npz``: the
+        same as arrays, with ``rate_hz``, ``steps`` and ``setup_json``. ``nc``: NetCDF with units and coordinates.
+        ``uff``: universal file, data set 58, binary. ``tdms``: LabVIEW's. ``h5``: the recording itself, compressed with
+        gzip, which every HDF5 reader knows.
     progress
         Called with the samples done.
     overwrite
@@ -54,7 +61,8 @@ def export(
     Raises
     ------
     InputError
-        When ``out`` exists and is not to be replaced.
+        When ``out`` exists and is not to be replaced, a package that the kind needs is not installed, or the kind
+        cannot hold another rate.
     OSError
         When the disk refuses; nothing is left behind.
     """
@@ -63,13 +71,18 @@ def export(
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist; create it first.")
     tell = progress if progress is not None else lambda _: None
+    if isinstance(recording, Resampled) and kind in AS_RECORDED:
+        raise InputError(
+            f"{out}: {kind} holds the recording as it is; another rate is written as CSV, NPZ, Parquet, NetCDF or MAT."
+        )
     if kind == "h5":
-        if isinstance(recording, Resampled):
-            raise InputError(f"{out}: HDF5 holds the recording as it is; another rate is written as CSV or NPZ.")
-        _export_h5(recording, out, tell, overwrite=overwrite)
+        _export_h5(recording, out, tell, overwrite=overwrite)  # type: ignore[arg-type]
         return
     with whole(out) as part:
-        (_export_csv if kind == "csv" else _export_npz)(recording, part, tell, packed=out.suffix == ".gz")
+        if kind == "csv":
+            _export_csv(recording, part, tell, packed=out.suffix == ".gz")
+        else:
+            WRITERS[kind](recording, part, tell)
 
 
 def _pieces(n: int, rows: int) -> list[tuple[int, int]]:
@@ -101,9 +114,7 @@ def _plain_text(name: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
 
-def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
-    del packed  # an NPZ is packed by itself
-
+def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
     def write(archive: zipfile.ZipFile, name: str, read: Callable[[int, int], NDArray[Any]]) -> None:
         with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
             header = {"descr": "<f8", "fortran_order": False, "shape": (recording.n_samples,)}
@@ -145,3 +156,13 @@ def _export_h5(recording: Recording, out: Path, tell: Progress, *, overwrite: bo
         writer.abandon()
         raise
     writer.rename()
+
+
+WRITERS: dict[str, Callable[[Any, Path, Progress], None]] = {
+    "npz": _export_npz,
+    "parquet": export_parquet,
+    "nc": export_netcdf,
+    "mat": export_matlab,
+    "uff": export_uff58,
+    "tdms": export_tdms,
+}

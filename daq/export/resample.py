@@ -55,6 +55,11 @@ class Resampled:
             steps[name] = np.rint(steps[name] * (self._up / self._down))
         return steps
 
+    @property
+    def gaps(self) -> NDArray[np.int64]:
+        """Lost samples as the recording's, int64 ``(n, 2)``, counted in samples of the new rate."""
+        return np.asarray(np.rint(self._recording.gaps * (self._up / self._down)), np.int64)
+
     def scale(self, channel: str) -> tuple[float, float]:
         """As the recording's."""
         return self._recording.scale(channel)

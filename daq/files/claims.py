@@ -26,7 +26,7 @@ def objects_of(group: Any, path: Path) -> list[str]:
 
 
 def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
-    """A dataset of a recording, which holds numbers, in this file, and no more than the file can hold.
+    """A dataset of a recording, which holds numbers or short texts, in this file, and no more than the file can hold.
 
     Raises
     ------
@@ -46,8 +46,8 @@ def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
         raise InputError(f"{where}: damaged: wanted a table of {dimensions} dimension(s)")
     if dataset.is_virtual or dataset.external:
         raise InputError(f"{where}: damaged: its numbers lie in another file; a recording holds all of itself")
-    if dataset.dtype.kind not in "iufV" or dataset.dtype.hasobject or dataset.dtype.itemsize > 1024:
-        raise InputError(f"{where}: damaged: wanted numbers, found {dataset.dtype}")
+    if dataset.dtype.kind not in "iufVS" or dataset.dtype.hasobject or dataset.dtype.itemsize > 1024:
+        raise InputError(f"{where}: damaged: wanted numbers or short texts, found {dataset.dtype}")
     return dataset
 
 

@@ -33,7 +33,7 @@ LONG_NAMES = {
     "drive": "looped-back drive voltage",
 }
 STEP_UNITS = {"frequency_hz": "Hz"}
-SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node"}
+SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node", "notes": "note"}
 TABLES = {"steps": STEP_DTYPE, "blocks": BLOCK_DTYPE, **SIDE_TABLES}
 Compression = Literal["lz4", "gzip"]
 

@@ -22,7 +22,8 @@ from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
 
 FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
-FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "clock_map": "frame_clock_map"}
+FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "clock_map": "frame_clock_map",
+              "notes": "frame_notes"}  # fmt: skip
 FRAME_END = "frame_end"
 ROW_CRC = "row_crc32"
 

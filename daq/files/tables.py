@@ -7,8 +7,9 @@ that could have been written down at the time.
 from __future__ import annotations
 
 import enum
+import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -90,11 +91,16 @@ MAP_DTYPE = np.dtype(
 """The fitted map at one frame (counted from the recording's first, lost ones too): its place among the played samples,
 played samples a frame less one (``1e-6``: one part in a million), and their standard uncertainties."""
 
+NOTE_BYTES = 480
+NOTE_DTYPE = np.dtype([("first_sample", "<i8"), ("unix_ns", "<i8"), ("text", f"S{NOTE_BYTES}")])
+"""A note of the operator: the recorded sample at which it came, the wall clock in nanoseconds since 1970 (UTC), and the
+text in UTF-8."""
+
 STEP_NAMES = STEP_DTYPE.names or ()
 BLOCK_NAMES = BLOCK_DTYPE.names or ()
 DRIVE_NAMES = DRIVE_DTYPE.names or ()
 
-SIDE_TABLES = {"drive_changes": DRIVE_DTYPE, "clock_readings": CLOCK_DTYPE, "clock_map": MAP_DTYPE}
+SIDE_TABLES = {"drive_changes": DRIVE_DTYPE, "clock_readings": CLOCK_DTYPE, "clock_map": MAP_DTYPE, "notes": NOTE_DTYPE}
 """Tables of a recording that only some runs have, by name."""
 
 
@@ -160,6 +166,15 @@ def volts_per_code(range_v: float) -> float:
 def crc32(array: NDArray[Any], before: int = 0) -> int:
     """CRC-32 of an array's bytes, continuing from ``before``."""
     return zlib.crc32(np.ascontiguousarray(array).data, before)
+
+
+def note_rows(sample: int, texts: Sequence[str]) -> NDArray[np.void]:
+    """`NOTE_DTYPE` rows of notes that came now, at ``sample``; a text too long is cut between two characters."""
+    rows = np.zeros(len(texts), NOTE_DTYPE)
+    for row, text in zip(rows, texts, strict=True):
+        cut = text.encode()[:NOTE_BYTES].decode(errors="ignore").replace("\0", "")
+        row["first_sample"], row["unix_ns"], row["text"] = sample, time.time_ns(), cut.encode()
+    return rows
 
 
 def step_row(step: np.void | Mapping[str, Any]) -> NDArray[np.void]:

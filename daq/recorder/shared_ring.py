@@ -177,6 +177,31 @@ class Ring:
             self.unname()
 
 
+class RingReader(Ring):
+    """A third process's view of a ring: reads what is put in, takes nothing out, can change nothing."""
+
+    def __init__(self, slots: int, block_samples: int, channels: int, name: str) -> None:
+        super().__init__(slots, block_samples, channels, name)
+        for array in (self._counters, self._rows, self._frames):
+            array.flags.writeable = False
+        self._next = max(0, self.counter("put") - slots + 2)
+
+    def read(self, most: int = 256) -> list[Block]:
+        """Blocks since the last call, in order, at most so many; what was overwritten meanwhile is left out."""
+        put = self.counter("put")
+        self._next = max(self._next, put - self.slots + 2)
+        blocks = []
+        for i in range(self._next, min(put, self._next + most)):
+            slot = i % self.slots
+            row = self._rows[slot].copy()
+            codes = self._frames[slot, : int(row["n_samples"])].copy()
+            if crc32(codes) == int(row["crc32"]):
+                lost = int(row["lost_before"])
+                blocks.append(Block(int(row["first_sample"]), codes, int(row["flags"]), lost_before=lost))
+        self._next = min(put, self._next + most)
+        return blocks
+
+
 def clear_left_behind(folder: Path = FOLDER) -> list[str]:
     """Remove rings whose process was killed before it could; returns their names. Only where they are files (Linux)."""
     if not sys.platform.startswith("linux") or not folder.is_dir():

@@ -5,6 +5,8 @@ A run counts once: data given twice would make every uncertainty too small.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -28,6 +30,18 @@ def _crc(recording: Recording, channel: str) -> int:
     for start in range(0, recording.n_samples, CHUNK_SAMPLES):
         crc = crc32(recording.codes(channel, start, start + CHUNK_SAMPLES), crc)
     return crc
+
+
+def stored_id(recording: Recording) -> str:
+    """Hash of `content_id` by the checksums that a closed recording stores; no sample is read.
+
+    The same for each copy of a run. Empty while a run lasts, and for one that was cut off.
+    """
+    if recording.frames is not None:
+        return ""
+    stored = recording.stored_checksums()
+    content = [(name, recording.stored_samples, crc) for name, crc in stored.items()]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:32] if stored else ""
 
 
 def refuse_repeated(paths: Sequence[Path]) -> None:

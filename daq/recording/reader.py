@@ -64,7 +64,10 @@ class Recording:
         bit (`rig.programme.sequencer.commanded`); empty in an imported recording.
     clock_readings, clock_map
         `CLOCK_DTYPE` and `MAP_DTYPE` arrays: where another clock played the drive, what was read of it and the map
-        fitted to that (`daq.clocks.clock_sync`); else empty. ``side`` holds these tables and the one before by name.
+        fitted to that (`daq.clocks.clock_sync`); else empty.
+    notes
+        `NOTE_DTYPE` array: what the operator noted during the run. ``side`` holds this table and the three before by
+        name.
     gaps
         int64 ``(n, 2)``: first sample after the gap, samples lost.
     attrs
@@ -106,6 +109,7 @@ class Recording:
         self._leave_out()
         self.drive_changes = self.side["drive_changes"]
         self.clock_readings, self.clock_map = self.side["clock_readings"], self.side["clock_map"]
+        self.notes = self.side["notes"]
         self.gaps = gaps_of(self.blocks)
 
     def _read_columns(self) -> None:
@@ -136,6 +140,18 @@ class Recording:
         self._holes = Holes.of(spans, self.n_samples)
         self.n_samples = self._holes.n_samples
         self.steps, self.blocks = self._holes.steps(self.steps), self._holes.blocks(self.blocks)
+
+    @property
+    def stored_samples(self) -> int:
+        """Samples of the file, those that are left out included."""
+        return self.n_samples if self._holes is None else int(self._file["timestamp"].shape[0])
+
+    def stored_checksums(self) -> dict[str, int]:
+        """CRC-32 of all samples by channel, as a closed file stores them; empty of one that is not closed."""
+        if self.frames is not None:
+            return {}
+        names = [str(name) for name in self.stored["channels"] if str(name) in self._file]
+        return {name: int(self._file[name].attrs.get("crc32", -1)) for name in names}
 
     @property
     def is_less(self) -> bool:

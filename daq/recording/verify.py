@@ -60,7 +60,12 @@ def verify(path: Path | str) -> VerifyReport:
     except UnreadableError as error:
         return VerifyReport("damaged", error.where)
     with recording:
-        return _report(recording, _faults(recording))
+        return report_of(recording)
+
+
+def report_of(recording: Recording) -> VerifyReport:
+    """State of an open recording, by its tables and what was found when it was opened."""
+    return _report(recording, _faults(recording))
 
 
 def _faults(recording: Recording) -> list[str]:

@@ -7,6 +7,7 @@ where the change is a period doubling it is then solved for by its own equation.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +23,20 @@ CHANGES_A_STEP = 8  # bisected in one step at most
 MOST_FLIGHTS = 2048
 SHARP = 1e-12  # gamma
 ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
+TYPES = frozenset(
+    (
+        "take-off",
+        "rest",
+        "period doubling",
+        "lock",
+        "stick lost",
+        "stick gained",
+        "flight lost",
+        "flight gained",
+        "jump",
+    )
+)
+"""Every type of change that a sweep tells."""
 COARSER = 4  # times fewer steps for an integrated ball, each of whose orbits costs an integration
 
 
@@ -55,13 +70,19 @@ def observed_bifurcations(
     ValueError
         If the range is empty, negative or not finite.
     """
+    return list(each_observed(ball, low, high, sweep=sweep, steps=steps, narrowest=narrowest))
+
+
+def each_observed(
+    ball: Ball, low: float, high: float, *, sweep: str | None = None, steps: int = STEPS, narrowest: float = 1e-6
+) -> Iterator[Bifurcation]:
+    """Changes one by one as `observed_bifurcations` lists them: who needs the first ones pays for no more."""
     check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
     walk = _Sweep(ball, sweep is not None, exact)
     grid = np.linspace(*ends, (steps if exact else steps // COARSER) + 1)
     here = walk.look(float(grid[0]), AT_REST)
-    out: list[Bifurcation] = []
     for a, b in pairwise(grid):
         start, at = float(a), here
         for _ in range(CHANGES_A_STEP):
@@ -73,12 +94,11 @@ def observed_bifurcations(
             ahead = beside + math.copysign(min(narrowest, abs(b - beside)), b - a)
             after = walk.look(ahead, right.last)
             if key(after) != key(at):
-                out.append(_typed(ball, gamma, left, after))
+                yield _typed(ball, gamma, left, after)
             start, at = ahead, after
             if abs(b - start) <= narrowest:
                 break
         here = walk.look(float(b), at.last)
-    return out
 
 
 def key(found: Attractor) -> tuple[object, ...]:

@@ -19,26 +19,43 @@ NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of
 
 
 @compiled
-def pull(t: float, s: float, h: float, tones: Floats, mode: Mode, p: Floats) -> float:
-    """Relative acceleration of a ball that does not move along the rod, friction left out, m/s^2."""
+def pull(t: float, s: float, h: float, tones: Floats, mode: Mode, p: Floats, forced: bool) -> float:
+    """Relative acceleration of a ball that does not move along the rod, friction left out, m/s^2.
+
+    ``forced`` tells whether any effect exerts a force.
+    """
     _, v, a = tones_at(t, tones)
     _, qv, qa = mode_at(s, mode)
-    return pull_of(v + qv, a + qa, h, p)
+    return pull_of(v + qv, a + qa, h, p, forced)
 
 
 @compiled
-def pull_of(v: float, a: float, h: float, p: Floats) -> float:
+def pull_of(v: float, a: float, h: float, p: Floats, forced: bool) -> float:
     """`pull` where the plate has the velocity ``v`` and the acceleration ``a``."""
-    return float(-p[-1] - a + force(0.0, h, 0.0, v, p))
+    return float(-p[-1] - a + (force(0.0, h, 0.0, v, p) if forced else 0.0))
 
 
 @compiled
 def between(lo: float, hi: float, below: float, above: float, k: int) -> float:
     """Where to look next for the sign change between ``below`` < 0 at lo and ``above`` > 0 at hi, in round k."""
-    if k % 4 == 3 or above <= below:
+    if k % 8 == 7 or above <= below:
         return 0.5 * (lo + hi)
     at = lo - below * (hi - lo) / (above - below)
     return at if lo < at < hi else 0.5 * (lo + hi)
+
+
+@compiled
+def narrowed(
+    bracket: tuple[float, float, float, float], side: int, mid: float, here: float
+) -> tuple[float, float, float, float, int]:
+    """The bracket of `between` with ``here`` at ``mid``, and the side that moved.
+
+    Where the same side moves again the value at the other counts half (Illinois method), so that it moves, too.
+    """
+    lo, hi, below, above = bracket
+    if here > 0.0:
+        return lo, mid, 0.5 * below if side > 0 else below, here, 1
+    return mid, hi, here, 0.5 * above if side < 0 else above, -1
 
 
 @compiled
@@ -59,7 +76,7 @@ def wait(t0: float, h: float, s0: float, dwell0: float, plate: Plate, law: Law) 
     for i in range(n):
         s = i * fine
         _, v, a = turned(moving, turning)
-        f = pull_of(v, a, h, p)
+        f = pull_of(v, a, h, p, law.forced)
         over = f - up - (takeoff_threshold(dwell0 + s, p) if h == 0.0 else 0.0)
         direction = 1.0 if over > 0.0 else (-1.0 if h > 0.0 and f < -down else 0.0)
         if direction != 0.0:
@@ -67,17 +84,15 @@ def wait(t0: float, h: float, s0: float, dwell0: float, plate: Plate, law: Law) 
                 return 0.0, direction
             lo, hi = last, s
             below, above = (over_before, over) if direction > 0.0 else (-down - f_before, -down - f)
+            side = 0
             for k in range(MOST_SECANTS):
                 mid = between(lo, hi, below, above, k)
-                f = pull(t0 + mid, s0 + mid, h, tones, mode, p)
+                f = pull(t0 + mid, s0 + mid, h, tones, mode, p, law.forced)
                 held = takeoff_threshold(dwell0 + mid, p) if h == 0.0 else 0.0
                 here = f - up - held if direction > 0.0 else -down - f
-                if here > 0.0:
-                    hi, above, below = mid, here, 0.5 * below
-                else:
-                    lo, below, above = mid, here, 0.5 * above
                 if abs(here) < NO_PULL_MPS2:
                     return mid, direction
+                lo, hi, below, above, side = narrowed((lo, hi, below, above), side, mid, here)
             return hi, direction
         last, over_before, f_before = s, over, f
     return 0.0, 0.0

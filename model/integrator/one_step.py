@@ -270,6 +270,7 @@ def one_ahead(
     *,
     kick: tuple[float, float] = (0.0, 0.0),
     probe: ToneProbe | None = None,
+    mode: Predicted | None = None,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -286,6 +287,8 @@ def one_ahead(
         mode rang before is known no better.
     probe
         How the plate's tones were measured; without one, all the time.
+    mode
+        A prediction whose plate mode is taken over, not projected anew: for small changes of events and tones.
     """
     n = len(measured.landing_s)
     rows = _for_kernel(rows.reshape(-1, rows.shape[-1]))
@@ -295,7 +298,10 @@ def one_ahead(
     probe = ContinuousProbe(plate.omega_radps[:, :own]) if probe is None else probe
     nothing, span_s = np.zeros(len(tones) + 1, dtype=np.int64), _for_kernel(probe.span_s)
     projection, observed_s = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
-    if np.any(rows[:, _columns("plate_mode")] > 0.0):  # the measured tones contain the mode: only the rest is driven
+    ringing = bool(np.any(rows[:, _columns("plate_mode")] > 0.0))
+    if ringing and mode is not None:
+        amplitudes, projection, observed_s = mode.mode_amplitudes, mode.projection, mode.observed_s
+    elif ringing:
         projection = np.zeros((len(span_s), probe.omega_radps.shape[1]), dtype=np.complex128)
         first = _for_kernel(probe.first)
         problem.predicted(
@@ -307,9 +313,11 @@ def one_ahead(
         of_step = np.add.reduceat(np.append(observed_s, 0.0), first[:-1]) * (np.diff(first) > 0)
         for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
             amplitudes[k] = _carried(plate.omega_radps[k, :own], tones[k, :own], rows[0])
+    if ringing:  # the measured tones contain the mode: only the rest is driven
         driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)
         tones = np.concatenate([driven, tones[:, own:]], axis=1)
-    silent = Probe(nothing, span_s, np.zeros((len(tones), 0)), projection, observed_s)
+    unused = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
+    silent = Probe(nothing, span_s, np.zeros((len(tones), 0)), *unused)
     out = problem.predicted(tones, measured.wanted, silent)
     out[out[:, 6] < 0, :6] = np.nan
     takeoff, _, landing, _, *others = out.T

@@ -100,9 +100,9 @@ def one_ahead(
 ) -> None:
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
-    ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity wherever the
-    chain of flights begins anew. A measured flight's own launch and impact are found where an elastic impact or a plate
-    mode needs them.
+    ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity
+    wherever the chain of flights begins anew. A measured flight's own launch and impact are found where an elastic
+    impact or a plate mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning = np.empty((steps.tones.shape[1] + 1, 6))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, pull, pull_of, wait
+from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, narrowed, pull, pull_of, wait
 from model.integrator.hooks import dry_friction, rebound, takeoff_threshold
 from model.integrator.plate import (
     STEPS_PER_PERIOD,
@@ -37,7 +37,7 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
     e = min(max(rebound(impact, p), 0.0), MOST_RESTITUTION)
     v0 = e * impact
     plate = loaded(t, bare, p)
-    net = pull(t, 0.0, 0.0, plate.tones, plate.mode, p)
+    net = pull(t, 0.0, 0.0, plate.tones, plate.mode, p, law.forced)
     up = net - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell0, p)
     shortest = TAIL_PART * (law.step_s * STEPS_PER_PERIOD)
     if v0 > 0.0:
@@ -198,22 +198,19 @@ def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
     turning = law.turning
     moving = start_turning(later + d, later + d - t_open, -d, tones, mode, turning)
     _, v, a = turned(moving, turning)
-    above = pull_of(v, a, 0.0, p) - level
+    above = pull_of(v, a, 0.0, p, law.forced) - level
     for _ in range(n + 4):
         t = later - d
         _, v, a = turned(moving, turning)
-        over = pull_of(v, a, 0.0, p) - level
+        over = pull_of(v, a, 0.0, p, law.forced) - level
         if above > 0.0 >= over:
-            lo, hi, below = t, later, over
+            lo, hi, below, side = t, later, over, 0
             for k in range(MOST_SECANTS):
                 mid = between(lo, hi, below, above, k)
-                here = pull(mid, mid - t_open, 0.0, tones, mode, p) - level
-                if here > 0.0:
-                    hi, above, below = mid, here, 0.5 * below
-                else:
-                    lo, below, above = mid, here, 0.5 * above
+                here = pull(mid, mid - t_open, 0.0, tones, mode, p, law.forced) - level
                 if abs(here) < NO_PULL_MPS2:
                     return mid
+                lo, hi, below, above, side = narrowed((lo, hi, below, above), side, mid, here)
             return hi
         later, above = t, over
     return t_open

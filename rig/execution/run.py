@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.tables import Block
+from daq.files.tables import Block, note_rows
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
@@ -37,11 +37,23 @@ Recorder: TypeAlias = RecordingWriter | RecorderProcess
 
 
 class StopRequest:
-    """A request to stop a run, from a signal, a page or a test; the strongest one counts."""
+    """What the operator asks of a run, by a signal, a page or a test; of several stops the strongest counts.
+
+    Attributes
+    ----------
+    wanted, why
+        The stop asked for, and the reason that the recording keeps.
+    pause
+        Whether to pause at the end of the present step.
+    notes
+        Texts to be kept with the sample at which they are read; the run empties the list.
+    """
 
     def __init__(self) -> None:
         self.wanted: Stop | None = None
         self.why = ""
+        self.pause = False
+        self.notes: list[str] = []
 
     def ask(self, how: Stop, why: str) -> None:
         """Ask for a stop; a weaker request than the present one is ignored."""
@@ -196,6 +208,7 @@ class _Run:
         self._touching: NDArray[np.bool_] | None = None
         self._motion = Motion(0.0, 0.0, 0.0, 0.0, 0, np.zeros(0, np.bool_))
         self._applied_stop: Stop | None = None
+        self._applied_pause = False
         self._recording = True
         self._pending: list[Block] = []
         self._device_lost = False
@@ -214,7 +227,7 @@ class _Run:
             self.account.lags(round(self._backend.lag_samples))
         try:
             while not self._sequencer.done:
-                self._apply_stop()
+                self._apply_requests()
                 self._exchange()
                 self._watcher.progress(self._status())
         finally:
@@ -247,15 +260,30 @@ class _Run:
             self._exchange()
         self._record(self.account.flush())
 
-    def _apply_stop(self) -> None:
-        """Pass a new stop request on to the sequencer."""
+    def _apply_requests(self) -> None:
+        """Pass a new request on to the sequencer, and notes to the recording."""
         request = self._watcher.stop_request
+        if request.pause != self._applied_pause:
+            self._applied_pause = request.pause
+            self._sequencer.pause(request.pause)
+        if request.notes:
+            self._note(request.notes)
+            request.notes = []
         wanted = request.wanted
         if wanted is not None and wanted != self._applied_stop:
             self._applied_stop = wanted
             zero = f"; drive zero from sample {self._sequencer.position}" if wanted is Stop.NOW else ""
             self.end("stopped", f"{request.why}{zero}")
             self._sequencer.stop(wanted)
+
+    def _note(self, texts: list[str]) -> None:
+        """Keep the operator's words beside the samples."""
+        self.flush()
+        if self._recording:
+            try:
+                self._writer.mark_rows("notes", note_rows(self._writer.n_samples, texts))
+            except OSError as error:
+                self._disk_failed(error)
 
     def _exchange(self) -> None:
         """One block: drive out through the clamp, frames in, on record, watched."""
@@ -304,9 +332,10 @@ class _Run:
         return achieved_gamma(self._profile, measured) if measured else (math.nan, math.nan)
 
     def _record(self, blocks: list[Block]) -> None:
-        """Keep blocks: at once where they were measured, in batches where they can be simulated again."""
+        """Keep blocks: at once where measured or handed to another process, else in batches."""
         self._pending += blocks
-        if not self._backend.simulated or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:
+        at_once = not self._backend.simulated or isinstance(self._writer, RecorderProcess)
+        if at_once or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:
             self.flush()
 
     def flush(self) -> None:

@@ -24,6 +24,7 @@ from rig.programme.ramp import Programme, Step
 # A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.
 STOP_FADE_CYCLES = Fraction(3, 2)
 BLOCKS_PER_CYCLE = 4
+LONGEST_PAUSE_S = 600.0  # a plate that nobody watches does not shake for ever
 
 _OPEN_END = 2**62
 
@@ -34,6 +35,7 @@ class State(enum.Enum):
     FADING = "fading"
     SETTLING = "settling"
     HOLDING = "holding"
+    PAUSED = "paused"
     STOPPING = "stopping"
     RESTING = "resting"
     DONE = "done"
@@ -46,6 +48,7 @@ class Event(enum.Enum):
     SETTLED = "settled"
     NEXT = "held, another step follows"
     LAST = "held, no step follows"
+    WAIT = "held, asked to pause before the next step"
     STOP = "asked to ramp down"
     CUT = "asked to be at zero now"
     ZERO = "drive at zero"
@@ -61,6 +64,7 @@ class Stop(enum.IntEnum):
 
 
 _MOVING = (State.FADING, State.SETTLING, State.HOLDING)
+_DRIVEN = (*_MOVING, State.PAUSED)
 _STILL = (State.RESTING, State.DONE)
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
@@ -68,8 +72,10 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.SETTLING, Event.SETTLED): State.HOLDING,
     (State.HOLDING, Event.NEXT): State.FADING,
     (State.HOLDING, Event.LAST): State.STOPPING,
-    **{(state, Event.STOP): State.STOPPING for state in (*_MOVING, State.STOPPING)},
-    **{(state, Event.CUT): State.RESTING for state in (*_MOVING, State.STOPPING)},
+    (State.HOLDING, Event.WAIT): State.PAUSED,
+    (State.PAUSED, Event.NEXT): State.FADING,
+    **{(state, Event.STOP): State.STOPPING for state in (*_DRIVEN, State.STOPPING)},
+    **{(state, Event.CUT): State.RESTING for state in (*_DRIVEN, State.STOPPING)},
     **{(state, event): state for state in _STILL for event in (Event.STOP, Event.CUT)},
     (State.STOPPING, Event.ZERO): State.RESTING,
     (State.RESTING, Event.RESTED): State.DONE,
@@ -122,7 +128,7 @@ class Sequencer:
         self._controlled = controlled
         self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
         self._zero = tuple(0j for _ in self._multiples)
-        self._finish_step = False
+        self._finish_step = self._pausing = False
         self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
         self.fades = [self._fade]
         self._until = self.step.fade_samples
@@ -152,8 +158,20 @@ class Sequencer:
         """Stop as asked, from the next sample on; a stop already under way is never made slower."""
         if how is Stop.FINISH_STEP:
             self._finish_step = True
+            if self.state is State.PAUSED:  # the step is over
+                self._handle(Event.STOP)
         else:
             self._handle(Event.STOP if how is Stop.RAMP_DOWN else Event.CUT)
+
+    def pause(self, wanted: bool) -> None:
+        """Pause at the end of the present step, its amplitude kept; or go on with the next cycle.
+
+        A pause that nobody ends is a stop after `LONGEST_PAUSE_S`.
+        """
+        self._pausing = wanted
+        if self.state is State.PAUSED and not wanted:
+            clock = self.programme.clock
+            self._until = min(self._until, clock.cycle_start(clock.cycle_after(self.position + 1)))
 
     @property
     def amplitudes(self) -> tuple[complex, ...]:
@@ -198,7 +216,9 @@ class Sequencer:
         """The event that the end of the present state is."""
         if self.state is State.HOLDING:
             last = self._finish_step or self.step.index + 1 == len(self.programme.steps)
-            return Event.LAST if last else Event.NEXT
+            return Event.LAST if last else Event.WAIT if self._pausing else Event.NEXT
+        if self.state is State.PAUSED:
+            return Event.STOP if self._pausing else Event.NEXT
         return {
             State.FADING: Event.FADED,
             State.SETTLING: Event.SETTLED,
@@ -224,6 +244,8 @@ class Sequencer:
             self._until = _OPEN_END if self._controlled else self.step.first_sample + self.step.settle_samples
         elif self.state is State.HOLDING:
             self._until = self.step.end_sample
+        elif self.state is State.PAUSED:
+            self._until = self.position + round(LONGEST_PAUSE_S * self.programme.rate_hz)
         elif self.state is State.STOPPING:
             self._set_fade(Fade(self.position, stop_fade_samples(clock), self._fade.at(self.position), self._zero))
             self._until = self.position + self._fade.n_samples

@@ -20,18 +20,21 @@ from daq.setup.errors import InputError
 
 READ = {
     "profile", "profiles", "scenario", "replay", "resume", "recording", "recordings", "raw", "files", "like", "name",
-    "places",
+    "folder", "places", "runs",
 }  # fmt: skip
 """Parameters that name what a command reads."""
 STEERS = {
     "note", "set_", "mapping", "channel", "channel_column", "server", "effect", "sweep", "grid", "cluster",
-    "use_height", "stale", "kind", "do", "until", "ratios", "frequencies",
+    "use_height", "stale", "kind", "do", "until", "ratios", "frequencies", "profile_name", "tag", "tags", "text",
+    "verdict", "ended", "since", "sort", "host",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
 NAMES = {
     ("batch", "out"): "x.csv",
     ("export", "out"): "x.csv",
     ("predict", "figure"): "x.png",
+    ("report", "out"): "x.html",
+    ("report", "pdf"): "x.pdf",
     ("virtual", "log"): "x.npz",
 }
 """What an output has to be called where not every name will do."""
@@ -75,11 +78,8 @@ def call(words: tuple[str, ...], values: dict[str, str], folder: Path, *more: st
     """Run a command with the given values; other inputs are not there, other outputs are good ones in ``folder``."""
     (folder / "new").mkdir(exist_ok=True)
     (folder / "new" / "into.toml").write_text("a profile", encoding="utf-8")
-    fillers = {
-        "kind": "accelerometer",
-        "into": str(folder / "new" / "into.toml"),
-        "out": str(folder / "new" / NAMES.get((words[-1], "out"), "x.h5")),
-    }
+    out = folder / "new" / NAMES.get((words[-1], "out"), "x.h5")
+    fillers = {"kind": "accelerometer", "into": str(folder / "new" / "into.toml"), "out": str(out)}
     arguments: list[str] = []
     for p in LEAVES[words].params:
         value = values.get(p.name)

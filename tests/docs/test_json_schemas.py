@@ -77,10 +77,14 @@ ANSWERS = {
     "close-loop": "close-loop {0}/r.h5",
     "explore": "explore {0}/p.toml --scenario friction --out {0}/explored --budget 5",
     "batch": "batch {0}/r.h5 --do compare --out {0}/rows.csv",
+    "report": "report {0}/r.h5 --out {0}/r.html --no-loop",
     "drop": "drop {0}/times.csv --no-pictures",
     "info": "info {0}/r.h5",
     "verify": "verify {0}/r.h5",
     "recover": "recover {0}/flipped.h5",
+    "runs": "runs {0}",
+    "tag": "tag {0}/r.h5 warm",
+    "note": "note {0}/r.h5 loose",
 }
 
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 FRICTION_DRAG = BounceModel("coulomb_friction+quadratic_drag", ("e0", "mu", "k_per_m"))
 SPEED_FRICTION = BounceModel("speed_dependent_restitution+coulomb_friction", ("e0", "e1_s_per_m", "mu"))
-CAMERA_LADDER: tuple[tuple[BounceModel, str, bool], ...] = (
+CAMERA_MODELS: tuple[tuple[BounceModel, str, bool], ...] = (
     (CONSTANT, "parabola", False),
     (SPEED, "parabola", True),
     (DRAG, "drag", False),
@@ -75,7 +75,7 @@ class Impacts:
 
 
 @dataclass(frozen=True)
-class CameraRung:
+class CameraCandidate:
     """One model: shape and law of restitution, with held-out scores (flights first, then bounces)."""
 
     model: BounceModel
@@ -99,7 +99,7 @@ class CameraFit:
     values : dict of (m, p) float64
         Draws of each shape's parameters.
     impacts : dict of Impacts
-    rungs : tuple of CameraRung
+    candidates : tuple of CameraCandidate
     fall_height : dict of (clips,) float64 with draws (m, clips)
         Height of the fall to each clip's first impact, unit.
     noise : float
@@ -112,7 +112,7 @@ class CameraFit:
     shapes: dict[str, Shape]
     values: dict[str, Array]
     impacts: dict[str, Impacts]
-    rungs: tuple[CameraRung, ...]
+    candidates: tuple[CameraCandidate, ...]
     fall_height: dict[str, tuple[Array, Array]]
     noise: float
     worth: float
@@ -146,8 +146,8 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     for name, shape in shapes.items():
         if "f" in SHAPES[name] and shape.law.friction < 0.0:  # rods do not push: nothing gained
             scores[name] = scores["drag" if "k" in SHAPES[name] else "parabola"]
-    rungs = tuple(_rung(*rung, shapes, values, impacts, scores) for rung in CAMERA_LADDER)
-    return CameraFit(flights, shapes, values, impacts, rungs, falls, noise, worth)
+    candidates = tuple(_candidate(*candidate, shapes, values, impacts, scores) for candidate in CAMERA_MODELS)
+    return CameraFit(flights, shapes, values, impacts, candidates, falls, noise, worth)
 
 
 def _centred(flights: list[Flight]) -> list[Flight]:
@@ -241,7 +241,7 @@ def _speed(laws: FlightLaw, since: Array) -> Array:
     return np.asarray(np.abs(laws.velocity_mps(since)))
 
 
-def _rung(
+def _candidate(
     model: BounceModel,
     shape_name: str,
     with_speed: bool,
@@ -249,7 +249,7 @@ def _rung(
     values: dict[str, Array],
     impacts: dict[str, Impacts],
     scores: dict[str, Array],
-) -> CameraRung:
+) -> CameraCandidate:
     """A law of restitution under a shape: how long it says the next flight lasts."""
     found, law = impacts[shape_name], shapes[shape_name].law
     index = np.flatnonzero(found.bounced)
@@ -268,4 +268,4 @@ def _rung(
     for j, key in enumerate(SHAPES[shape_name]):
         if key in ("f", "k"):
             clear &= float(shapes[shape_name].values[j]) > 1.96 * float(values[shape_name][:, j].std())
-    return CameraRung(model, shape_name, fit, miss(fit.predicted), miss(fit.held_out), both, clear)
+    return CameraCandidate(model, shape_name, fit, miss(fit.predicted), miss(fit.held_out), both, clear)

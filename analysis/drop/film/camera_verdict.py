@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.drop.film.camera_fit import CameraFit, CameraRung
+from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.laws.choice import UNEXPLAINED, choose, gain_of
 from daq.setup.errors import InputError
 
@@ -26,7 +26,7 @@ class CameraVerdict:
     ----------
     chosen : str
         A model's name, or "unexplained".
-    best : CameraRung
+    best : CameraCandidate
         The model that describes the data best: the chosen one, where there is one.
     tie_set : tuple of str
         Models that the data cannot tell apart, the best first.
@@ -35,49 +35,49 @@ class CameraVerdict:
     """
 
     chosen: str
-    best: CameraRung
+    best: CameraCandidate
     tie_set: tuple[str, ...]
     doubts: tuple[str, ...]
 
 
 def judge_camera(fit: CameraFit) -> CameraVerdict:
     """Choose among the models of ``fit``; a law of restitution that the bounces contradict is not chosen."""
-    name, ties = choose(fit.rungs)
+    name, ties = choose(fit.candidates)
     best = _named(fit, name)
     doubts: list[str] = []
     if _contradicted(best):
-        tested = [r for r in fit.rungs if r.shape == best.shape and r is not best and r.significant and _holds(r)]
+        tested = [r for r in fit.candidates if r.shape == best.shape and r is not best and r.significant and _holds(r)]
         if tested:
             best = tested[0]
-            ties = (best.model.name, *(r.model.name for r in fit.rungs if _rival(r, best)))
+            ties = (best.model.name, *(r.model.name for r in fit.candidates if _rival(r, best)))
         else:
             doubts.append(_scatter_in_words(fit, best))
-            ties = (name, *(r.model.name for r in fit.rungs if r.model.name != name and not _contradicted(r)))
+            ties = (name, *(r.model.name for r in fit.candidates if r.model.name != name and not _contradicted(r)))
     return CameraVerdict(UNEXPLAINED if doubts else best.model.name, best, ties, tuple(doubts))
 
 
-def _named(fit: CameraFit, name: str) -> CameraRung:
-    return next(r for r in fit.rungs if r.model.name == name)
+def _named(fit: CameraFit, name: str) -> CameraCandidate:
+    return next(r for r in fit.candidates if r.model.name == name)
 
 
-def _contradicted(rung: CameraRung) -> bool:
+def _contradicted(candidate: CameraCandidate) -> bool:
     """Whether the bounces differ by far more than their errors, and by more than a ball on a flat plate does."""
-    return rung.law.chance < _CHANCE and rung.law.relative_scatter > LARGEST_SCATTER
+    return candidate.law.chance < _CHANCE and candidate.law.relative_scatter > LARGEST_SCATTER
 
 
-def _rival(rung: CameraRung, best: CameraRung) -> bool:
+def _rival(candidate: CameraCandidate, best: CameraCandidate) -> bool:
     """Whether another model holds as well, and is not beaten."""
-    return rung is not best and rung.significant and _holds(rung) and not gain_of(best, rung)[1]
+    return candidate is not best and candidate.significant and _holds(candidate) and not gain_of(best, candidate)[1]
 
 
-def _holds(rung: CameraRung) -> bool:
+def _holds(candidate: CameraCandidate) -> bool:
     """Whether the law has been tested, and leaves errors or an ordinary scatter."""
-    law = rung.law
+    law = candidate.law
     return law.freedom > 0 and (law.chance > _FITS or law.relative_scatter <= LARGEST_SCATTER)
 
 
-def _scatter_in_words(fit: CameraFit, rung: CameraRung) -> str:
-    seen = fit.impacts[rung.shape]
+def _scatter_in_words(fit: CameraFit, candidate: CameraCandidate) -> str:
+    seen = fit.impacts[candidate.shape]
     index = np.flatnonzero(seen.bounced)
     ratio = seen.speed_out[index] / seen.speed_in[index]
     sigma = (seen.out_draws[:, index] / seen.in_draws[:, index]).std(axis=0)

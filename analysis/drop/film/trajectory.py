@@ -33,6 +33,7 @@ _BEYOND = 1.5  # of the reach, where the distortion stays what it is: nothing wa
 _MOST_DRAG = 3.0
 _HIGHEST = 10.0  # an apex, in ranges of height: a step of the fit may go further astray than any ball
 _HUBER = 2.5
+_ROUNDING = 1e-12  # of a normal matrix
 
 
 @dataclass(frozen=True)
@@ -145,11 +146,21 @@ def fit_shape(
     dof = max(sum(b.count for b in blocks) - len(values) - 2 * len(blocks), 1)
     spread = sum(b.squares for b in blocks) / dof
     schur = sum(_schur(b, len(values))[0] for b in blocks) + np.diag(prior)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(schur), 1e-300))
-    inverse = np.linalg.pinv(schur * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
-    covariance = np.asarray(inverse * max(spread, 1e-12), dtype=np.float64)
+    size = np.diag(sum(b.normal for b in blocks))[: len(values)] + prior
+    covariance = _positive_inverse(schur, size) * max(spread, 1e-12)
     sigma = noise * float(np.sqrt(spread))
     return Shape(name, values, apex[:, 0], apex[:, 1], covariance, blocks, sigma, prior, flights[0].reach)
+
+
+def _positive_inverse(normal: Array, size: Array) -> Array:
+    """Inverse of a normal matrix whose small eigenvalues may be negative by rounding: those directions are left wide.
+
+    ``size``: its diagonal before anything was eliminated.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(size, 1e-300))
+    values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
+    vectors = vectors * scale[:, None]
+    return np.asarray((vectors / np.maximum(values, _ROUNDING)) @ vectors.T, dtype=np.float64)
 
 
 def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
@@ -171,9 +182,10 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
     residual = (flight.height - height - (c + d * near) * beyond) / noise
     p = len(values)
     jacobian = np.zeros((len(since), p + 2))
+    least = {"g": 1e-9, "f": 1e-4, "k": 100.0 / max(float(drop.max()), 1e-12)}  # a drag too small to be told is 1e-8
     for j in range(p - 2):
         moved = values.copy()
-        step = 1e-6 * max(abs(values[j]), 1e-4 if SHAPES[name][j] == "f" else 1e-9)
+        step = 1e-6 * max(abs(values[j]), least[SHAPES[name][j]])
         moved[j] += step
         jacobian[:, j] = -(law_of(name, moved).drop_m(since) - drop) / step
     jacobian[:, p] = -law_of(name, values).velocity_mps(since)

@@ -1,4 +1,4 @@
-"""The ladder of models for impact times: what the next flight should last, given the one before.
+"""Candidate models of impact times: what the next flight should last, given the one before.
 
 One bounce ahead. Each prediction starts from the measured flight before it, so an irregular bounce
 spoils one residual and not the rest. Names are those of the effect library: `restitution` (constant or falling with
@@ -27,7 +27,7 @@ START: dict[str, float] = {"e0": 0.7, "e1_s_per_m": 0.0, "k_per_m": 0.02, "mu": 
 
 @dataclass(frozen=True)
 class BounceModel:
-    """One rung of the ladder: its name and its parameters, in order."""
+    """One candidate model: its name and its parameters, in order."""
 
     name: str
     parameters: tuple[str, ...]
@@ -83,4 +83,4 @@ SPEED = BounceModel("speed_dependent_restitution", ("e0", "e1_s_per_m"))
 DRAG = BounceModel("quadratic_drag", ("e0", "k_per_m"))
 FRICTION = BounceModel("coulomb_friction", ("e0", "mu"))
 SPEED_DRAG = BounceModel("speed_dependent_restitution+quadratic_drag", ("e0", "e1_s_per_m", "k_per_m"))
-LADDER = (CONSTANT, SPEED, DRAG, FRICTION, SPEED_DRAG)
+MODELS = (CONSTANT, SPEED, DRAG, FRICTION, SPEED_DRAG)

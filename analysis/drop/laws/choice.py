@@ -20,7 +20,7 @@ UNEXPLAINED = "unexplained"
 
 
 class Scored(Protocol):
-    """A fitted model of any ladder."""
+    """A fitted candidate model."""
 
     @property
     def model(self) -> BounceModel:

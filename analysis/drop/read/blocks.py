@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 from analysis.drop.read.tables import Cell, Grid
 
@@ -10,16 +11,69 @@ _GROUP = {
     "drop", "run", "trial", "test", "set", "versuch", "messung", "fall", "lancio", "prova", "caduta", "essai", "meting",
     "ensayo", "chute",
 }  # fmt: skip
+_ALONG_ROWS = {"t", "time", "times", "zeit", "tempo", "temps", "dt", "interval", "intervall", "intervallo", "impact"}
 _LEAST_ROWS = 3
 
 
 def blocks_of(grid: Grid) -> list[Grid]:
     """Every table of a sheet; the sheet itself where it holds one."""
     out: list[Grid] = []
-    for part in _side_by_side(grid):
-        for piece in _repeated(part):
-            out += _by_number(piece)
+    for stacked in _stacked(grid):
+        for part in _side_by_side(_upright(stacked)):
+            for piece in _repeated(part):
+                out += _by_number(piece)
     return out
+
+
+def _upright(grid: Grid) -> Grid:
+    """A table whose drops, or whose times and heights, are rows: turned, so that they are columns."""
+    rows = [row for row in grid.rows if any(cell != "" for cell in row)]
+    width = max(len(row) for row in rows)
+    rows = [[*row, *[""] * (width - len(row))] for row in rows]
+    labelled = [isinstance(row[0], str) and row[0] != "" and _count(row[1:]) >= _LEAST_ROWS for row in rows]
+    across = sum(labelled) >= max(1, len(rows) - 1) and width > len(rows)
+    head = rows[0]
+    stems = {re.sub(r"[\W_]*\d+\W*$", "", str(cell)).strip().lower() for cell in head[1:] if cell != ""}
+    counted = all(isinstance(cell, str) for cell in head) and len(head) >= _LEAST_ROWS + 1 and len(stems) == 1
+    body = [row for row in rows[1:] if _count(row) >= 2]
+    if not across and counted and body and stems <= _ALONG_ROWS:
+        body = [[f"{next(iter(stems))} {_short(row[0])}", *row[1:]] for row in body]
+        return Grid(grid.name, [list(column) for column in zip(*body, strict=True)])
+    return Grid(grid.name, [list(column) for column in zip(*rows, strict=True)]) if across else grid
+
+
+def _count(cells: list[Cell]) -> int:
+    return sum(isinstance(cell, float) for cell in cells)
+
+
+def _stacked(grid: Grid) -> list[Grid]:
+    """Tables below each other: cut where the heading comes again, or behind an empty row where the time starts anew."""
+    starts: list[int] = []
+    head: tuple[str, ...] | None = None
+    gap, latest = False, float("-inf")
+    for k, row in enumerate(grid.rows):
+        texts = tuple(re.sub(r"\d+", "", str(cell)).strip().lower() for cell in row if isinstance(cell, str) and cell)
+        numbers = [cell for cell in row if isinstance(cell, float)]
+        if not numbers:
+            gap = gap or latest > float("-inf")
+            if texts and (head is None or texts == head) and len(texts) > 1:
+                head = texts
+                starts.append(k)
+                gap, latest = False, float("-inf")
+            continue
+        if gap and numbers[0] < latest:
+            starts.append(k)
+        gap, latest = False, numbers[0]
+    if len(starts) < 2:
+        return [grid]
+    cuts = [0, *starts[1:], len(grid.rows)]
+    parts = [grid.rows[a:b] for a, b in pairwise(cuts)]
+    full = [part for part in parts if _numbers(part) >= _LEAST_ROWS]
+    if len(full) < 2:
+        return [grid]
+    first = grid.rows[starts[0]]
+    named = [part if any(isinstance(c, str) and c for c in part[0]) else [first, *part] for part in full]
+    return [_named(grid, f"table {k + 1}", part) for k, part in enumerate(named)]
 
 
 def _named(grid: Grid, more: str, rows: list[list[Cell]]) -> Grid:

@@ -1,4 +1,4 @@
-"""Impact times or tracked positions from a table, by its content.
+"""Impact times or tracked positions from one table, by its content.
 
 Two columns of which one is the differences of the other are event times with their intervals, in whatever language; a
 column that advances evenly beside others is a clock beside positions. Headings only break ties, and give units.
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.read.blocks import blocks_of
 from analysis.drop.read.tables import Cell, Grid
 from daq.setup.errors import InputError
 
@@ -75,6 +74,10 @@ _INTERVAL = {
     "dt",
     "flight",
 }
+_SUMMARY = {
+    "mean", "average", "avg", "median", "std", "sd", "stdev", "sigma", "error", "err", "uncertainty", "mittelwert",
+    "mittel", "media", "moyenne", "gemiddelde", "promedio", "fehler", "errore", "residual", "fit", "model",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -101,63 +104,21 @@ class Points:
 
 
 @dataclass(frozen=True)
-class _Columns:
-    names: list[str]
-    values: Array  # (rows, columns), NaN where there is no number
+class Columns:
+    """A table split into headings and numbers.
 
-
-def read_table(grids: list[Grid], where: str) -> Array | Points:
-    """The first of `read_tables`; raises what it raises."""
-    return read_tables(grids, where)[0][1]
-
-
-def read_tables(grids: list[Grid], where: str) -> list[tuple[str, Array | Points]]:
-    """Every drop of a file: its label, and impact times (n,) in seconds or `Points`.
-
-    Raises
-    ------
-    InputError
-        Neither can be found; or a table of rebound heights.
+    Attributes
+    ----------
+    names : list of str
+    values : (rows, columns) float64
+        NaN where there is no number.
     """
-    tables = [(block, _columns(block)) for grid in grids for block in blocks_of(grid)]
-    for reader in (_paired_events, _counted_events):
-        events = [(block.name, times) for block, columns in tables if (times := reader(columns)) is not None]
-        if events:
-            return [(name, times) for name, times in _unlike(events)]
-    for _, columns in tables:
-        _refuse_heights(columns, where)
-    paths: list[tuple[str, Array | Points]] = []
-    for block, columns in tables:
-        points = _wide_tracks(block)
-        paths += [(block.name, points)] if points is not None else _paths(block.name, columns)
-    if paths:
-        return paths
-    lone = [item for block, columns in tables for item in _lone_events(block.name, columns)]
-    if lone:
-        return [(name, times) for name, times in _unlike(lone)]
-    raise InputError(
-        f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
-        f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0][1].names[:6]) or 'none'}"
-    )
+
+    names: list[str]
+    values: Array
 
 
-def _unlike(events: list[tuple[str, Array]]) -> list[tuple[str, Array]]:
-    """Lists of events without those that are copies or parts of another, as a workbook's summaries are."""
-    kept: list[tuple[str, Array]] = []
-    for name, times in sorted(events, key=lambda item: -len(item[1])):
-        copies = any(_part_of(times, other) for _, other in kept)
-        if not copies:
-            kept.append((name, times))
-    order = {id(times): k for k, (_, times) in enumerate(events)}
-    return sorted(kept, key=lambda item: order[id(item[1])])
-
-
-def _part_of(times: Array, other: Array) -> bool:
-    slack = 1e-6 + 1e-6 * float(np.abs(other).max(initial=0.0))
-    return bool(np.all(np.abs(times[:, None] - other[None]).min(axis=1) <= slack))
-
-
-def _refuse_heights(columns: _Columns, where: str) -> None:
+def refuse_heights(columns: Columns, where: str) -> None:
     """Rebound heights by number: no times, no positions."""
     v, words = columns.values, [_words(name) for name in columns.names]
     for a in range(v.shape[1]):
@@ -173,7 +134,7 @@ def _refuse_heights(columns: _Columns, where: str) -> None:
                 )
 
 
-def _columns(grid: Grid) -> _Columns:
+def columns_of(grid: Grid) -> Columns:
     """Split a grid into headings and numbers: data are the rows with as many numbers as most have."""
     counts = np.array([sum(isinstance(cell, float) for cell in row) for row in grid.rows])
     wanted = int(np.median(counts[counts > 0]))
@@ -185,7 +146,7 @@ def _columns(grid: Grid) -> _Columns:
             if isinstance(cell, float):
                 values[k, j] = cell
     heads = [row for row in grid.rows[: data[0]] if row]
-    return _Columns(_names(heads, width), values)
+    return Columns(_names(heads, width), values)
 
 
 def _names(heads: list[list[Cell]], width: int) -> list[str]:
@@ -222,7 +183,7 @@ def _unit_factor(name: str, table: dict[str, float]) -> float | None:
     return None
 
 
-def _paired_events(columns: _Columns) -> Array | None:
+def paired_events(columns: Columns) -> Array | None:
     """Event times beside their own differences, whichever comes first."""
     v = columns.values
     for a in range(v.shape[1]):
@@ -242,7 +203,7 @@ def _paired_events(columns: _Columns) -> Array | None:
     return None
 
 
-def _counted_events(columns: _Columns) -> Array | None:
+def counted_events(columns: Columns) -> Array | None:
     """Event times beside nothing but their numbers: a counter, and a column of times that is no clock."""
     v = columns.values
     if v.shape[1] != 2:
@@ -255,29 +216,44 @@ def _counted_events(columns: _Columns) -> Array | None:
     return None
 
 
-def _lone_events(label: str, columns: _Columns) -> list[tuple[str, Array]]:
-    """Columns of times or intervals, each a drop; or rows of times."""
+def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Array]], list[str]]:
+    """Columns of times or intervals, each a drop, or rows of times; and what was not taken for one, with the reason."""
     v = columns.values
-    if v.shape[1] >= 3 and v.shape[1] > v.shape[0]:
+    if v.shape[1] >= 3 and v.shape[1] > v.shape[0] and not any(columns.names):
         rows = [row[np.isfinite(row)] for row in v]
-        times = [row for row in rows if len(row) >= 3 and np.all(np.diff(row) > 0)]
-        return [(f"{label} row {k + 1}".strip(), row) for k, row in enumerate(times)]
+        times = [(k, row) for k, row in enumerate(rows) if len(row) >= 3 and _rising(row) and not _even(row)]
+        return [(f"{label} row {k + 1}".strip(), row) for k, row in times], []
     found: list[tuple[str, Array]] = []
-    for j in range(v.shape[1]):
+    not_taken: list[str] = []
+    for j, heading in enumerate(columns.names):
         column = v[np.isfinite(v[:, j]), j]
-        if len(column) < 2 or np.any(column < 0):
-            continue
-        factor = _unit_factor(columns.names[j], _SECONDS) or 1.0
-        rising, counting = bool(np.all(np.diff(column) > 0)), np.ptp(np.diff(column)) < 1e-9
-        if _words(columns.names[j]) & _INTERVAL or (not rising and np.all(column > 0)):
+        name = f"{label} {heading}".strip() or f"column {j + 1}"
+        factor = _unit_factor(heading, _SECONDS) or 1.0
+        rising, counting = bool(np.all(np.diff(column) > 0)), len(column) > 1 and np.ptp(np.diff(column)) < 1e-9
+        if _words(heading) & _SUMMARY:
+            not_taken.append(f"{name}: a mean, an error or a fit by its heading, no drop")
+        elif len(column) < 2 or np.any(column < 0):
+            not_taken.append(f"{name}: fewer than two numbers, or negative ones, are no impact times")
+        elif _words(heading) & _INTERVAL or (not rising and np.all(column > 0)):
             trailing = column[:-1] if column[-1] == 0.0 else column
-            found.append((f"{label} {columns.names[j]}".strip(), np.concatenate(([0.0], np.cumsum(trailing))) * factor))
+            found.append((name, np.concatenate(([0.0], np.cumsum(trailing))) * factor))
         elif rising and not counting and len(column) >= 3:
-            found.append((f"{label} {columns.names[j]}".strip(), column * factor))
-    return found
+            found.append((name, column * factor))
+        elif not counting:
+            not_taken.append(f"{name}: no times that grow, no intervals above zero")
+    return found, not_taken
 
 
-def _wide_tracks(grid: Grid) -> Points | None:
+def _rising(column: Array) -> bool:
+    return bool(np.all(np.diff(column) > 0.0))
+
+
+def named_times(label: str) -> bool:
+    """Whether a heading says times or intervals."""
+    return bool(_words(label) & (_TIME | _INTERVAL))
+
+
+def wide_tracks(grid: Grid) -> Points | None:
     """ImageJ's table: frame, then x, y (and a flag) for each track; blanks may have been lost on the way."""
     head = next((row for row in grid.rows[:8] if len(row) >= 3 and _words(str(row[0]).lower()) & _FRAME), None)
     if head is None or not re.fullmatch(r"x\s*_?1", str(head[1]).strip().lower()):
@@ -294,7 +270,7 @@ def _wide_tracks(grid: Grid) -> Points | None:
     return Points(table[:, 0], table[:, 1], table[:, 2], in_seconds=False, metres=False)
 
 
-def _paths(label: str, columns: _Columns) -> list[tuple[str, Array | Points]]:
+def paths_of(label: str, columns: Columns) -> list[tuple[str, Array | Points]]:
     """Paths of a table: one, or one for each of several heights that are numbered alike."""
     stems = [re.sub(r"[\W_]*\d+$", "", re.sub(r"[(\[].*?[)\]]", "", name).strip()) for name in columns.names]
     numbered = [j for j, name in enumerate(columns.names) if re.search(r"\d\s*$", re.sub(r"[(\[].*", "", name))]
@@ -302,14 +278,14 @@ def _paths(label: str, columns: _Columns) -> list[tuple[str, Array | Points]]:
         alike = [j for j in numbered if stems[j] == stem]
         if len(alike) >= 2 and _words(stem) & (_HEIGHT | _RUN) and not any(_words(s) & _ACROSS for s in stems):
             clocks = [j for j in range(len(stems)) if j not in alike]
-            parts = [_Columns([columns.names[k] for k in [*clocks, j]], columns.values[:, [*clocks, j]]) for j in alike]
+            parts = [Columns([columns.names[k] for k in [*clocks, j]], columns.values[:, [*clocks, j]]) for j in alike]
             found = [(columns.names[j], _positions(part)) for j, part in zip(alike, parts, strict=True)]
             return [(f"{label} {name}".strip(), points) for name, points in found if points is not None]
     points = _positions(columns)
     return [] if points is None else [(label, points)]
 
 
-def _positions(columns: _Columns) -> Points | None:
+def _positions(columns: Columns) -> Points | None:
     """A clock column and a height column; further columns may be the position across, speeds, anything."""
     v, words = columns.values, [_words(name) for name in columns.names]
     clock = next((j for j in range(v.shape[1]) if words[j] & _TIME and _advances(v[:, j])), None)
@@ -332,6 +308,8 @@ def _positions(columns: _Columns) -> Points | None:
     unit = _unit_factor(columns.names[height], _METRES)
     in_seconds = clock is not None or (frames is None and not _whole(v[good, chosen]))
     order = np.argsort(v[good, chosen], kind="stable")
+    if np.all(np.diff(v[good, height][order]) > 0.0):
+        return None  # what only grows with its row is a list of times
     y = v[good, height][order] * (unit or 1.0)
     x = v[good, across][order] * (unit or 1.0) if across is not None else np.zeros_like(y)
     seconds = (_unit_factor(columns.names[chosen], _SECONDS) or 1.0) if in_seconds else 1.0

@@ -17,6 +17,7 @@ from daq.setup.errors import InputError
 
 Cell = float | str
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+_GROUPED = (re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*"), re.compile(r"[+-]?\d{1,3}([.' \u202f\xa0]\d{3})+,\d*"))
 _LARGEST_BYTES = 64 << 20
 
 
@@ -55,6 +56,11 @@ def read_grids(path: Path) -> list[Grid]:
         grids = [Grid("", _text_rows(_decode(path)))]
     grids = [grid for grid in grids if any(isinstance(cell, float) for row in grid.rows for cell in row)]
     if not grids:
+        if head.startswith(b"PK") and _formulas(path):
+            raise InputError(
+                f"{path}: its cells are formulas without saved values; open it in a spreadsheet program, save it, and "
+                "give it again"
+            )
         raise InputError(
             f"{path}: no table with numbers in it; expected impact times (s), or time and height of a tracked ball: "
             "export the measured columns with their headings"
@@ -72,6 +78,14 @@ def _read_xlsx(path: Path) -> list[Grid]:
     except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
         raise InputError(f"{path}: damaged spreadsheet ({error}); export it again") from error
     return [Grid(sheet.title, [[_cell(c) for c in row] for row in sheet.iter_rows(values_only=True)]) for sheet in book]
+
+
+def _formulas(path: Path) -> bool:
+    """Whether a workbook has formulas."""
+    import openpyxl
+
+    book = openpyxl.load_workbook(io.BytesIO(path.read_bytes()))
+    return any(str(cell).startswith("=") for sheet in book for row in sheet.iter_rows(values_only=True) for cell in row)
 
 
 def _read_xls(path: Path) -> list[Grid]:
@@ -106,6 +120,10 @@ def number_or_text(text: str) -> Cell:
     text = text.strip().strip('"').strip().replace("\N{MINUS SIGN}", "-")
     if _NUMBER.fullmatch(text):
         return float(text.replace(",", "."))
+    if _GROUPED[0].fullmatch(text):
+        return float(text.replace(",", ""))
+    if _GROUPED[1].fullmatch(text):
+        return float(re.sub(r"[.' \u202f\xa0]", "", text).replace(",", "."))
     return text
 
 

@@ -20,6 +20,7 @@ from daq.setup.errors import InputError
 Array = NDArray[np.float64]
 
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
+_LEAST_OF_LOOP, _SAME_S, _LOOPED, _PERIODS = 2, 1e-3, 0.9, 200
 _RING_S = 0.1
 _WINDOW, _OVERLAP = 400, 150  # events that are searched at once
 
@@ -122,6 +123,11 @@ def drops_of(
     for part in _windows(times):
         _search(events.part(part), uncertainty_s, found, reasons)
     kept = _apart(found)
+    if len(kept) > 1 and _a_loop(kept, times):
+        raise InputError(
+            f"{where}: the same events come again and again, equal to a millisecond and at even intervals: a rhythm, "
+            "or one recording played in a loop; give each drop once"
+        )
     if kept:
         return kept
     raise InputError(
@@ -171,6 +177,20 @@ def _apart(found: list[Bounces]) -> list[Bounces]:
         if clear and enough:
             kept.append(drop)
     return sorted(kept, key=lambda bounces: float(bounces.impacts_s[0]))
+
+
+def _a_loop(drops: list[Bounces], events: Array) -> bool:
+    """Whether drops are parts of one pattern at even intervals: no two drops of a ball are so alike."""
+    impacts = np.concatenate([drop.impacts_s for drop in drops])
+    first, length = float(impacts[0]), float(drops[0].impacts_s[-1] - drops[0].impacts_s[0])
+    periods = events[(events > first + length) & (events < first + 0.5 * (events[-1] - first) + _SAME_S)] - first
+    for period in periods[:_PERIODS]:
+        ahead = impacts[impacts + period < events[-1] + _SAME_S] + period
+        after = np.clip(np.searchsorted(events, ahead), 1, len(events) - 1)
+        off = np.minimum(np.abs(events[after] - ahead), np.abs(events[after - 1] - ahead))
+        if len(ahead) >= _LEAST_OF_LOOP * _LEAST_OF_FURTHER and float(np.mean(off < _SAME_S)) > _LOOPED:
+            return True
+    return False
 
 
 def _one_drop(events: _Events, uncertainty_s: float) -> Bounces | str | None:

@@ -13,11 +13,12 @@ Array = NDArray[np.float64]
 
 LARGEST_SCATTER = 0.04  # of the restitution, relative: flat plates and round balls scatter by 0.02 at most
 LARGEST_JITTER_S = 8e-3  # of an impact time: a phone's is a tenth of this
+LARGEST_RISE = 0.08  # of the restitution over the speeds seen, relative: balls bounce less when faster
 _LEAST_ROWS = 8
 _CHANCE = 1e-4
 
 
-def lack_of_fit(fit: Fit, rows: Rows) -> list[str]:
+def lack_of_fit(fit: Fit, rows: Rows, g_mps2: float) -> list[str]:
     """What the model leaves unexplained, in words; empty where the residuals are noise of a usual size.
 
     Parameters
@@ -26,12 +27,22 @@ def lack_of_fit(fit: Fit, rows: Rows) -> list[str]:
         The model fitted.
     rows
         What it was fitted to.
+    g_mps2
+        Local gravity, m/s^2.
     """
     words = []
     e0 = float(fit.theta[0])
     half = float(fit.half_width()[0])
+    slow, fast = _slow_and_fast(fit, rows, g_mps2)
     if e0 - half > 1.0:
         words.append(f"a restitution of {e0:.3f} +- {half:.3f} would gain energy at each impact")
+    elif max(slow, fast) > 1.0:
+        words.append(f"a restitution of {max(slow, fast):.3f} at some of the speeds seen would gain energy")
+    elif fast - slow > LARGEST_RISE * e0:
+        words.append(
+            f"the restitution would rise from {slow:.3f} at the slowest impact to {fast:.3f} at the fastest; a ball's "
+            "falls with the speed: taps of a hand, a plate that gives way, or wrong impacts"
+        )
     relative = fit.widths.scatter / max(e0, 0.05)
     if relative > LARGEST_SCATTER:
         words.append(
@@ -44,6 +55,17 @@ def lack_of_fit(fit: Fit, rows: Rows) -> list[str]:
     if chance < _CHANCE:
         words.append(f"what is left over changes steadily with the length of the flight (chance {chance:.1g})")
     return words
+
+
+def _slow_and_fast(fit: Fit, rows: Rows, g_mps2: float) -> tuple[float, float]:
+    """Restitution at the slowest and at the fastest impact that was fitted."""
+    before = rows.before_s[rows.valid & ~rows.from_height]
+    if not len(before):
+        return float(fit.theta[0]), float(fit.theta[0])
+    law = fit.model.law(fit.theta, g_mps2)
+    speeds = law.return_speed_mps(law.takeoff_speed_mps(np.array([before.min(), before.max()])))
+    slow, fast = fit.model.rebound_mps(fit.theta, speeds) / speeds
+    return float(slow), float(fast)
 
 
 def structure(fit: Fit, rows: Rows) -> float:

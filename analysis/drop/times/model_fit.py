@@ -1,4 +1,4 @@
-"""Fit the ladder of models to the impact times of one drop or many, together.
+"""Fit the candidate models to the impact times of one drop or many, together.
 
 Generalised least squares with the covariance of `rows`, whose widths come from the
 data (with a prior that keeps each from vanishing); intervals are the wider of that fit's and a bootstrap's.
@@ -32,7 +32,7 @@ _USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
 
 @dataclass(frozen=True)
 class Fit:
-    """A rung fitted.
+    """A candidate fitted.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Fit:
 def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.int64]]:
     """The rows to fit, and how many bounces of each drop were left out.
 
-    A bounce is left out where not even the richest rung comes near it, judged by the spread of all the others.
+    A bounce is left out where not even the richest candidate comes near it, judged by the spread of all the others.
     """
     rows = rows_of(drops)
     kept = rows.keep(~rows.from_height)

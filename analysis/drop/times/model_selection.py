@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.laws.bouncelaw import CONSTANT, FRICTION, LADDER, BounceModel
+from analysis.drop.laws.bouncelaw import CONSTANT, FRICTION, MODELS, BounceModel
 from analysis.drop.laws.choice import UNEXPLAINED, choose, stable_choice
 from analysis.drop.times.lack_of_fit import lack_of_fit
 from analysis.drop.times.model_fit import Fit, converge, fit, sensitivities, step, usable_rows, wider
@@ -75,8 +75,8 @@ class Verdict:
 
     Attributes
     ----------
-    rungs : tuple of Judged
-        In the ladder's order.
+    candidates : tuple of Judged
+        In the order of `MODELS`.
     chosen : str
         A model's name, or "unexplained".
     best : str
@@ -89,22 +89,22 @@ class Verdict:
         What no model accounts for, in words.
     """
 
-    rungs: tuple[Judged, ...]
+    candidates: tuple[Judged, ...]
     chosen: str
     best: str
     tie_set: tuple[str, ...]
     left_out: NDArray[np.int64]
     doubts: tuple[str, ...] = ()
 
-    def rung(self, name: str) -> Judged:
+    def candidate(self, name: str) -> Judged:
         """The model called ``name``."""
-        return next(r for r in self.rungs if r.fit.model.name == name)
+        return next(r for r in self.candidates if r.fit.model.name == name)
 
 
 def judge(
     drops: Sequence[Drop], g_mps2: float, rng: np.random.Generator, drag_limits: tuple[float, float] = (0.0, np.inf)
 ) -> Verdict:
-    """Fit every model of the ladder to ``drops`` and choose among them.
+    """Fit every candidate model to ``drops`` and choose among them.
 
     Parameters
     ----------
@@ -120,26 +120,26 @@ def judge(
     rows, left_out = usable_rows(drops, g_mps2)
     folds = _folds(rows)
     with_height = bool((rows.from_height & rows.valid).any())
-    rungs: list[Judged] = []
-    for model in LADDER:
+    candidates: list[Judged] = []
+    for model in MODELS:
         if model is FRICTION and not with_height:
-            rungs.append(_same_times(rungs[0]))
+            candidates.append(_same_times(candidates[0]))
         elif model is not CONSTANT and rows.count <= len(model.parameters):
             continue
         else:
-            rungs.append(replace(_try(model, rows, folds, g_mps2, rng), drag_limits=drag_limits))
-    able = [r for r in rungs if r.identifiable]
+            candidates.append(replace(_try(model, rows, folds, g_mps2, rng), drag_limits=drag_limits))
+    able = [r for r in candidates if r.identifiable]
     choices = [choose(able)]
     choices += [choose([_again(r, part, g_mps2) for r in able]) for part in _trimmed(rows, len(folds))]
-    ties = stable_choice(choices, LADDER)
+    ties = stable_choice(choices, MODELS)
     if not folds:  # nothing could be held out: nothing can be told
-        simple = [model for model in LADDER if len(model.parameters) <= _SIMPLE]
+        simple = [model for model in MODELS if len(model.parameters) <= _SIMPLE]
         ties = tuple(model.name for model in simple if model is not FRICTION or with_height)
-    best = next(r for r in rungs if r.model.name == ties[0])
+    best = next(r for r in candidates if r.model.name == ties[0])
     if best.model is CONSTANT and not with_height:
         ties = (*ties, FRICTION.name)  # friction shortens every flight by one factor, as a lower restitution does
-    doubts = [*lack_of_fit(best.fit, rows), *_beyond_physics(able, best)]
-    return Verdict(tuple(rungs), UNEXPLAINED if doubts else ties[0], ties[0], ties, left_out, tuple(doubts))
+    doubts = [*lack_of_fit(best.fit, rows, g_mps2), *_beyond_physics(able, best)]
+    return Verdict(tuple(candidates), UNEXPLAINED if doubts else ties[0], ties[0], ties, left_out, tuple(doubts))
 
 
 def _beyond_physics(models: Sequence[Judged], best: Judged) -> list[str]:

@@ -1,4 +1,4 @@
-"""The data of the impact-time ladder, and the covariance of its residuals.
+"""The data of the models of impact times, and the covariance of its residuals.
 
 An impact time has two errors. The detector's jitter moves a boundary that two flights share, so
 neighbouring residuals are correlated; and every bounce has a restitution a little its own. Drops are independent.
@@ -40,6 +40,8 @@ class Drop:
         Where it is from.
     sound : bool
         Whether the file is a sound.
+    not_read : tuple of str
+        What of the file was not read, with the reason (with the file's first drop).
     """
 
     name: str
@@ -47,6 +49,7 @@ class Drop:
     height_m: tuple[float, float] | None = None
     file: Path | None = None
     sound: bool = False
+    not_read: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ Array = NDArray[np.float64]
 _WINDOW_S, _HOP_S = 0.006, 0.001
 _BEFORE_S, _AFTER_S = 0.012, 0.004  # what is compared at a candidate
 _LEAST_SPACING_S = 0.012
-_CANDIDATES, _CANDIDATES_A_S = 120, 15.0  # the strongest, in all and a second: a drop ends in 30 impacts a second
-_LONGEST_PIECE_S, _CORE_S, _MARGIN_S = 60.0, 20.0, 1.0
+_LONGEST_PIECE_S, _CORE_S, _MARGIN_S = 30.0, 20.0, 1.0
 _CLIPPED = 0.985  # of full scale
 _LOUDNESS_S, _NEIGHBOUR_S = 0.01, 0.5
 _LEAST_RISE = 5.0  # in robust widths of the rise where nothing happens
@@ -114,21 +113,18 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
     filtered = signal.sosfilt(signal.butter(2, (_LOWEST_HZ, top), "bandpass", fs=rate_hz, output="sos"), x, axis=0)
     rise, hop = _rise(filtered, rate_hz)
     centre, width = float(np.median(rise)), mad_sigma(rise - np.median(rise))
-    peaks, found = signal.find_peaks(
-        rise, height=centre + _LEAST_RISE * width, distance=max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
-    )
-    most = int(_CANDIDATES + _CANDIDATES_A_S * len(x) / rate_hz)
-    strongest = np.sort(peaks[np.argsort(found["peak_heights"])[::-1][:most]])
-    if not len(strongest):
+    apart = max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
+    peaks, _ = signal.find_peaks(rise, height=centre + _LEAST_RISE * width, distance=apart)
+    if not len(peaks):
         raise InputError(f"{where}: no sound in it stands out as an impact would; record nearer to the plate")
     white = np.column_stack([_without_background(channel, rate_hz) for channel in filtered.T])
-    near = [int(p) * hop for p in strongest]
+    near = [int(p) * hop for p in peaks]
     onsets = np.array([max(_refine(filtered, n, rate_hz), _refine(white, n, rate_hz))[1] for n in near])
     times, first = np.unique(onsets / rate_hz, return_index=True)
     strength = np.maximum(*(_strength(x, onsets[first], rate_hz) for x in (filtered, white)))  # dull; under a hum
-    apart = np.append(True, (np.diff(times) > _LEAST_SPACING_S) | (strength[1:] > strength[:-1]))
-    first = first[apart]  # what follows a stronger onset at once is its ring
-    return Onsets(times[apart], strength[apart], _loudness(x, filtered, onsets[first], rate_hz))
+    own = np.append(True, (np.diff(times) > _LEAST_SPACING_S) | (strength[1:] > strength[:-1]))
+    first = first[own]  # what follows a stronger onset at once is its ring
+    return Onsets(times[own], strength[own], _loudness(x, filtered, onsets[first], rate_hz))
 
 
 def _loudness(x: Array, filtered: Array, onsets: Array, rate_hz: float) -> Array:

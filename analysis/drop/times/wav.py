@@ -28,27 +28,30 @@ class Wav:
     channels : int
     n_samples : int
         Samples a channel.
-    kind, width, raw
-        Format (PCM or float), bytes a sample, and the mapped bytes of the file's data.
+    path, kind, width, start
+        File, format (PCM or float), bytes a sample, and the byte at which the samples start.
     """
 
     rate_hz: float
     channels: int
     n_samples: int
+    path: Path
     kind: int
     width: int
-    raw: NDArray[np.uint8]
+    start: int
 
     def read(self, start: int = 0, stop: int | None = None) -> Array:
         """Samples ``start`` to ``stop``, (n, channels) float64, full scale 1."""
         stop = self.n_samples if stop is None else min(stop, self.n_samples)
         frame = self.width * self.channels
-        values = _decoded(np.asarray(self.raw[start * frame : stop * frame]).tobytes(), self.kind, self.width)
-        return values.reshape(-1, self.channels)
+        with self.path.open("rb") as file:  # not mapped: pages once read would stay in memory
+            file.seek(self.start + start * frame)
+            raw = file.read(max(stop - start, 0) * frame)
+        return _decoded(raw, self.kind, self.width).reshape(-1, self.channels)
 
 
 def open_wav(path: Path) -> Wav:
-    """The sound in ``path``, mapped and not read.
+    """The sound in ``path``, not yet read.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def open_wav(path: Path) -> Wav:
             if name == b"fmt " and length >= 16:
                 header = _format(file.read(min(length, 40)))
             elif name == b"data" and header is not None:
-                return _mapped(path, header, here, min(length, size - here))
+                return _opened(path, header, here, min(length, size - here))
             file.seek(here + length + length % 2)
     raise InputError(f"{path}: not a readable WAV file; export it as 16-bit PCM WAV")
 
@@ -78,7 +81,7 @@ def _format(body: bytes) -> tuple[int, int, int, int]:
     return kind, channels, rate, bits
 
 
-def _mapped(path: Path, header: tuple[int, int, int, int], start: int, length: int) -> Wav:
+def _opened(path: Path, header: tuple[int, int, int, int], start: int, length: int) -> Wav:
     kind, channels, rate, bits = header
     width = (bits + 7) // 8
     known = (kind == _PCM and width in (1, 2, 3, 4)) or (kind == _FLOAT and width in (4, 8))
@@ -87,8 +90,7 @@ def _mapped(path: Path, header: tuple[int, int, int, int], start: int, length: i
     n = length // (width * channels)
     if n < _LEAST_S * rate:
         raise InputError(f"{path}: {n} samples at {rate} Hz hold no drop; the file may be cut off")
-    raw = np.memmap(path, dtype=np.uint8, mode="r", offset=start, shape=(n * width * channels,))
-    return Wav(float(rate), channels, n, kind, width, raw)
+    return Wav(float(rate), channels, n, path, kind, width, start)
 
 
 def _decoded(raw: bytes, kind: int, width: int) -> Array:

@@ -12,13 +12,16 @@ from daq.importers.formats.columns import Source
 from daq.importers.formats.csv import CsvSource
 from daq.importers.formats.hdf5 import Hdf5Source
 from daq.importers.formats.mat import Mat73Source, MatSource
+from daq.importers.formats.mdf4 import MdfSource
 from daq.importers.formats.npz import NpzSource
+from daq.importers.formats.tdms import TdmsSource
+from daq.importers.formats.uff58 import UffSource
 from daq.importers.formats.wav import WavSource
 from daq.setup.errors import InputError
 
 
 def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
-    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .mat, .npz, .wav.
+    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .mat, .npz, .wav, .uff, .tdms, .mf4.
 
     Parameters
     ----------
@@ -43,6 +46,8 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     matlab = Mat73Source if ending == ".mat" and h5py.is_hdf5(path) else MatSource
     kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": matlab}
     kinds |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Hdf5Source)
+    kinds |= dict.fromkeys((".uff", ".unv", ".uf", ".bunv"), UffSource) | {".tdms": TdmsSource}
+    kinds |= dict.fromkeys((".mf4", ".mdf"), MdfSource)
     if ending not in kinds:
         raise InputError(f"{path}: wanted a file that ends in .csv .txt .tsv .dat (or .gz of these) {' '.join(kinds)}.")
     source: Source = kinds[ending](path)

@@ -24,7 +24,7 @@ def _judged(files: list[Path]) -> tuple[list[Drop], Verdict]:
 def test_the_table_tennis_ball_meets_the_air(data: Path) -> None:
     """All thirty drops together need drag, of a coefficient near 0.5, and it halves the held-out error at least."""
     drops, verdict = _judged(sorted((data / "phyphox" / "pingpong_ball").iterdir()))
-    drag, constant = verdict.rung("quadratic_drag"), verdict.rung("constant_restitution")
+    drag, constant = verdict.candidate("quadratic_drag"), verdict.candidate("constant_restitution")
     assert len(drops) == 30 and verdict.chosen == "quadratic_drag"
     coefficient = drag.fit.theta[1] * 2 * 2.7e-3 / (1.2 * np.pi * 0.02**2)  # 2.7 g, 40 mm, air at 20 degrees
     assert 0.4 < coefficient < 0.6
@@ -43,7 +43,7 @@ def test_the_blue_ball_needs_no_air(data: Path) -> None:
     """Thirty drops of a heavier ball: restitution 0.88, no added effect beyond doubt."""
     drops, verdict = _judged(sorted((data / "phyphox" / "blue_ball").iterdir()))
     assert len(drops) == 30 and verdict.chosen == "constant_restitution"
-    assert verdict.rung("constant_restitution").fit.theta[0] == pytest.approx(0.88, abs=0.01)
+    assert verdict.candidate("constant_restitution").fit.theta[0] == pytest.approx(0.88, abs=0.01)
 
 
 def test_the_sound_holds_at_least_sixteen_impacts(data: Path) -> None:

@@ -116,3 +116,14 @@ def test_columns_of_effects_stand_last_by_name():
     """Common columns first as they come, then the values of effects in alphabetical order."""
     rows = [{"recording": "a", "z.q": 1.0}, {"recording": "b", "verdict": "x", "b.q": 2.0}]
     assert columns(rows) == ["recording", "verdict", "b.q", "z.q"]
+
+
+@pytest.mark.slow
+def test_the_catalogue_knows_the_verdicts_of_a_batch(tmp_path):
+    """A verdict reached by a batch stands in the catalogue of the recordings' folder."""
+    small = {"ramp.gamma": [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0], "ramp.settle_cycles": 6, "ramp.hold_cycles": 12}
+    sb.run(sb.load_profile("simulated").with_values(small), tmp_path / "a.h5", seed=4)
+    done = CliRunner().invoke(app, ["batch", str(tmp_path), "--out", str(tmp_path / "all.csv"), "--do", "close-loop"])
+    assert done.exit_code == 0, done.output
+    listed = CliRunner().invoke(app, ["runs", str(tmp_path), "--json", "-"])
+    assert [row["loop"]["verdict"] for row in json.loads(listed.stdout)["runs"]] == ["nothing_missing"]

@@ -73,7 +73,7 @@ def test_wrong_calls_leave_with_two(raw: Path, tmp_path: Path) -> None:
         (("verify", raw), "cannot be read as HDF5"),
         (("verify", tmp_path / "none.h5"), "no such file"),
         (("export", raw, "--out", tmp_path / "x.csv"), "cannot be read as HDF5"),
-        (("export", raw, "--out", tmp_path / "x.doc"), "wanted --to csv, npz or h5"),
+        (("export", raw, "--out", tmp_path / "x.doc"), "wanted --to csv, npz, h5"),
     ]
     for call, says in cases:
         result = bench(*call)

@@ -9,7 +9,7 @@ from daq.recording import RecordingWriter, open_recording
 from rig.execution.run import StopRequest, run_ramp
 from rig.fakes.faults import FaultyBackend, LostFrames
 from rig.programme.ramp import plan
-from rig.programme.sequencer import Stop, commanded, fades_of_changes, fades_of_steps
+from rig.programme.sequencer import State, Stop, commanded, fades_of_changes, fades_of_steps
 
 
 def record(profile, rig, path, **options):
@@ -136,3 +136,28 @@ def test_lost_frames_are_counted_and_steps_stay_in_place(
             assert played[row["first_sample"]] >= first
             assert row["first_sample"] == 0 or played[row["first_sample"] - 1] < first
             assert row["achieved_gamma"] == pytest.approx(row["gamma"], rel=2e-3)
+
+
+def test_notes_and_a_pause_are_kept(make_profile, fake_rig, recording_path) -> None:
+    """Notes stand in the recording at the sample where they came, and a pause lies between two whole steps."""
+    profile, request = make_profile(("contact_cycles = 8", "contact_cycles = 0")), StopRequest()
+    paused = 0
+
+    def watch(status) -> None:
+        nonlocal paused
+        request.pause = status.step.index == 0 and paused < 30
+        paused += status.state is State.PAUSED
+        if paused == 10:
+            request.notes = ["ball looks dusty", "\u03b3 \N{DEGREE SIGN} " + 200 * "\u03b3\u03b3"]
+
+    rig = fake_rig(profile)
+    summary = record(profile, rig, recording_path, progress=watch, stop_request=request)
+    assert (summary.how, summary.steps_driven) == ("complete", 3) and paused >= 30
+    with open_recording(recording_path) as recording:
+        first, second = recording.steps[:2]
+        end = first["first_sample"] + first["n_samples"]
+        assert end < recording.notes["first_sample"][0] < second["first_sample"]
+        texts = [text.decode() for text in recording.notes["text"]]
+        assert texts[0] == "ball looks dusty" and texts[1].startswith("\u03b3 \N{DEGREE SIGN}")
+        fades = fades_of_changes(recording.setup, recording.drive_changes)
+        assert np.array_equal(commanded(recording.setup, fades, 0, recording.n_samples), rig.drive_v)

@@ -204,3 +204,44 @@ def test_only_settling_may_be_retargeted() -> None:
     sequencer = fresh()
     with pytest.raises(ValueError, match="while fading"):
         sequencer.retarget(sequencer.amplitudes, 2)
+
+
+def test_pause_keeps_the_amplitude_and_goes_on_with_a_cycle() -> None:
+    """Asked to pause: the step ends as planned, its amplitude stays, and the next step begins with a whole cycle."""
+    sequencer, clock = fresh(), fresh().programme.clock
+    sequencer.pause(True)
+    pieces = []
+    while sequencer.state is not State.PAUSED:
+        pieces.append(sequencer.take(10))
+    pieces += [sequencer.take(10) for _ in range(50)]
+    assert sequencer.state is State.PAUSED and np.max(np.abs(pieces[-9:])) > 0.0
+    sequencer.pause(False)
+    pieces.append(drive_all(sequencer, 10))
+    table = rows(sequencer.marks)
+    assert len(table) == 3 and table[1]["first_sample"] > table[0]["first_sample"] + table[0]["n_samples"] + 400
+    assert table[1]["first_sample"] == clock.cycle_start(clock.cycle_after(int(table[1]["first_sample"])))
+    run = np.concatenate(pieces)
+    profile = profile_of_three_steps()
+    assert np.array_equal(run, commanded(profile, fades_of_steps(profile, table), 0, len(run)))
+
+
+@pytest.mark.parametrize("how", list(Stop))
+def test_every_stop_ends_a_pause(how: Stop) -> None:
+    """A paused run heeds every stop, finishing the step included, and ends at zero."""
+    sequencer = fresh()
+    sequencer.pause(True)
+    while sequencer.state is not State.PAUSED:
+        sequencer.take(10)
+    sequencer.take(100)
+    sequencer.stop(how)
+    run = drive_all(sequencer, 10)
+    assert sequencer.done and not np.any(run[-10:]) and len(rows(sequencer.marks)) == 1
+
+
+def test_pause_that_nobody_ends_is_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run left alone in a pause ramps down."""
+    monkeypatch.setattr("rig.programme.sequencer.LONGEST_PAUSE_S", 0.5)
+    sequencer = fresh()
+    sequencer.pause(True)
+    drive_all(sequencer, 10)
+    assert len(rows(sequencer.marks)) == 1

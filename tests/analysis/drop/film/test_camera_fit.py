@@ -30,15 +30,15 @@ def test_friction_and_restitution_at_the_papers_conditions(synthetic: ModuleType
     """At 1000 frames a second friction comes back to 0.01 g and restitution to 0.005, and friction is named."""
     truth = synthetic.Truth(e0=0.514, friction=0.3)
     fit = fit_camera([_clip(synthetic, truth, 1000.0, 0.4, 1)], np.random.default_rng(0))
-    chosen, ties = choose(fit.rungs)
-    rung = next(r for r in fit.rungs if r.model.name == chosen)
+    chosen, ties = choose(fit.candidates)
+    candidate = next(r for r in fit.candidates if r.model.name == chosen)
     assert chosen == "coulomb_friction" and ties == ("coulomb_friction",)
     assert fit.shapes["friction"].values[1] == pytest.approx(0.3, abs=0.01)
-    assert rung.law.theta[0] == pytest.approx(0.514, abs=0.005)
+    assert candidate.law.theta[0] == pytest.approx(0.514, abs=0.005)
 
 
 def test_no_friction_is_not_made_up(synthetic: ModuleType) -> None:
-    """Free fall with a constant restitution stays at the lowest rung, with gravity measured and impacts timed."""
+    """Free fall with a constant restitution stays at the lowest candidate, with gravity measured and impacts timed."""
     truth = synthetic.Truth(e0=0.6, hold_s=0.02)
     fit = fit_camera([_clip(synthetic, truth, 500.0, 0.45, 2)], np.random.default_rng(0))
     result = of_camera(["x"], fit, Units(1 / 500.0, SCALE_M, 9.80665), np.random.default_rng(0)).payload
@@ -126,7 +126,7 @@ def test_a_short_last_flight_does_not_call_for_drag(synthetic: ModuleType) -> No
     heights, _ = synthetic.path(synthetic.Truth(height_m=0.5, e0=0.75, hold_s=0.05), frames / 240.0, 2e-5)
     track = ball_of(frames, np.zeros(216), heights + rng.normal(0.0, 3e-4, 216), "x")
     fit = fit_camera([Clip("x", track.clock, track.height, track.acceleration)], np.random.default_rng(1))
-    assert choose(fit.rungs)[0] == "constant_restitution"
+    assert choose(fit.candidates)[0] == "constant_restitution"
 
 
 def _write(target: Path, pictures: list[np.ndarray]) -> None:

@@ -165,3 +165,18 @@ def test_bounces_that_differ_are_not_called_constant(synthetic: ModuleType) -> N
     result = _measured(Clip("x", track.clock, track.height, track.acceleration), Units(1 / 240, None, 9.80665))
     assert result.payload["chosen"] == "unexplained" and not result.measured
     assert any("not constant" in words for words in result.sentences)
+
+
+@pytest.mark.parametrize(
+    ("power", "decay_s"), [(0.5, 1e9), (0.5, 2.0), (0.75, 1e9), (0.75, 2.0), (1.0, 1e9), (1.0, 2.0), (1.0, 1.0)]
+)
+def test_a_knocking_hand_is_no_drop(power: float, decay_s: float) -> None:
+    """Arcs |cos|^p at even intervals, fading or not, are refused."""
+    times = np.arange(0.0, 3.0, 1 / 240)
+    height = 300.0 * np.exp(-times / decay_s) * np.abs(np.cos(2.4 * np.pi / 2 * times)) ** power
+    height += 0.3 * np.random.default_rng(0).standard_normal(len(times))
+    frames = np.arange(len(times), dtype=float)
+    with pytest.raises(InputError):
+        track = ball_of(frames, np.zeros(len(frames)), -height, "hand")
+        fit = fit_camera([Clip("hand", track.clock, track.height, track.acceleration)], np.random.default_rng(0))
+        of_camera(["hand"], fit, Units(1 / 240, None, 9.80665), np.random.default_rng(0))

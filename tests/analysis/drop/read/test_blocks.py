@@ -7,7 +7,8 @@ import openpyxl
 import pytest
 
 from analysis.drop.load import load_all
-from analysis.drop.read.readings import Points, read_tables
+from analysis.drop.read.contents import read_tables
+from analysis.drop.read.readings import Points
 from analysis.drop.read.tables import Grid, read_grids
 from daq.setup.errors import InputError
 
@@ -48,27 +49,27 @@ def test_blocks_side_by_side(gap: int) -> None:
     rows = [["Time (s)", "Interval (s)", *[""] * gap] * 3]
     parts = [_events(times) for times in DROPS]
     rows += [[cell for part in parts for cell in (*part[i], *[""] * gap)] for i in range(10)]
-    _is_all_three(read_tables([Grid("", rows)], "x"))
+    _is_all_three(read_tables([Grid("", rows)], "x").found)
 
 
 def test_drops_numbered_in_a_column() -> None:
     """A long table with the drop's number in a column."""
     rows = [["Drop", "Time (s)", "Interval (s)"]]
     rows += [[float(k + 1), *row] for k, times in enumerate(DROPS) for row in _events(times)]
-    _is_all_three(read_tables([Grid("", rows)], "x"))
+    _is_all_three(read_tables([Grid("", rows)], "x").found)
 
 
 def test_a_column_for_each_drop() -> None:
     """Columns of times without intervals, one a drop."""
     rows = [[f"Drop {k}" for k in (1, 2, 3)], *[[float(times[i]) for times in DROPS] for i in range(10)]]
-    _is_all_three(read_tables([Grid("", rows)], "x"))
+    _is_all_three(read_tables([Grid("", rows)], "x").found)
 
 
 def test_heights_of_several_drops_beside_one_clock() -> None:
     """One clock and y1, y2: two paths, each with its own heights."""
     times = np.arange(40) / 100
     rows = [["t (s)", "y1 (m)", "y2 (m)"], *[[float(t), 1 - 4.9 * t * t, 0.8 - 4.9 * t * t] for t in times]]
-    found = read_tables([Grid("", rows)], "x")
+    found = read_tables([Grid("", rows)], "x").found
     assert [item.y[0] for _, item in found if isinstance(item, Points)] == [1.0, 0.8]
 
 
@@ -77,3 +78,77 @@ def test_rebound_heights_are_refused_in_words(tmp_path: Path) -> None:
     (tmp_path / "h.csv").write_text("bounce,height (cm)\n1,80\n2,64\n3,51\n4,41\n5,33\n6,26\n7,21\n", encoding="utf-8")
     with pytest.raises(InputError, match="rebound heights"):
         read_tables(read_grids(tmp_path / "h.csv"), "h.csv")
+
+
+def test_a_row_for_each_drop() -> None:
+    """Drops as rows, with a row or a column of headings, are read as columns are."""
+    named = [["impact", *range(1, 11)], *[[f"Drop {k}", *map(float, times)] for k, times in enumerate(DROPS)]]
+    named[0] = ["impact", *[float(k) for k in range(1, 11)]]
+    _is_all_three(read_tables([Grid("", named)], "x").found)
+    counted = [["Drop", *[f"t{k}" for k in range(10)]], *[[float(k), *map(float, t)] for k, t in enumerate(DROPS)]]
+    _is_all_three(read_tables([Grid("", counted)], "x").found)
+
+
+def test_times_and_heights_in_two_rows() -> None:
+    """A path in two long rows, time above height, is a path."""
+    times = np.arange(40) / 100
+    rows = [["t (s)", *map(float, times)], ["y (m)", *map(float, 1 - 4.9 * times * times)]]
+    ((_, found),) = read_tables([Grid("", rows)], "x").found
+    assert isinstance(found, Points) and found.y[0] == 1.0 and len(found.clock) == 40
+
+
+def test_tables_below_each_other() -> None:
+    """Tables with the same heading again, under a title each, are drops of their own."""
+    rows: list[list[float | str]] = []
+    for k, times in enumerate(DROPS):
+        rows += [[f"Drop {k + 1}"], ["n", "Time (s)"], *[[float(i), float(t)] for i, t in enumerate(times)], []]
+    _is_all_three(read_tables([Grid("", rows)], "x").found)
+
+
+def test_what_is_not_read_is_named(tmp_path: Path) -> None:
+    """A sheet of positions, a mean and a metronome beside three drops: each is named with its reason."""
+    book = openpyxl.Workbook()
+    book.active.title = "drops"
+    book.active.append(["Drop 1", "Drop 2", "Drop 3", "mean"])
+    for row in zip(*DROPS, np.mean(DROPS, axis=0), strict=True):
+        book.active.append([float(cell) for cell in row])
+    even = book.create_sheet("even")
+    for k in range(12):
+        even.append([1.0 + 0.5 * k + 0.01 * (k % 2)])
+    book.save(tmp_path / "drops.xlsx")
+    drops = load_all(tmp_path / "drops.xlsx")
+    assert len(drops) == 3
+    said = "\n".join(drops[0].not_read)
+    assert "drops mean: a mean" in said
+    assert "even" in said and "even intervals" in said
+
+
+def test_thousands_are_read(tmp_path: Path) -> None:
+    """Numbers grouped by thousands, "1,004.17" or "1.004,17", are numbers, and no row is lost."""
+    rows = "\n".join(f'"{1e3 * t:,.2f}","{k}"' for k, t in enumerate(DROPS[0]))
+    (tmp_path / "t.csv").write_text(f"time (ms),n\n{rows}\n", encoding="utf-8")
+    ((_, times),) = read_tables(read_grids(tmp_path / "t.csv"), "x").found
+    assert times == pytest.approx(DROPS[0], abs=1e-5)
+
+
+def test_formulas_without_values_are_refused_in_words(tmp_path: Path) -> None:
+    """A workbook that was never opened by a spreadsheet program has formulas only, and the error says so."""
+    book = openpyxl.Workbook()
+    book.active.append(["time (s)"])
+    for k in range(9):
+        book.active.append([f"=0.4*{k}"])
+    book.save(tmp_path / "f.xlsx")
+    with pytest.raises(InputError, match="formulas without saved values"):
+        read_grids(tmp_path / "f.xlsx")
+
+
+def test_rounded_times_are_whole_frames(tmp_path: Path) -> None:
+    """Times of 240 frames a second, rounded to 0.1 ms, are 240 frames a second."""
+    frames = np.arange(200)
+    fall = np.sqrt(2 * 0.3 / 9.81)
+    since = (frames / 240) % (2 * fall) - fall
+    rows = "\n".join(f"{k / 240:.4f},{0.3 - 4.905 * s * s:.5f}" for k, s in zip(frames, since, strict=True))
+    (tmp_path / "p.csv").write_text(f"t (s),y (m)\n{rows}\n", encoding="utf-8")
+    (path,) = load_all(tmp_path / "p.csv")
+    assert path.frame_s == pytest.approx(1 / 240, rel=1e-4)
+    assert np.ptp(path.clip.frame % 1.0) == pytest.approx(0.0, abs=1e-9)

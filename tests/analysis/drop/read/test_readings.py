@@ -6,7 +6,8 @@ import numpy as np
 import openpyxl
 import pytest
 
-from analysis.drop.read.readings import Points, read_table
+from analysis.drop.read.contents import read_table
+from analysis.drop.read.readings import Points
 from analysis.drop.read.tables import read_grids
 from daq.setup.errors import InputError
 

@@ -34,8 +34,16 @@ def test_a_rally_is_no_drop(seed: int) -> None:
 def test_twelve_drops_in_one_recording() -> None:
     """Twelve clean drops of 23 impacts among stray noises are twelve drops."""
     rng = np.random.default_rng(5)
-    events = np.concatenate([_impacts(0.85, 0.6, 22, 5.0 * k) for k in range(12)] + [rng.uniform(0.0, 60.0, 20)])
+    drops = [_impacts(0.85, 0.6 + 0.002 * k, 22, 5.0 * k) for k in range(12)]
+    events = np.concatenate([*drops, rng.uniform(0.0, 60.0, 20)])
     assert [len(drop.impacts_s) for drop in drops_of(events, "x")] == [23] * 12
+
+
+def test_a_rhythm_is_no_row_of_drops() -> None:
+    """Six taps that quicken, again and again every three seconds to the millisecond, are no drops."""
+    events = np.concatenate([_impacts(0.8, 0.4, 5, 3.0 * k) for k in range(8)])
+    with pytest.raises(InputError, match="a rhythm"):
+        drops_of(events, "rhythm.wav")
 
 
 def test_loudness_goes_with_energy() -> None:

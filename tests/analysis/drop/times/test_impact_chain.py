@@ -70,7 +70,7 @@ def test_a_first_bounce_that_loses_more_to_the_air_stays() -> None:
 
 
 def test_two_drops_in_one_recording_are_two_drops() -> None:
-    """A ball dropped twice gives two ladders, in order."""
+    """A ball dropped twice gives two sets of models, in order."""
     one, two = _impacts(0.8, n=8), _impacts(0.8, n=9, start=6.0)
     found = drops_of(np.concatenate((one, two)), "x")
     assert [len(drop.impacts_s) for drop in found] == [9, 10]

@@ -1,0 +1,135 @@
+"""Figures as inline SVG, and the flights behind their points, for a page that needs nothing but itself.
+
+A figure names the flights behind its points (`name_flights`). The page's script finds the point nearest to the pointer;
+paper shows the same vectors.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.style import FLIGHT_ROWS, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_VECTOR_POINTS = 15_000  # in one figure; with more of them the dots are one picture under vector axes
+MOST_HOVER_POINTS = 60_000  # in one figure that the pointer can name; of more, every second, third, ... one
+MANY = 500  # dots of one line from which it joins the picture
+
+
+@dataclass(frozen=True)
+class InlineFigure:
+    """A drawn figure.
+
+    Attributes
+    ----------
+    svg
+        Element ``<svg>``.
+    points
+        Place of each named point in the SVG's units and its flight's row, base64 of little-endian numbers.
+    remark
+        What the number of points made necessary, in words; else empty.
+    """
+
+    svg: str
+    points: Mapping[str, str]
+    remark: str
+
+
+def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
+    """What ``draw`` draws on a new figure, as inline SVG; None where it draws no axes."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):  # the reader's machine lacks TeX's fonts
+        figure = Figure()
+        draw(figure)
+        if not figure.axes:
+            return None
+        dots = [line for ax in figure.axes for line in ax.lines]
+        named = [line for line in dots if hasattr(line, FLIGHT_ROWS)]
+        sizes = [0 if line.get_rasterized() else int(np.isfinite(line.get_xydata()).all(axis=1).sum()) for line in dots]
+        n = sum(sizes)
+        if n > MOST_VECTOR_POINTS:
+            for line, size in zip(dots, sizes, strict=True):
+                line.set_rasterized(bool(line.get_rasterized()) or size > MANY)
+        out = io.BytesIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        points, known = _points(figure, named)
+    return InlineFigure(_element(out.getvalue().decode("utf-8")), points, _remark(n, known))
+
+
+def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int, int]]:
+    """Places and rows of the named points, and how many are kept of how many."""
+    places, rows = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    for line in lines:
+        places.append(line.get_transform().transform(np.column_stack([line.get_xdata(), line.get_ydata()])))
+        rows.append(getattr(line, FLIGHT_ROWS))
+    place, row = np.concatenate(places) * (72.0 / figure.dpi), np.concatenate(rows)
+    seen = np.isfinite(place).all(axis=1)
+    place, row = place[seen], row[seen]
+    stride = -(-len(row) // MOST_HOVER_POINTS) if len(row) else 1
+    kept = place[::stride]
+    coded = {
+        "x": packed(kept[:, 0], "<f4"),
+        "y": packed(72.0 * figure.get_figheight() - kept[:, 1], "<f4"),
+        "row": packed(row[::stride], "<i4"),
+    }
+    return coded, (len(kept), len(row))
+
+
+def _remark(points: int, known: tuple[int, int]) -> str:
+    words = []
+    if points > MOST_VECTOR_POINTS:
+        words.append(f"Its {points} points are drawn as a picture; axes and text are vectors.")
+    if known[0] < known[1]:
+        words.append(f"The pointer knows {known[0]} of the {known[1]} points, evenly chosen.")
+    return " ".join(words)
+
+
+def _element(svg: str) -> str:
+    """The SVG element alone: without the head of an XML file, without metadata."""
+    text = svg[svg.index("<svg") :]
+    return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL).strip()
+
+
+def packed(values: Any, kind: str) -> str:
+    """Numbers as base64 of the little-endian type ``kind``."""
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode("ascii")
+
+
+def flight_columns(columns: Mapping[str, NDArray[Any]]) -> dict[str, str]:
+    """Columns of a table of flights for the script: whole numbers as ``i4``, others as ``f8``, by name."""
+    return {
+        name: ("i4:" + packed(x, "<i4")) if np.issubdtype(x.dtype, np.integer) else "f8:" + packed(x, "<f8")
+        for name, x in columns.items()
+    }
+
+
+def json_element(name: str, value: Any) -> str:
+    """A value as a JSON element of the page; no text in it can end the element."""
+    text = json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return f'<script type="application/json" id="{name}">{text}</script>'
+
+
+def script() -> str:
+    """The page's own script."""
+    return resources.files("analysis.report").joinpath("hover.js").read_text(encoding="utf-8")
+
+
+def content_policy() -> str:
+    """Policy of the page: nothing from elsewhere, and no script but its own."""
+    digest = base64.b64encode(hashlib.sha256(script().encode("utf-8")).digest()).decode("ascii")
+    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"

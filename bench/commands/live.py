@@ -1,0 +1,38 @@
+"""`bench live`: a page on which runs are started, watched and stopped."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import typer
+
+
+def command(
+    profile: str | None = typer.Argument(None, help="A profile's path or name, offered first."),
+    runs: Path = typer.Option(Path(), "--runs", metavar="DIR", help="Folder of the recordings."),
+    host: str = typer.Option("127.0.0.1", "--host", help="Where to listen; other machines need the token it prints."),
+    port: int | None = typer.Option(None, "--port", min=0, max=65535, help="By default a free one."),
+) -> None:
+    """Serve the page until Ctrl-C; runs are processes of their own and go on without it.
+
+    Example: bench live simulated --runs runs
+
+    Exits 0 when stopped, 2 when the call was wrong.
+    """
+    from bench.live.desk import offered_profiles
+    from bench.live.serving import sections, serve_desk
+    from bench.terminal.console import EXIT_USAGE, fail, print_lines
+    from daq.setup.errors import InputError
+
+    def say(url: str) -> None:
+        print_lines(f"open {url} in a browser; Ctrl-C ends the page")
+        sys.stdout.flush()
+
+    try:
+        if not runs.is_dir():
+            raise InputError(f"--runs {runs}: no such folder; create it first, or name another")
+        sections()
+        serve_desk(runs, offered_profiles(runs, profile), host, port, say)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)

@@ -1,0 +1,44 @@
+"""`bench note`: what a person has to say of a recording after the run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from bench.outputs import Overwrite
+
+
+def command(
+    recording: Path = typer.Argument(metavar="REC.h5", help="Recording that the note is about."),
+    text: str | None = typer.Argument(None, metavar="TEXT", help="The note; left out: the notes are shown."),
+    undo: bool = typer.Option(False, "--undo", help="Take back the latest note."),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    overwrite: Overwrite = False,
+) -> None:
+    """Add a note, with its time, to a recording; it lies in a small file beside it.
+
+    Example: bench note runs/monday.h5 "plate screws were loose"
+    """
+    from bench.outputs import JSON, File, check_outputs
+    from bench.runs.marking import as_json, identity_of, lines
+    from bench.runs.remarks import change_remarks, read_remarks, side_file, with_note, without_last_note
+    from bench.terminal.console import EXIT_USAGE, fail, print_lines, readable, write_json
+    from daq.setup.errors import InputError
+
+    try:
+        check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
+        identity, said = identity_of(recording), readable(text)
+        if undo and said is not None:
+            raise InputError("--undo takes back the latest note; leave out the text, or leave out --undo")
+        if undo:
+            changed = change_remarks(recording, identity, without_last_note)
+        elif said is not None:
+            changed = change_remarks(recording, identity, lambda now: with_note(now, said))
+        else:
+            changed = read_remarks(side_file(recording))
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    write_json(as_json(recording, changed), json)
+    if json != "-":
+        print_lines(*lines(recording, changed))

@@ -1,0 +1,100 @@
+"""`bench report`: one page a physicist can read, print and file, for one recording or several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bench.outputs import Overwrite
+
+if TYPE_CHECKING:
+    from bench.jobs.report import Reported
+
+
+def command(
+    recordings: list[Path] = typer.Argument(metavar="REC.h5...", help="Recordings (HDF5), a section each."),
+    out: Path = typer.Option(..., "--out", "-o", metavar="PAGE.html", help="Page to write; it needs no other file."),
+    pdf: Path | None = typer.Option(None, "--pdf", metavar="FILE.pdf", help="Print it there as well."),
+    no_loop: bool = typer.Option(False, "--no-loop", help="Leave the closed loop out."),
+    save_loop: bool = typer.Option(
+        False, "--save-loop", help="Save each closed loop beside its recording (REC.loop), for the next report."
+    ),
+    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
+    overwrite: Overwrite = False,
+) -> None:
+    """Report of recordings as one HTML page: verdict, figures, steps, residuals, rig, calibrations, pedigree.
+
+    A closed loop saved beside a recording (REC.loop) is used where it belongs to it, else the loop is closed, which
+    takes a while. Point at a dot to see its flight. --pdf needs Chromium, Chrome, Edge or WeasyPrint.
+
+    Example: bench report run.h5 --out run.html --pdf run.pdf
+    """
+    from bench.jobs.print_pdf import print_pdf, refuse_without_printer
+    from bench.jobs.report import is_answer, report, saved_answer
+    from bench.outputs import HTML, JSON, LOOP, PDF, File, check_outputs
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from daq.recording.identity import refuse_repeated
+    from daq.setup.errors import InputError
+
+    quiet = json == "-"
+    say: Callable[[str], None] = _nothing if quiet else typer.echo
+    kept = [File("--save-loop", saved_answer(path), LOOP, continues=is_answer) for path in recordings if save_loop]
+    try:
+        check_outputs(
+            File("--out", out, HTML), File("--pdf", pdf, PDF), File("--json", json, JSON), *kept,
+            inputs=recordings, overwrite=overwrite,
+        )  # fmt: skip
+        if pdf is not None:
+            refuse_without_printer()
+        refuse_repeated(recordings)
+        found = report(recordings, with_loop=not no_loop, save_loop=save_loop, say=say, quiet=quiet)
+    except InputError as error:
+        fail(str(error), EXIT_USAGE)
+    except OSError as error:
+        fail(f"{error}; name files that can be read", EXIT_USAGE)
+    try:
+        _write(found, out)
+        if pdf is not None:
+            print_pdf(out, pdf)
+        write_json(as_json(found, out, pdf), json)
+    except InputError as error:
+        fail(str(error), EXIT_FAILED)
+    except OSError as error:
+        fail(f"{error}; free some space, or name files that can be written", EXIT_FAILED)
+    for one in found:
+        say(f"{one.path.name}: {one.section.sentence}")
+    say(f"report: {out}" + (f" and {pdf}" if pdf is not None else ""))
+
+
+def _write(found: list[Reported], out: Path) -> None:
+    from analysis.report.run_page import write_page
+
+    write_page([one.section for one in found], out)
+
+
+def as_json(found: list[Reported], out: Path, pdf: Path | None) -> dict[str, Any]:
+    """What the page says at the top, for a machine."""
+    return {
+        "file": out,
+        "pdf": pdf,
+        "runs": [
+            {
+                "recording": one.path,
+                "simulated": one.section.simulated,
+                "state": one.state,
+                "lost_samples": one.lost_samples,
+                "flights": one.flights,
+                "loop": one.loop,
+                "verdict": one.section.verdict,
+                "sentence": one.section.sentence,
+            }
+            for one in found
+        ],
+    }
+
+
+def _nothing(line: str) -> None:
+    """Say nothing: standard output belongs to the JSON."""

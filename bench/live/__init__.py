@@ -1,0 +1,1 @@
+"""The live page: a running ramp watched and stopped from a browser."""

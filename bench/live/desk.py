@@ -1,0 +1,201 @@
+"""The desk in the page's process: browsers, the run that they watch, and runs that they start."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import multiprocessing
+import time
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from bench.live.board import Board, Message
+from bench.live.decimate import MinMax, PlateHeight
+from bench.live.hub import Browser, Hub
+from bench.live.starting import run_check, run_profile
+from bench.live.watch import Watch
+from bench.profiles.find import find_profile, load, scenario_names, shipped_names
+from daq.setup.errors import InputError
+from rig.profile import Profile
+
+TICK_S = 0.05
+COMMANDS = ("finish", "ramp_down", "now", "pause", "go_on", "note")
+LONGEST_NOTE = 480
+
+
+class Desk:
+    """What browsers see and do.
+
+    Parameters
+    ----------
+    folder
+        Of the runs.
+    offered
+        Profiles that may be started, by name or path; none where the page only watches.
+    watched
+        Profile and board of a run that is under way; None where runs are started from the page.
+    """
+
+    def __init__(self, folder: Path, offered: Sequence[str], watched: tuple[Profile, str] | None) -> None:
+        self.hub = Hub()
+        self.watch: Watch | None = None
+        self._folder, self._offered, self._watched = folder, list(offered), watched
+        self._passed: set[str] = set()  # profiles whose check was green
+        self._run: Any = None
+        self._check: Any = None
+        self._check_pipe: Any = None
+        self._checked = ""
+        self._findings: Message | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Look after the run while the server runs."""
+        MinMax(1, 1)
+        PlateHeight(1.0, 1.0, 1.0, 1.0)  # compiled before a run needs them
+        if self._watched is not None:
+            profile, board_name = self._watched
+            with contextlib.suppress(OSError):
+                self.watch = Watch(profile, Board(board_name), self.hub.tell)
+        ticking = asyncio.create_task(self._tick_for_ever())
+        try:
+            yield
+        finally:
+            ticking.cancel()
+            if self.watch is not None:
+                self.watch.close()
+
+    async def _tick_for_ever(self) -> None:
+        due = time.monotonic()
+        while True:
+            if self.hub.lease.pass_time(time.monotonic()):
+                self.hub.tell_lease()
+            if self.watch is not None:
+                self.watch.tick()
+            self._look_at_check()
+            due = max(due + TICK_S, time.monotonic())
+            await asyncio.sleep(due - time.monotonic())
+
+    async def talk(self, browser: Browser) -> None:
+        """Serve one browser until it is gone."""
+        delivering = asyncio.create_task(browser.deliver())
+        self.hub.enter(browser)
+        try:
+            browser.send(json.dumps(self._offer()))
+            if self._findings is not None:
+                browser.send(json.dumps(self._findings))
+            for message in self.watch.history() if self.watch is not None else []:
+                browser.send(message)
+            async for text in browser.socket.iter_text():
+                with contextlib.suppress(ValueError):
+                    said = json.loads(text)
+                    if isinstance(said, dict):
+                        self._obey(browser, said)
+        finally:
+            delivering.cancel()
+            self.hub.leave(browser)
+
+    def _offer(self) -> Message:
+        return {"kind": "offer", "profiles": self._offered, "scenarios": scenario_names(), "can_start": self._can_start}
+
+    @property
+    def _can_start(self) -> bool:
+        return self._watched is None and (self._run is None or not self._run.is_alive())
+
+    def _obey(self, browser: Browser, said: Message) -> None:
+        """Do what a browser asks; commands are the holder's alone."""
+        wanted, lease, name = said.get("do"), self.hub.lease, browser.name
+        if wanted == "ask":
+            lease.ask(name, time.monotonic())
+        elif wanted == "hand_over":
+            lease.hand_over(name)
+        elif wanted == "keep":
+            lease.keep(name)
+        else:
+            if not lease.may(name):
+                browser.send(json.dumps({"kind": "refused", "why": "another browser holds the controls"}))
+            elif wanted in COMMANDS and self.watch is not None:
+                self.watch.command({"do": wanted, "text": str(said.get("text", ""))[:LONGEST_NOTE]})
+            elif wanted == "check":
+                self._start_check(str(said.get("profile", "")), str(said.get("scenario", "")))
+            elif wanted == "start":
+                self._start_run(browser, said)
+            return
+        self.hub.tell_lease()
+
+    def _start_check(self, profile: str, scenario: str) -> None:
+        """`bench check` of an offered profile, in a process of its own."""
+        busy = self._check is not None and self._check.is_alive()
+        if busy or not self._can_start or profile not in self._offered:
+            return
+        context = multiprocessing.get_context("spawn")
+        self._check_pipe, theirs = context.Pipe(duplex=False)
+        self._checked = f"{profile}|{scenario}"
+        self._passed.discard(self._checked)
+        self._check = context.Process(
+            target=run_check, args=(theirs, profile, self._scenario(scenario)), name="check", daemon=True
+        )
+        self._check.start()
+        theirs.close()
+        self.hub.tell({"kind": "checking", "profile": profile})
+
+    def _look_at_check(self) -> None:
+        """Tell the outcome of a check once it is there."""
+        if self._check_pipe is None or not self._check_pipe.poll():
+            return
+        try:
+            found = self._check_pipe.recv()
+        except EOFError:
+            found = {"error": "the check ended with an error of its own; see the terminal", "findings": []}
+        self._check_pipe = None
+        passed = not found["error"] and all(one["passed"] is not False for one in found["findings"])
+        if passed:
+            self._passed.add(self._checked)
+        profile, _, scenario = self._checked.partition("|")
+        self._findings = {"kind": "checked", "profile": profile, "scenario": scenario, "passed": passed, **found}
+        self.hub.tell(self._findings)
+
+    def _scenario(self, name: str) -> str | None:
+        return name if name in scenario_names() else None
+
+    def _start_run(self, browser: Browser, said: Message) -> None:
+        """Start a ramp whose check was green, in a process of its own that outlives this one."""
+        profile, scenario = str(said.get("profile", "")), str(said.get("scenario", ""))
+        if not self._can_start or f"{profile}|{scenario}" not in self._passed:
+            browser.send(json.dumps({"kind": "refused", "why": "a run starts once the check of its profile is green"}))
+            return
+        try:
+            known, _ = load(profile)
+        except InputError as error:
+            browser.send(json.dumps({"kind": "refused", "why": str(error)}))
+            return
+        if self.watch is not None:
+            self.watch.close()
+        board = Board()
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+        out = self._folder / f"{Path(profile).stem}-{stamp}.h5"
+        note = str(said.get("note", ""))[:LONGEST_NOTE] or None
+        self._run = multiprocessing.get_context("spawn").Process(
+            target=run_profile, args=(profile, str(out), board.name, self._scenario(scenario), note), name="run"
+        )
+        self._run.start()
+        self.hub.tell({"kind": "started", "profile": profile, "out": out.name})
+        self.watch = Watch(known, board, self.hub.tell)
+
+
+def offered_profiles(folder: Path, wanted: str | None) -> list[str]:
+    """Profiles that a page offers: the one asked for, those of the runs' folder, and the shipped ones.
+
+    Raises
+    ------
+    InputError
+        Where there is no such profile.
+    """
+    if wanted is not None:
+        find_profile(wanted)
+    own = sorted(str(path) for path in folder.glob("*.toml"))
+    return list(dict.fromkeys([*([wanted] if wanted else []), *own, *shipped_names()]))

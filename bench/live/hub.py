@@ -1,0 +1,139 @@
+"""The browsers of a page: what each still has to get, and which of them holds the controls."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+QUEUE = 400  # messages that a slow browser may be behind by
+PASSING = 100  # beyond that it gets no more of the scope, until it has caught up
+GONE_S = 6.0  # the controls wait for a browser that loads the page again
+SILENT_S = 15.0  # after which a holder that does not answer loses the controls to the one that asked
+
+
+class Browser:
+    """One open page; ``name`` is its own choice and survives a reload."""
+
+    def __init__(self, socket: WebSocket, name: str) -> None:
+        self.socket, self.name = socket, name
+        self._queue: asyncio.Queue[str | bytes] = asyncio.Queue(QUEUE)
+
+    def send(self, message: str | bytes, *, passing: bool = False) -> None:
+        """Queue a message; one that is ``passing`` (a piece of the scope) is left out for a browser that is behind."""
+        if passing and self._queue.qsize() > PASSING:
+            return
+        with contextlib.suppress(asyncio.QueueFull):
+            self._queue.put_nowait(message)
+
+    async def deliver(self) -> None:
+        """Send what is queued, until the browser is gone."""
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):
+            while True:
+                message = await self._queue.get()
+                if isinstance(message, bytes):
+                    await self.socket.send_bytes(message)
+                else:
+                    await self.socket.send_text(message)
+
+
+class Lease:
+    """Who holds the controls: one browser, until it gives them away, is gone, or does not answer."""
+
+    def __init__(self) -> None:
+        self.holder: str | None = None
+        self.asked_by: str | None = None
+        self._asked_at = 0.0
+        self._gone_at: float | None = None
+
+    def may(self, name: str) -> bool:
+        """Whether a browser holds the controls."""
+        return self.holder == name
+
+    def ask(self, name: str, now: float) -> None:
+        """Ask for the controls: given at once where nobody holds them."""
+        if self.holder in (None, name):
+            self._give(name)
+        elif self.asked_by is None:
+            self.asked_by, self._asked_at = name, now
+
+    def hand_over(self, name: str) -> None:
+        """The holder ``name`` gives the controls to the one that asked, or to nobody."""
+        if self.holder == name:
+            self._give(self.asked_by)
+
+    def keep(self, name: str) -> None:
+        """The holder ``name`` keeps the controls."""
+        if self.holder == name:
+            self.asked_by = None
+
+    def came(self, name: str) -> None:
+        """A browser is there (again)."""
+        if self.holder == name:
+            self._gone_at = None
+
+    def left(self, name: str, now: float) -> None:
+        """A browser is gone."""
+        if self.asked_by == name:
+            self.asked_by = None
+        if self.holder == name:
+            self._gone_at = now
+
+    def pass_time(self, now: float) -> bool:
+        """Take the controls from who is gone or silent; whether something changed."""
+        gone = self._gone_at is not None and now - self._gone_at > GONE_S
+        silent = self.asked_by is not None and now - self._asked_at > SILENT_S
+        if gone or silent:
+            self._give(self.asked_by)
+        return gone or silent
+
+    def _give(self, name: str | None) -> None:
+        self.holder, self.asked_by, self._gone_at = name, None, None
+
+
+class Hub:
+    """All browsers of the page."""
+
+    def __init__(self) -> None:
+        self.browsers: list[Browser] = []
+        self.lease = Lease()
+
+    def enter(self, browser: Browser) -> None:
+        """A browser opens the page; the first one gets the controls."""
+        self.browsers.append(browser)
+        self.lease.came(browser.name)
+        if self.lease.holder is None:
+            self.lease.ask(browser.name, time.monotonic())
+        self.tell_lease()
+
+    def leave(self, browser: Browser) -> None:
+        """A browser is gone."""
+        self.browsers.remove(browser)
+        if all(other.name != browser.name for other in self.browsers):
+            self.lease.left(browser.name, time.monotonic())
+        self.tell_lease()
+
+    def tell_lease(self) -> None:
+        """Tell every browser whether it holds the controls."""
+        lease = self.lease
+        for one in self.browsers:
+            message = {
+                "kind": "lease",
+                "mine": lease.may(one.name),
+                "free": lease.holder is None,
+                "asked": lease.asked_by is not None,
+                "asked_by_me": lease.asked_by == one.name,
+                "browsers": len(self.browsers),
+            }
+            one.send(json.dumps(message))
+
+    def tell(self, message: Mapping[str, Any] | bytes, *, passing: bool = False) -> None:
+        """Tell all browsers."""
+        packed = message if isinstance(message, bytes) else json.dumps(message)
+        for one in self.browsers:
+            one.send(packed, passing=passing)

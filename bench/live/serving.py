@@ -1,0 +1,124 @@
+"""The page as a process: beside a run (`bench ramp --live`), or by itself (`bench live`)."""
+
+from __future__ import annotations
+
+import importlib.util
+import multiprocessing
+import signal
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from bench.live.board import Board
+from daq.setup.errors import InputError
+from rig.profile import Profile
+
+SECTIONS = ("bench.live.section", "bench.runs.section")
+START_S = 60.0
+LINGER_S = 3.0  # in which browsers get the last word of a run
+MISSING = 'the page needs packages that are not installed ({}); run: pip install "shakerbench[live]"'
+
+
+def sections() -> tuple[str, ...]:
+    """Modules of the desk's sections that there are.
+
+    Raises
+    ------
+    InputError
+        Where the packages of the page are not installed.
+    """
+    missing = [name for name in ("starlette", "uvicorn", "websockets") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(MISSING.format(", ".join(missing)))
+    return tuple(name for name in SECTIONS if importlib.util.find_spec(name.rpartition(".")[0]) is not None)
+
+
+class PageProcess:
+    """The page of one run, in a process of its own that the run never waits for.
+
+    Parameters
+    ----------
+    profile
+        Of the run.
+    board
+        Of the run.
+    folder
+        Of the runs.
+    host, port
+        Where to listen; see `bench.web.serve.bind`.
+
+    Raises
+    ------
+    InputError
+        When the page cannot be served.
+    """
+
+    def __init__(self, profile: Profile, board: Board, folder: Path, host: str, port: int | None) -> None:
+        modules = sections()
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe(duplex=False)
+        self._process = context.Process(
+            target=_serve_run, args=(theirs, modules, profile, board.name, str(folder), host, port), name="page"
+        )
+        self._process.start()
+        theirs.close()
+        self.url, fault = "", "it does not start"
+        try:
+            if ours.poll(START_S):
+                self.url, fault = ours.recv()
+        except EOFError:
+            pass  # it ended before it could say why
+        if not self.url:
+            self._process.terminate()
+            raise InputError(f"the page cannot be served: {fault}")
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process."""
+        return self._process.pid
+
+    def close(self) -> None:
+        """Let the page say how the run ended, and end it."""
+        self._process.join(LINGER_S)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(LINGER_S)
+
+
+def _serve_run(
+    pipe: Connection, modules: tuple[str, ...], profile: Profile, board: str, folder: str, host: str, port: int | None
+) -> None:
+    """The page's process beside a run."""
+    from bench.web.section import Place
+    from bench.web.serve import bind, serve
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run's business
+    try:
+        listening, access = bind(host, port)
+    except InputError as error:
+        pipe.send(("", str(error)))
+        return
+    place = Place(Path(folder).resolve(), {"live": {"watched": (profile, board)}})
+    serve(listening, access, modules, place, on_ready=lambda: _answer(pipe, access.url), own_signals=False)
+
+
+def _answer(pipe: Connection, url: str) -> None:
+    pipe.send((url, ""))
+    pipe.close()
+
+
+def serve_desk(folder: Path, offered: list[str], host: str, port: int | None, say: Any) -> None:
+    """`bench live`: serve until Ctrl-C; ``say`` is told the address.
+
+    Raises
+    ------
+    InputError
+        When the page cannot be served.
+    """
+    modules = sections()
+    from bench.web.section import Place
+    from bench.web.serve import bind, serve
+
+    listening, access = bind(host, port)
+    place = Place(folder.resolve(), {"live": {"offered": offered}})
+    serve(listening, access, modules, place, on_ready=lambda: say(access.url))

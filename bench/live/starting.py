@@ -1,0 +1,53 @@
+"""Processes that the page starts: a check, and a run. Neither depends on the page once it is under way."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from bench.live.board import Board
+from bench.live.run_side import RunSide
+from daq.setup.errors import InputError
+from rig.backends.base import BackendError
+
+
+def run_check(pipe: Connection, profile: str, scenario: str | None) -> None:
+    """`bench check`; sends its findings, or why there are none."""
+    from bench.jobs.run_ramp import make_backend, warm_up
+    from bench.profiles.find import load
+    from rig.checks.check import Check
+
+    answer: dict[str, Any] = {"error": "", "findings": []}
+    try:
+        checked, _ = load(profile)
+        backend = make_backend(checked, scenario=Path(scenario) if scenario else None)
+        if not backend.simulated:
+            warm_up(checked)
+        answer["findings"] = [asdict(finding) for finding in Check(checked, backend).run()]
+    except (InputError, BackendError, OSError) as error:
+        answer["error"] = str(error)
+    pipe.send(answer)
+    pipe.close()
+
+
+def run_profile(profile: str, out: str, board_name: str, scenario: str | None, note: str | None) -> None:
+    """`bench ramp`, watched: the process of a run that was started from the page."""
+    from bench.jobs.run_ramp import make_backend, record
+    from bench.profiles.find import load
+    from bench.profiles.plan import planned, refusal
+
+    board = Board(board_name)
+    side = RunSide(board)
+    try:
+        checked, text = load(profile)
+        faults = planned(checked)[2]
+        if faults:
+            raise InputError(refusal(profile, faults))
+        backend = make_backend(checked, scenario=Path(scenario) if scenario else None, real_time=True)
+        record(checked, text, backend, Path(out), note=note, quiet=True, paced=True, onlooker=side)
+    except (InputError, OSError) as error:
+        side.end(None, str(error))
+    finally:
+        board.close()

@@ -1,0 +1,226 @@
+"""One run as its page sees it: events, scope and the analyst's results, turned into messages for browsers."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.gamma import gamma_scale
+from bench.live.analyst import analyse
+from bench.live.board import Board, Message
+from bench.live.decimate import MinMax, PlateHeight, bin_for
+from bench.live.messages import flights_piece, scope_piece, spectrum_piece
+from daq.recorder.shared_ring import RingReader
+from rig.profile import Profile
+from rig.programme.ramp import peaks, plan
+
+SPECTRUM_S, SPECTRUM_SAMPLES = 1.0, 1 << 15
+HEIGHT_CODES = 30000.0  # for the largest displacement that the limits allow
+Tell = Callable[..., None]
+
+
+class Watch:
+    """A run that is being watched.
+
+    Parameters
+    ----------
+    profile
+        Of the run.
+    board
+        Of the run.
+    tell
+        Sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may miss.
+    """
+
+    def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:
+        self.profile, self.board, self._tell = profile, board, tell
+        self.ended: Message | None = None
+        self._kept: dict[str, str] = {}  # the last message of each kind
+        self._models: list[str] = []
+        self._steps: dict[int, tuple[bytes, str]] = {}
+        self._notes: list[str] = []
+        self._ring: RingReader | None = None
+        self._factor = gamma_scale(profile.forcing, profile.forcing.ratio).factor
+        self._next_sample = -1
+        self._shifted = 0  # samples lost so far
+        self._recent: list[NDArray[np.int16]] = []
+        self._spectrum_at = 0.0
+        ours, theirs = multiprocessing.get_context("spawn").Pipe(duplex=False)
+        self._pipe = ours
+        self._analyst = multiprocessing.get_context("spawn").Process(
+            target=analyse, args=(theirs, board.name, profile, True), name="analyst", daemon=True
+        )
+        self._analyst.start()
+        theirs.close()
+        self._say(self._plan())
+
+    def command(self, command: Message) -> None:
+        """Pass a command to the run."""
+        self.board.commands.put(command)
+
+    def history(self) -> list[str | bytes]:
+        """All that a browser needs which opens the page now."""
+        out: list[str | bytes] = [*self._kept.values(), *self._models, *self._notes]
+        for piece, words in self._steps.values():
+            out += [piece, words]
+        return out
+
+    def tick(self) -> None:
+        """Take in what is new and tell it."""
+        for event in self.board.events.read()[0]:
+            self._take_in(event)
+        self._read_scope()
+        self._read_analyst()
+
+    def close(self) -> None:
+        """Let go of shared memory and the analyst."""
+        self._analyst.terminate()
+        self._analyst.join(2.0)
+        self._pipe.close()
+        if self._ring is not None:
+            self._ring.close()
+        self.board.close()
+
+    def _say(self, message: Message) -> None:
+        """Tell a message and keep it for browsers that come later."""
+        self._kept[message["kind"]] = json.dumps(message)
+        self._tell(message)
+
+    def _plan(self) -> Message:
+        """What is known before the run begins."""
+        profile = self.profile
+        scale, programme = gamma_scale(profile.forcing, profile.forcing.ratio), plan(profile)
+        limits = profile.limits
+        return {
+            "kind": "plan",
+            "profile": profile.name,
+            "description": profile.description,
+            "gammas": [round(step.gamma * scale.factor, 5) for step in programme.steps],
+            "factor": scale.factor,
+            "axis": "\u0393 peak = max(\u2212a)/g" if scale.name == "gamma_peak" else "\u0393 = A\u03c9\u00b2/g",
+            "frequency_hz": profile.forcing.frequency_hz,
+            "ratio": profile.forcing.ratio,
+            "rate_hz": profile.sampling.rate_hz,
+            "duration_s": programme.n_samples / programme.rate_hz,
+            "limits": {
+                "drive_v": [limits.drive_v, "V"],
+                "plate_mps2": [limits.plate_mps2, "m/s\u00b2"],
+                "velocity_mps": [limits.velocity_mps, "m/s"],
+                "displacement_m": [limits.displacement_m, "m"],
+            },
+            "contact_cycles": limits.contact_cycles,
+            "declared": sorted(profile.declared_values()),
+        }
+
+    def _take_in(self, event: Message) -> None:
+        kind = event["kind"]
+        if kind == "run":
+            self._begin(event)
+        elif kind == "taken":
+            if event["do"] == "note":
+                self._notes.append(json.dumps(event))
+            self._tell(event)
+        elif kind == "ended":
+            self.ended = event
+            self._say(event)
+        elif kind == "state":
+            self._say(event)
+
+    def _begin(self, event: Message) -> None:
+        """The run tells where its frames are."""
+        profile, channels = self.profile, event["channels"]
+        try:
+            self._ring = RingReader(*event["ring"])
+        except OSError:
+            return  # over before it was looked at
+        self._channels = list(channels)
+        self._rate_hz = profile.sampling.rate_hz
+        self._accelerometer = channels.index("accelerometer")
+        self._mps2 = event["scales"]["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+        largest_m = peaks(profile, max(profile.ramp.gammas())).displacement_m or 1e-3
+        self._least_m = 2.0 * largest_m / HEIGHT_CODES
+        self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
+        self._bin = bin_for(self._rate_hz)
+        self._extremes = MinMax(self._bin, len(channels) + 1)
+        self._say({**event, "out": event["out"].replace("\\", "/").rsplit("/", 1)[-1], "traces": self._traces(event)})
+
+    def _traces(self, event: Message) -> list[Message]:
+        """Name, volts and SI of each trace of the scope: ``value = code * scale + offset``."""
+        profile, out = self.profile, []
+        contact = profile.channels.continuity
+        for name in event["channels"]:
+            scale, offset = event["scales"][name]
+            si = {"scale": scale, "offset": offset, "unit": "V"}
+            if name == "accelerometer":
+                per = profile.channels.accelerometer
+                rest_v = per.offset_v.value if per.offset_v is not None else 0.0
+                mps2_per_v = 1.0 / per.volts_per_mps2
+                si = {"scale": scale * mps2_per_v, "offset": (offset - rest_v) * mps2_per_v, "unit": "m/s\u00b2"}
+            elif name == "continuity" and contact is not None and contact.coupling == "dc":
+                swing = contact.swing_v
+                si = {"scale": scale / swing, "offset": (offset - contact.closed_v.value) / swing,
+                      "unit": "0 closed, 1 open"}  # fmt: skip
+            elif name == "drive" and profile.drive.g_per_volt is not None:
+                per_volt = profile.drive.g_per_volt.value * profile.g_mps2.value
+                si = {"scale": scale * per_volt, "offset": offset * per_volt, "unit": "m/s\u00b2 asked"}
+            out.append({"name": name, "volts": {"scale": scale, "offset": offset, "unit": "V"}, "si": si})
+        height = {"scale": 1e3 * self._least_m, "offset": 0.0, "unit": "mm"}
+        out.append({"name": "plate height", "volts": height, "si": height})
+        return out
+
+    def _read_scope(self) -> None:
+        """New frames as pieces of the scope, and the spectrum once a second."""
+        blocks = self._ring.read() if self._ring is not None else []
+        if not blocks:
+            return
+        pieces, first = [], -1
+        for block in blocks:
+            self._shifted += block.lost_before
+            if block.first_sample != self._next_sample or block.lost_before:
+                self._extremes.clear()
+            height = self._height.add(np.ascontiguousarray(block.codes[:, self._accelerometer]))
+            found = self._extremes.add(np.column_stack([block.codes, height]))
+            self._next_sample = block.first_sample + len(block.codes)
+            if len(found) and first < 0:
+                first = self._next_sample - len(found) * self._bin
+            pieces.append(found)
+            self._recent.append(np.ascontiguousarray(block.codes[:, self._accelerometer]))
+        extremes = np.concatenate(pieces)
+        if len(extremes):
+            bin_s = self._bin / self._rate_hz
+            self._tell(scope_piece((first + self._shifted) / self._rate_hz, bin_s, extremes), passing=True)
+        now = time.monotonic()
+        if now - self._spectrum_at > SPECTRUM_S:
+            recent = np.concatenate(self._recent)[-SPECTRUM_SAMPLES:]
+            self._recent, self._spectrum_at = [recent], now
+            if len(recent) >= 1024:
+                self._tell(spectrum_piece(self._rate_hz, recent * self._mps2), passing=True)
+
+    def _read_analyst(self) -> None:
+        """What the analyst has found."""
+        while True:
+            try:
+                if not self._pipe.poll():
+                    return
+                message: dict[str, Any] = self._pipe.recv()
+            except (EOFError, OSError):
+                return  # it is done, or gone: the page goes on without
+            if message["kind"] == "flights":
+                piece = flights_piece(message, self._factor)
+                words = {key: message[key] for key in ("step", "final", "asked", "label", "tones")}
+                words |= {"kind": "reduced", "gamma": message["gamma"] if np.isfinite(message["gamma"]) else None}
+                packed = json.dumps(words)
+                self._steps[message["step"]] = piece, packed
+                self._tell(piece)
+                self._tell(words)
+            elif message["kind"] == "model":
+                self._models.append(json.dumps(message))
+                self._tell(message)
+            else:
+                self._say(message)

@@ -1,0 +1,23 @@
+"""Body of the process that reads saved closed loops; what it needs is imported before its time is counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from analysis.loop.storage import load_verdict
+from analysis.loop.verdict_json import as_json
+from daq.recording.subprocess_reader import Tell
+from daq.setup.errors import InputError
+
+
+def look(names: list[str], tell: Tell) -> dict[str, Any]:
+    """Verdicts as JSON by file name; None for a file that holds none."""
+    told: dict[str, Any] = {}
+    for name in names:
+        tell(name)
+        try:
+            told[name] = as_json(load_verdict(Path(name)))
+        except InputError:
+            told[name] = None
+    return told

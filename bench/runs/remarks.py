@@ -1,0 +1,178 @@
+"""Tags and notes of a recording, in a small file beside it: the recording itself stays as it was sealed."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from daq.files.whole_file import write_whole
+from daq.recording.writer import now_utc
+from daq.setup.errors import InputError
+
+ENDING = ".remarks.json"
+FORMAT, VERSION = "shakerbench remarks", 1
+STALE_S = 5.0  # longest time to change a side file
+LONGEST_TAG, LONGEST_NOTE, MOST_BYTES = 64, 10_000, 4 << 20
+
+
+@dataclass(frozen=True)
+class Note:
+    """A note: when it was written (UTC, ISO 8601), and its text."""
+
+    at: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Remarks:
+    """What a person said of a recording.
+
+    Attributes
+    ----------
+    identity
+        Of the recording they were written for (`daq.recording.identity.stored_id`); empty: whatever has its name.
+    tags
+        In order, each once.
+    notes
+        In the order they were written.
+    """
+
+    identity: str = ""
+    tags: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+def side_file(recording: Path) -> Path:
+    """The file beside a recording that holds its tags and notes."""
+    return recording.with_name(recording.name + ENDING)
+
+
+def read_remarks(path: Path) -> Remarks:
+    """Tags and notes from the side file ``path``; none where it is not there.
+
+    Raises
+    ------
+    InputError
+        Where it is there and holds something else.
+    """
+    try:
+        if not path.exists():
+            return Remarks()
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES} bytes")
+        told = json.loads(path.read_text(encoding="utf-8"))
+        if told["format"] != FORMAT or told["version"] > VERSION:
+            raise ValueError(f"format {told['format']!r}, version {told['version']!r}")
+        tags = tuple(str(tag) for tag in told["tags"])
+        notes = tuple(Note(str(note["at"]), str(note["text"])) for note in told["notes"])
+        return Remarks(str(told["identity"]), tags, notes)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f"{path}: wanted the tags and notes of a recording, version {VERSION} ({error}); mend it, or move it away"
+        ) from error
+
+
+def write_remarks(path: Path, remarks: Remarks) -> None:
+    """Write the side file, whole or not at all; one without tags and notes is removed.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written.
+    """
+    told = {"format": FORMAT, "version": VERSION, **asdict(remarks)}
+    try:
+        if remarks.tags or remarks.notes:
+            write_whole(path, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(_unwritable(path, error)) from error
+
+
+def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], Remarks]) -> Remarks:
+    """Change tags and notes of a recording, one process at a time.
+
+    Parameters
+    ----------
+    recording
+        Its file.
+    identity
+        Of the recording, as far as it is known.
+    change
+        Takes the remarks as they are and gives those that take their place.
+
+    Raises
+    ------
+    InputError
+        Where the side file cannot be read or written, or ``change`` refuses.
+    """
+    path = side_file(recording)
+    with _held(path.with_name(f"{path.name}.lock"), path):
+        changed = change(read_remarks(path))
+        changed = replace(changed, identity=identity or changed.identity)
+        write_remarks(path, changed)
+    return changed
+
+
+@contextmanager
+def _held(lock: Path, path: Path) -> Iterator[None]:
+    """A file that one process alone can make; one left behind by a process that died counts for `STALE_S`."""
+    ends = time.monotonic() + STALE_S
+    while True:
+        try:
+            os.close(os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+            break
+        except FileExistsError:
+            if time.monotonic() > ends:
+                lock.unlink(missing_ok=True)
+            time.sleep(0.02)
+        except OSError as error:
+            raise InputError(_unwritable(path, error)) from error
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> str:
+    return (
+        f"{path}: cannot be written ({error.strerror or error}); tags and notes lie beside the recording: make its "
+        "folder writable, or copy the recording to another"
+    )
+
+
+def with_tags(remarks: Remarks, tags: tuple[str, ...], *, remove: bool = False) -> Remarks:
+    """Remarks with more tags, or fewer (raises InputError for what is no tag)."""
+    checked = [_tag(tag) for tag in tags]
+    if remove:
+        return Remarks(remarks.identity, tuple(t for t in remarks.tags if t not in checked), remarks.notes)
+    return Remarks(remarks.identity, tuple(dict.fromkeys((*remarks.tags, *checked))), remarks.notes)
+
+
+def with_note(remarks: Remarks, text: str) -> Remarks:
+    """Remarks with one more note, of this moment (raises InputError for an empty or endless one)."""
+    text = text.strip()
+    if not text or len(text) > LONGEST_NOTE:
+        raise InputError(f"note: wanted 1 to {LONGEST_NOTE} characters, came {len(text)}")
+    return Remarks(remarks.identity, remarks.tags, (*remarks.notes, Note(now_utc(), text)))
+
+
+def without_last_note(remarks: Remarks) -> Remarks:
+    """Remarks without the latest note (raises InputError where there is none)."""
+    if not remarks.notes:
+        raise InputError("there is no note to take back; the note that `bench ramp` was given stays in the recording")
+    return Remarks(remarks.identity, remarks.tags, remarks.notes[:-1])
+
+
+def _tag(text: str) -> str:
+    """A tag: one word."""
+    tag = text.strip()
+    if not tag or len(tag) > LONGEST_TAG or any(c.isspace() or c == "," or not c.isprintable() for c in tag):
+        raise InputError(f"tag {text!r}: wanted one word of at most {LONGEST_TAG} characters, without commas")
+    return tag

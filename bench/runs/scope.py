@@ -1,0 +1,139 @@
+"""The scope of one run: its pyramid, and the recording where single samples are asked for."""
+
+from __future__ import annotations
+
+import math
+import threading
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.pyramid.view import Pyramid
+from daq.recording import Recording, open_recording
+from daq.recording.opening import open_quickly
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+STEPS_SHOWN = 2000
+HELD_S = 60.0
+"""How long a recording is held open after the last look at its samples."""
+
+
+class Scope:
+    """Views of a recording.
+
+    Parameters
+    ----------
+    pyramid, recording
+        Their files.
+
+    Raises
+    ------
+    InputError
+        Where one does not read.
+    """
+
+    def __init__(self, pyramid: Path, recording: Path) -> None:
+        self._pyramid, self._file, self._state = Pyramid(pyramid), recording, _state(recording)
+        self._lock = threading.Lock()
+        self._held: Recording | None = None
+        self._later: threading.Timer | None = None
+        with self._lock, self._kept() as opened:
+            self._setup: Setup = opened.setup
+            place = opened.timestamps_ns
+            self._steps = [
+                {"start_s": float(place(int(s["first_sample"]), int(s["first_sample"]) + 1)[0]) * 1e-9,
+                 "settle_s": float(s["settle_samples"]) / opened.rate_hz,
+                 "length_s": float(s["n_samples"]) / opened.rate_hz, "gamma": _finite(s["gamma"])}
+                for s in opened.steps[:STEPS_SHOWN] if 0 <= s["first_sample"] < opened.n_samples
+            ]  # fmt: skip
+
+    def is_current(self) -> bool:
+        """Whether recording and pyramid are still those that were opened."""
+        return _state(self._file) == self._state and self._pyramid.path.exists()
+
+    def told(self) -> dict[str, Any]:
+        """Length, channels with their scale to SI, and steps."""
+        layout, si = self._pyramid.layout, {"accelerometer": 1.0 / self._setup.channels.accelerometer.volts_per_mps2}
+        offset = self._setup.channels.accelerometer.offset_v
+        return {
+            "duration_s": self._pyramid.duration_s,
+            "rate_hz": layout.rate_hz,
+            "n_samples": layout.n_samples,
+            "channels": [
+                {"name": name, "si_per_volt": si.get(name), "si_unit": "m/s\u00b2" if name in si else None,
+                 "zero_v": offset.value if offset is not None and name in si else 0.0}
+                for name, *_ in layout.channels
+            ],
+            "steps": self._steps,
+        }  # fmt: skip
+
+    def view(self, start_s: float, stop_s: float, width: int) -> dict[str, Any]:
+        """A stretch as JSON has it; None where a column has no sample (raises ValueError, InputError)."""
+        with self._lock:
+            seen = self._pyramid.view(start_s, stop_s, width, self._kept)
+        samples = seen.samples_per_point == 1.0
+        channels = {
+            name: {"low": _plain(low)} if samples else {"low": _plain(low), "high": _plain(seen.high_v[name])}
+            for name, low in seen.low_v.items()
+        }
+        return {
+            "start_s": seen.start_s,
+            "stop_s": seen.stop_s,
+            "samples_per_point": seen.samples_per_point,
+            "time_s": np.round(seen.time_s, 9).tolist(),
+            "channels": channels,
+            "lost": seen.lost.tolist(),
+        }
+
+    def close(self) -> None:
+        """Let go of the recording."""
+        with self._lock:
+            if self._later is not None:
+                self._later.cancel()
+            if self._held is not None:
+                self._held.close()
+            self._held = self._later = None
+
+    def _kept(self) -> AbstractContextManager[Recording]:
+        """The recording, held open while one zooms: opening it takes longer than reading a stretch."""
+        if self._later is not None:
+            self._later.cancel()
+        if self._held is None:
+            self._held = self._opened()
+        self._later = threading.Timer(HELD_S, self.close)
+        self._later.daemon = True
+        self._later.start()
+        return nullcontext(self._held)
+
+    def _opened(self) -> Recording:
+        """The recording as its pyramid was made of it: quickly where it is whole."""
+        quick = open_quickly(self._file)
+        if quick is None:
+            return open_recording(self._file)
+        if quick.n_samples == self._pyramid.layout.n_samples:
+            return quick
+        quick.close()
+        return open_recording(self._file)
+
+
+def _state(path: Path) -> tuple[int, int]:
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise InputError(f"{path.name}: is no longer there") from error
+    return state.st_size, state.st_mtime_ns
+
+
+def _plain(values: Floats) -> list[float | None]:
+    """Numbers of seven digits, counted from the largest; None for NaN."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    rounded = np.round(values, 6 - math.floor(math.log10(largest)) if largest > 0.0 else 0).tolist()
+    return [None if x != x else x for x in rounded] if np.isnan(values).any() else rounded
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,256 @@
+"""The catalogue's section of the desk: the table, a run, and runs laid over each other.
+
+A request names a run by its short name, never a file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from bench.runs.catalogue import Catalogue, Row
+from bench.runs.prepare import Workshop
+from bench.runs.query import ENDS, VERDICTS, Query
+from bench.runs.remarks import with_note, with_tags
+from bench.runs.scope import Scope
+from bench.web.html import fill, join
+from bench.web.page import page
+from bench.web.section import Place, Section
+from daq.setup.errors import InputError
+
+NAME = "runs"
+STATIC, TEMPLATES = (Path(__file__).parent / name for name in ("static", "templates"))
+FRESH_S = 1.0  # within which the folder is not looked through again
+MOST_RUNS = 24  # laid over each other
+ID = re.compile(r"[0-9a-f]{12}")
+STYLES = [f"/static/{NAME}/runs.css"]
+
+
+def section(place: Place) -> Section:
+    """The pages of the runs below ``place.folder``."""
+    pages = Pages(place.folder)
+    routes = [
+        Route("/runs", pages.table),
+        Route("/runs/compare", pages.compare),
+        Route("/runs/api/list", pages.rows),
+        Route("/runs/api/quantities", pages.quantities),
+        Route("/runs/api/{id}", pages.details),
+        Route("/runs/api/{id}/open", pages.open),
+        Route("/runs/api/{id}/view", pages.view),
+        Route("/runs/api/{id}/flights", pages.flights),
+        Route("/runs/api/{id}/remarks", pages.remark, methods=["POST"]),
+        Route("/runs/{id}", pages.run),
+    ]
+    return Section(NAME, "Runs", "/runs", routes, STATIC, pages.running)
+
+
+class Pages:
+    """Routes of the section; those that read files run in threads."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._catalogue: Catalogue | None = None
+        self._workshop: Workshop | None = None
+        self._scopes: dict[str, Scope] = {}
+        self._updated_s = -FRESH_S
+        self._lock = threading.Lock()
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """The catalogue and the worker, while the server runs."""
+        try:
+            yield
+        finally:
+            with self._lock:
+                for scope in self._scopes.values():
+                    scope.close()
+                if self._workshop is not None:
+                    self._workshop.close()
+                if self._catalogue is not None:
+                    self._catalogue.close()
+                self._catalogue = self._workshop = None
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Opened at the first request."""
+        with self._lock:
+            if self._catalogue is None:
+                self._catalogue = Catalogue(self.folder)
+            return self._catalogue
+
+    @property
+    def workshop(self) -> Workshop:
+        """Opened at the first request."""
+        with self._lock:
+            if self._workshop is None:
+                self._workshop = Workshop(self.folder)
+            return self._workshop
+
+    def table(self, request: Request) -> Response:
+        """The page with the table."""
+        choices = {
+            "ends": join(fill("<option>{}</option>", one) for one in ENDS),
+            "verdicts": join(fill('<option value="{}">{}</option>', v, v.replace("_", " ")) for v in VERDICTS),
+            "folder": self.folder,
+        }
+        body = fill((TEMPLATES / "table.html").read_text(encoding="utf-8"), **choices)
+        return HTMLResponse(
+            page(request, "Runs", body, scripts=[f"/static/{NAME}/table.js"], styles=STYLES, name="wide")
+        )
+
+    def run(self, request: Request) -> Response:
+        """The page of one run."""
+        row = self._row(request)
+        body = fill((TEMPLATES / "run.html").read_text(encoding="utf-8"), id=row["id"], path=row["path"])
+        scripts = [f"/static/{NAME}/run.js"]
+        return HTMLResponse(page(request, row["path"], body, scripts=scripts, styles=STYLES, name="wide"))
+
+    def compare(self, request: Request) -> Response:
+        """The page of runs laid over each other."""
+        body = fill((TEMPLATES / "compare.html").read_text(encoding="utf-8"), ids=",".join(self._ids(request)))
+        scripts = [f"/static/{NAME}/compare.js"]
+        return HTMLResponse(page(request, "Runs compared", body, scripts=scripts, styles=STYLES, name="wide"))
+
+    def rows(self, request: Request) -> Response:
+        """Rows of the table for the query in the address."""
+        catalogue = self.catalogue
+        if time.monotonic() - self._updated_s > FRESH_S:
+            _asked(catalogue.update)
+            self._updated_s = time.monotonic()
+        query = _asked(lambda: _query(request))
+        return _json({"said": catalogue.said or None, "runs": catalogue.runs(query), **catalogue.counts()})
+
+    def details(self, request: Request) -> Response:
+        """One run: its row, its notes and every verdict on it."""
+        row = self._row(request)
+        try:
+            notes = [{"at": note.at, "text": note.text} for note in self.catalogue.remarks(row).notes]
+        except InputError:
+            notes = []  # the row says why
+        return _json({"run": row, "notes": notes, "loops": self.catalogue.loops(row["identity"])})
+
+    def open(self, request: Request) -> Response:
+        """What the scope of a run needs; it is made at the first call and asked for again."""
+        row = self._row(request)
+        scope = self._scope(row)
+        return _json({"state": "working"} if scope is None else {"state": "ready", **scope.told()})
+
+    def view(self, request: Request) -> Response:
+        """A stretch of a run."""
+        scope = self._scopes.get(self._row(request)["id"])
+        if scope is None:
+            raise HTTPException(409, "open the run first")
+        try:
+            start_s, stop_s = (float(request.query_params[key]) for key in ("start_s", "stop_s"))
+            width = int(request.query_params["width"])
+        except (KeyError, ValueError) as error:
+            raise HTTPException(422, "wanted start_s, stop_s and width") from error
+        return _json(_asked(lambda: scope.view(start_s, stop_s, width)))
+
+    def flights(self, request: Request) -> Response:
+        """Steps of a run, with their flights."""
+        row = self._row(request)
+        if row["ended"] == "damaged" and not row["n_samples"]:
+            raise HTTPException(422, row["why"])
+        steps = _asked(lambda: self.workshop.flights(row, self.catalogue.file_of(row)))
+        return _json({"state": "working"} if steps is None else {"state": "ready", "steps": steps})
+
+    def quantities(self, request: Request) -> Response:
+        """Calibrations and effects by date, of the runs asked for or of all."""
+        return _json({"quantities": self.catalogue.quantities(self._ids(request))})
+
+    async def remark(self, request: Request) -> Response:
+        """Tags added or taken away, a note added."""
+        from starlette.concurrency import run_in_threadpool
+
+        try:
+            told = json.loads(await request.body())
+            add, remove = (tuple(map(str, told.get(key, []))) for key in ("add", "remove"))
+            note = str(told.get("note", ""))
+        except (ValueError, AttributeError, TypeError, RecursionError) as error:
+            raise HTTPException(422, "wanted JSON with add, remove or note") from error
+        return await run_in_threadpool(self._remark, request, add, remove, note)
+
+    def _remark(self, request: Request, add: tuple[str, ...], remove: tuple[str, ...], note: str) -> Response:
+        row = self._row(request)
+
+        def change(now: Any) -> Any:
+            now = with_tags(with_tags(now, remove, remove=True), add)
+            return with_note(now, note) if note else now
+
+        changed = _asked(lambda: self.catalogue.change_remarks(row, change))
+        return _json({"tags": list(changed.tags), "notes": [{"at": n.at, "text": n.text} for n in changed.notes]})
+
+    def _row(self, request: Request) -> Row:
+        """The run that the address names; 404 where there is none."""
+        id = request.path_params["id"]
+        row = self.catalogue.run(id) if ID.fullmatch(id) else None
+        if row is None and ID.fullmatch(id):  # perhaps recorded since the table was last brought up to date
+            _asked(self.catalogue.update)
+            row = self.catalogue.run(id)
+        if row is None:
+            raise HTTPException(404, "no such run")
+        return row
+
+    def _ids(self, request: Request) -> list[str]:
+        """The runs that the address names; 404 for names that can be none, or too many."""
+        ids = [one for one in request.query_params.get("ids", "").split(",") if one]
+        if len(ids) > MOST_RUNS or not all(ID.fullmatch(one) for one in ids):
+            raise HTTPException(404, f"wanted at most {MOST_RUNS} runs by their short names")
+        return ids
+
+    def _scope(self, row: Row) -> Scope | None:
+        """The scope of a run; None while its extremes are being made."""
+        file = _asked(lambda: self.catalogue.file_of(row))
+        scope = self._scopes.get(row["id"])
+        if scope is not None and scope.is_current():
+            return scope
+        path = _asked(lambda: self.workshop.pyramid(row, file))
+        if path is None:
+            return None
+        if scope is not None:
+            scope.close()
+        made: Scope = _asked(lambda: Scope(path, file))
+        self._scopes[row["id"]] = made
+        return made
+
+
+def _query(request: Request) -> Query:
+    """The query in an address."""
+    given = request.query_params
+    sort = given.get("sort", "-date")
+    try:
+        low, high = given.get("gamma_low", ""), given.get("gamma_high", "")
+        gamma = (float(low or 0), float(high or "inf")) if low or high else None
+        limit, c = int(given.get("limit", "-1")), int(given["c"]) if given.get("c") else None
+    except ValueError as error:
+        raise InputError("wanted numbers for c, gamma and limit") from error
+    return Query(
+        profile=given.get("profile", ""), c=c, gamma=gamma, tags=tuple(given.get("tags", "").split()),
+        verdict=given.get("verdict", ""), ended=given.get("ended", ""), since=given.get("since", ""),
+        until=given.get("until", ""), text=given.get("text", ""), lost=given.get("lost") == "1",
+        sort=sort.removeprefix("-"), backwards=sort.startswith("-"), limit=limit,
+    )  # fmt: skip
+
+
+def _asked(job: Callable[[], Any]) -> Any:
+    """What a job gives; what it refuses is told to the browser."""
+    try:
+        return job()
+    except (InputError, ValueError, OSError) as error:
+        raise HTTPException(422, str(error)) from error
+
+
+def _json(told: Any) -> Response:
+    return JSONResponse(told)

@@ -1,0 +1,50 @@
+// Diagrams: flight times, in periods of the forcing, over the gamma of their step; one colour a run.
+import { Axes, colours } from "/static/web/plot.js";
+
+export class Diagram {
+  constructor(canvas) {
+    this.axes = new Axes(canvas, { x: "gamma = A\u03c9\u00b2/g (dimensionless)", y: "flight time (periods)" });
+    this.runs = [];
+    new ResizeObserver(() => { this.axes.fit(); this.paint(); }).observe(canvas.parentElement);
+    addEventListener("themechange", () => this.paint());
+  }
+
+  // One run: its steps with flights, its name, the number of its colour.
+  add(name, steps, colour) {
+    this.runs.push({ name, steps, colour });
+    this.paint();
+  }
+
+  paint() {
+    const axes = this.axes, xs = [], ys = [];
+    for (const run of this.runs) for (const step of run.steps) {
+      const gamma = step.gamma ?? step.commanded;
+      if (gamma !== null && step.periods.length) { xs.push(gamma); for (const y of step.periods) ys.push(y); }
+    }
+    axes.clear();
+    if (xs.length) {
+      let least = Infinity, most = -Infinity, top = 0;
+      for (const x of xs) { least = Math.min(least, x); most = Math.max(most, x); }
+      for (const y of ys) top = Math.max(top, y);
+      const margin = 0.05 * (most - least) || 0.05;
+      axes.xlim = [least - margin, most + margin];
+      axes.ylim = [0, 1.08 * top];
+    }
+    axes.frame();
+    const c = colours();
+    axes.inside((pen) => {
+      this.runs.forEach((run, k) => {
+        for (const step of run.steps) {
+          const gamma = step.gamma ?? step.commanded;
+          if (gamma !== null) axes.dots(step.periods.map(() => gamma), step.periods, c[`c${run.colour % 7}`], 3);
+        }
+        if (this.runs.length < 2) return;
+        const x = axes.left + 10 * axes.unit, y = axes.top + (12 + 16 * k) * axes.unit;
+        pen.fillStyle = c[`c${run.colour % 7}`];
+        pen.fillRect(x, y - 4 * axes.unit, 8 * axes.unit, 8 * axes.unit);
+        pen.fillStyle = c.ink; pen.textAlign = "left"; pen.textBaseline = "middle";
+        pen.fillText(run.name, x + 14 * axes.unit, y);
+      });
+    });
+  }
+}

@@ -1,0 +1,112 @@
+// One run: scope, diagram, steps, verdict, tags and notes.
+import { ask, asked, day, gammas, make, shown } from "./common.js";
+import { Diagram } from "./diagram.js";
+import { Scope } from "./scope.js";
+
+const id = document.getElementById("run").dataset.id, api = `/runs/api/${id}`;
+const byId = (name) => document.getElementById(name);
+let scope = null;
+
+function problem(words) {
+  byId("problem").textContent = words;
+  byId("problem").hidden = !words;
+}
+
+function facts(run) {
+  const badges = [];
+  if (run.simulated) badges.push(make("span", "simulated rig", { class: "badge simulated" }));
+  badges.push(make("span", run.ended, { class: `badge ${run.ended === "complete" ? "" : run.ended === "stopped" ? "warn" : "bad"}` }));
+  byId("badges").replaceChildren(...badges.flatMap((one) => [one, " "]));
+  byId("facts").textContent = [
+    `${day(run.date)} UTC`, run.profile && `profile ${run.profile}`, run.c && `c = ${run.c}`,
+    run.frequency_hz && `${shown(run.frequency_hz, 6)} Hz`, `gamma ${gammas(run)}`, `${run.steps} steps`,
+    run.seconds && `${shown(run.seconds, 6)} s at ${shown(run.rate_hz, 7)} Hz`, `${run.lost_samples ?? "-"} samples lost`, run.backend,
+  ].filter(Boolean).join(" \u00b7 ");
+  if (run.why) problem(run.why);
+}
+
+function verdicts(loops) {
+  const us = (x) => (x === null ? "-" : `${shown(x, 3)} \u00b5s`);
+  const said = loops.map((loop) => make("p", `${loop.summary}\nlandings: ${us(loop.before_us)} before, ${us(loop.after_us)} after; `
+    + `noise alone ${us(loop.floor_us)}${loop.together > 1 ? `; with ${loop.together - 1} other recording(s)` : ""} (${loop.path})`));
+  byId("verdict").replaceChildren(...(said.length ? said
+    : [make("p", "None yet. bench close-loop REC.h5 --json REC.verdict.json, beside the recording, gives one.", { class: "faint" })]));
+}
+
+function remarks(told, own) {
+  byId("tags").replaceChildren(...told.tags.map((tag) => {
+    const one = make("span", tag, { class: "tag" });
+    const remove = make("button", "\u00d7", { type: "button", "aria-label": `take away ${tag}` });
+    remove.addEventListener("click", () => send({ remove: [tag] }));
+    one.append(remove);
+    return one;
+  }));
+  const notes = told.notes.map((note) => make("li", `${day(note.at)}  ${note.text}`));
+  if (own) notes.unshift(make("li", `with the run: ${own}`));
+  byId("notes").replaceChildren(...notes);
+}
+
+let own = "";
+async function send(change) {
+  try {
+    remarks(await ask(`${api}/remarks`, { method: "POST", body: JSON.stringify(change) }), own);
+    byId("refused").textContent = "";
+    return true;
+  } catch (error) {
+    byId("refused").textContent = error.message;
+    return false;
+  }
+}
+for (const [name, change] of [["tag", (x) => ({ add: x.split(/\s+/).filter(Boolean) })], ["note", (x) => ({ note: x })]]) {
+  byId(`add-${name}`).addEventListener("submit", async (event) => {
+    event.preventDefault();
+    const field = event.target.elements[name];
+    if (field.value.trim() && await send(change(field.value))) field.value = "";
+  });
+}
+
+async function openScope() {
+  const where = byId("where");
+  const told = await asked(`${api}/open`, () => { where.textContent = "reading the recording, once \u2026"; });
+  scope = new Scope(byId("scope"), id, told);
+  scope.addEventListener("seen", ({ detail }) => {
+    const span = detail.stop_s - detail.start_s, lost = detail.lost.reduce((sum, row) => sum + row[2], 0);
+    const each = detail.samples_per_point === 1 ? "every sample" : `${shown(detail.samples_per_point, 3)} samples a column`;
+    where.textContent = `${detail.start_s.toFixed(span < 1 ? 5 : 2)} s, ${shown(span, 4)} s long, ${each}${lost ? `, ${lost} lost` : ""}`;
+    byId("scope").dataset.seen = `${detail.start_s} ${detail.stop_s} ${detail.samples_per_point}`;
+  });
+  scope.addEventListener("refused", ({ detail }) => { where.textContent = detail; });
+  scope.addEventListener("units", () => { byId("units").textContent = scope.si ? "volts" : "SI units"; });
+  byId("units").addEventListener("click", () => scope.toggle());
+  byId("in").addEventListener("click", () => scope.zoom(0.5));
+  byId("out").addEventListener("click", () => scope.zoom(2));
+  byId("all").addEventListener("click", () => scope.show(0, told.duration_s));
+}
+
+async function openDiagram() {
+  const state = byId("diagram-state");
+  const told = await asked(`${api}/flights`, () => { state.textContent = "finding the flights, once \u2026"; });
+  state.textContent = told.steps.some((s) => s.flights) ? "" : "no flights were found";
+  new Diagram(byId("diagram")).add("", told.steps, 0);
+  document.querySelector("#steps tbody").replaceChildren(...told.steps.map((step) => {
+    const row = make("tr", "", { tabindex: "0", title: "show it in the scope" });
+    const gamma = step.gamma === null ? "-" : `${step.gamma.toFixed(4)} \u00b1 ${shown(step.gamma_uncertainty, 1)}`;
+    for (const text of [step.step, step.start_s.toFixed(2), step.length_s.toFixed(2), shown(step.commanded, 5), gamma]) {
+      row.append(make("td", text, { class: "number" }));
+    }
+    row.append(make("td", step.motion), make("td", step.flights, { class: "number" }), make("td", step.double_hits, { class: "number" }));
+    const show = () => { scope?.showStep(step.step); byId("scope").scrollIntoView({ block: "center" }); };
+    row.addEventListener("click", show);
+    row.addEventListener("keydown", (event) => { if (event.key === "Enter") show(); });
+    return row;
+  }));
+}
+
+const told = await ask(api);
+own = told.run.note;
+facts(told.run);
+verdicts(told.loops);
+remarks({ tags: told.run.tags, notes: told.notes }, own);
+if (told.run.remarks_problem) byId("refused").textContent = told.run.remarks_problem;
+openScope().catch((error) => { byId("where").textContent = error.message; });
+openDiagram().catch((error) => { byId("diagram-state").textContent = error.message; });

@@ -1,0 +1,59 @@
+"""A section of the desk: the pages of one module, and the places that sections are made for."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from starlette.routing import BaseRoute
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a section is made for.
+
+    Attributes
+    ----------
+    folder
+        The runs' folder, absolute; no request reaches a file outside it.
+    options
+        Plain values for single sections, keyed by the section's name.
+    """
+
+    folder: Path
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Pages of one module.
+
+    Attributes
+    ----------
+    name
+        Short name; its static files are served under ``/static/NAME/``.
+    title, href
+        Entry of the navigation, and the page that it opens.
+    routes
+        Starlette routes, websockets included; paths of different sections must differ.
+    static
+        Folder of scripts, styles and pictures; None without any.
+    running
+        Context kept open while the server runs (readers, workers); None without any.
+    """
+
+    name: str
+    title: str
+    href: str
+    routes: Sequence[BaseRoute]
+    static: Path | None = None
+    running: Callable[[], AbstractAsyncContextManager[None]] | None = None
+
+
+def load_sections(modules: Sequence[str], place: Place) -> list[Section]:
+    """The sections of ``modules`` (dotted names), each made by its function ``section(place)``."""
+    return [importlib.import_module(name).section(place) for name in modules]

@@ -1,0 +1,115 @@
+"""The desk's server: a socket bound before anything is promised, and the loop that serves it."""
+
+from __future__ import annotations
+
+import secrets
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import uvicorn
+
+from bench.web.access import LOOPBACK, Access, is_loopback
+from bench.web.application import make_app
+from bench.web.section import Place, load_sections
+from daq.setup.errors import InputError
+
+PORT = 8625
+TRIED_PORTS = 20  # from the first on, where none was asked for
+MOST_MESSAGE_BYTES = 65536  # from a browser
+
+
+def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None) -> tuple[socket.socket, Access]:
+    """A listening socket and the access that goes with it; a token is made where one is needed.
+
+    Parameters
+    ----------
+    host
+        Address to listen at.
+    port
+        None takes the first free one from `PORT` on; 0 any.
+    token
+        For browsers of other machines; None makes one where ``host`` is not the own machine's.
+
+    Raises
+    ------
+    InputError
+        When the address cannot be bound.
+    """
+    ports = [port] if port is not None else range(PORT, PORT + TRIED_PORTS)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    last: OSError | None = None
+    for one in ports:
+        listening = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            listening.bind((host, one))
+            listening.listen(64)
+        except (OSError, OverflowError) as error:
+            listening.close()
+            last = error if isinstance(error, OSError) else OSError(str(error))
+            continue
+        known = token or (None if is_loopback(host) else secrets.token_urlsafe(24))
+        return listening, Access(host, listening.getsockname()[1], known)
+    raise InputError(f"--host {host} --port {ports[0]}: cannot listen there ({last}); name another --port")
+
+
+def serve(
+    listening: socket.socket,
+    access: Access,
+    modules: Sequence[str],
+    place: Place,
+    *,
+    on_ready: Callable[[], None] | None = None,
+    own_signals: bool = True,
+) -> None:
+    """Serve sections until the process is told to end.
+
+    Parameters
+    ----------
+    listening, access
+        Of `bind`.
+    modules
+        Dotted names (`bench.web.section.load_sections`).
+    place
+        What the sections are made for.
+    on_ready
+        Called once pages are answered.
+    own_signals
+        Whether Ctrl-C and SIGTERM end the server.
+    """
+    config = uvicorn.Config(
+        make_app(access, load_sections(modules, place)),
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        lifespan="on",
+        ws="websockets-sansio",
+        ws_max_size=MOST_MESSAGE_BYTES,
+        ws_per_message_deflate=False,  # increments are small and the machine has better to do
+        timeout_graceful_shutdown=1,
+    )
+    _Server(config, on_ready, own_signals).run([listening])
+
+
+class _Server(uvicorn.Server):
+    """A server that tells when it is ready."""
+
+    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None] | None, own_signals: bool) -> None:
+        super().__init__(config)
+        self._on_ready, self._own_signals = on_ready, own_signals
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and tell."""
+        await super().startup(sockets)
+        if self.started and self._on_ready is not None:
+            self._on_ready()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Heed signals only where they are this process's own."""
+        if self._own_signals:
+            with super().capture_signals():
+                yield
+        else:
+            yield

@@ -1,0 +1,147 @@
+"""Processor seconds of the closed loop by stage, for a handful of blind trials, beside another tree in one run.
+
+    python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 8] [--against PATH] [--folder KEPT]
+
+Each trial's recording is made once and given to both trees. Kernels are compiled before the clock starts, and threads
+count as they do for the operating system: seconds are those of all cores together.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+STAGES = {
+    "reading": "observations_from",
+    "judging": "_judge",
+    "limits": "detection_limits",
+    "tables": "_selected",
+    "bifurcations": "first_bifurcations",
+}
+WANTED = (  # kind, plant and what is hidden: light and heavy ones in turn
+    ("clean", "other", ()), ("strong", "other", ("coulomb_friction",)), ("strong", "other", ("mains_hum",)),
+    ("strong", "other", ("amplitude_modulation",)), ("weak", "other", ("adhesion",)),
+    ("outside", "other", ("upper_stop",)), ("strong", "other", ("restitution",)),
+    ("strong", "other", ("table_resonance",)),
+)  # fmt: skip
+
+
+def measured(recording: Path) -> dict[str, Any]:
+    """Verdict, names, error and processor seconds by stage of one recording."""
+    from analysis.loop import close_loop as module
+
+    seconds: dict[str, float] = {}
+    with _clocked(module, seconds):
+        start = time.process_time()
+        loop = module.close_loop([recording])
+        seconds["all"] = time.process_time() - start
+    return {
+        "verdict": loop.verdict,
+        "names": list(loop.names),
+        "values": {f"{p.effect}.{p.parameter}": p.value for p in loop.parameters},
+        "rms_us": loop.after.landing_rms_us,
+        "seconds": seconds,
+    }
+
+
+@contextmanager
+def _clocked(module: Any, seconds: dict[str, float]) -> Iterator[None]:
+    """Clocks around the stages of the loop while it runs."""
+    places = [(module, name, stage) for stage, name in STAGES.items()]
+    places.append((module.StepwiseSelection, "run", "selection"))
+    kept = [getattr(owner, name) for owner, name, _ in places]
+    for (owner, name, stage), function in zip(places, kept, strict=True):
+        setattr(owner, name, _clock(function, stage, seconds))
+    try:
+        yield
+    finally:
+        for (owner, name, _), function in zip(places, kept, strict=True):
+            setattr(owner, name, function)
+
+
+def _clock(function: Callable[..., Any], stage: str, seconds: dict[str, float]) -> Callable[..., Any]:
+    def clocked(*args: Any, **options: Any) -> Any:
+        start = time.process_time()
+        try:
+            return function(*args, **options)
+        finally:
+            seconds[stage] = seconds.get(stage, 0.0) + time.process_time() - start
+
+    return clocked
+
+
+def make(seed_base: int, trials: int, folder: Path) -> list[Path]:
+    """Recordings of the wanted trials; those that stand in ``folder`` already are kept."""
+    from benchmarks.scoring import trial
+    from benchmarks.scoring.design import jobs
+
+    drawn, out = jobs(seed_base), []
+    for kind, plant, effects in WANTED[:trials]:
+        job = next(j for j in drawn if (j.kind, j.plant, j.effects) == (kind, plant, effects))
+        place = folder / job.key.replace("/", "_")
+        if not (place / "recording.h5").exists():
+            place.mkdir(parents=True, exist_ok=True)
+            (trial._other if plant == "other" else trial._own)(job, place)
+        out.append(place / "recording.h5")
+    return out
+
+
+def _in_tree(tree: Path, recordings: Sequence[Path]) -> list[dict[str, Any]]:
+    """`measured` of each recording by the code of another tree."""
+    command = [sys.executable, str(Path(__file__).resolve()), "--measure", *map(str, recordings)]
+    done = subprocess.run(
+        command, cwd=tree, env={**os.environ, "PYTHONPATH": str(tree)}, stdout=subprocess.PIPE, text=True, check=True
+    )
+    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+
+
+def _warm_and_measure(recordings: Sequence[Path]) -> None:
+    """Print `measured` of each recording, one a line, each after a run that compiles what it needs."""
+    for path in recordings:
+        measured(path)
+        print(json.dumps(measured(path)), flush=True)
+
+
+def show(recordings: Sequence[Path], sides: Sequence[Sequence[dict[str, Any]]]) -> None:
+    """Table of seconds by stage; of two trees the other one's seconds stand behind a stroke."""
+    stages = ["all", "selection", *STAGES]
+    print("| trial | verdict | named | rms, us | " + " | ".join(stages) + " |")
+    print("|---" * (4 + len(stages)) + "|")
+    for path, *rows in zip(recordings, *sides, strict=True):
+        texts = [path.parent.name]
+        texts += [" / ".join(dict.fromkeys(str(r["verdict"]) for r in rows))]
+        texts += [" / ".join(dict.fromkeys(" + ".join(r["names"]) or "-" for r in rows))]
+        texts += [" / ".join(f"{r['rms_us']:.1f}" for r in rows)]
+        texts += [" / ".join(f"{r['seconds'].get(stage, 0.0):.1f}" for r in rows) for stage in stages]
+        print("| " + " | ".join(texts) + " |")
+
+
+def main() -> None:
+    """Make the recordings, measure, print."""
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    options.add_argument("--seed-base", type=int, default=52_000)
+    options.add_argument("--trials", type=int, default=len(WANTED), help="so many of the wanted trials")
+    options.add_argument("--against", type=Path, help="another tree of this project")
+    options.add_argument("--folder", type=Path, help="where recordings are kept; a temporary one by default")
+    options.add_argument("--measure", type=Path, nargs="+", help=argparse.SUPPRESS)
+    args = options.parse_args()
+    if args.measure:
+        _warm_and_measure(args.measure)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        recordings = make(args.seed_base, args.trials, args.folder or Path(name))
+        trees = [Path(__file__).resolve().parents[2], *([args.against.resolve()] if args.against else [])]
+        show(recordings, [_in_tree(tree, recordings) for tree in trees])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""Headers of recordings: what each file says of itself, read without its samples.
+
+A list of thousands of recordings is made in seconds. Tables, attributes and indexes are compared with the seal first;
+files without one are read by another process, which may hang or die of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.files.column_file import FORMAT
+from daq.files.seal import Checked, check, check_tables, read_seal
+from daq.recording.identity import stored_id
+from daq.recording.opening import SIGNATURE, differing_blocks, open_checked, open_file, unsealed
+from daq.recording.reader import Recording, attributes_intact
+from daq.recording.subprocess_reader import Tell, apart
+from daq.recording.verify import report_of
+from daq.setup.errors import InputError
+
+SMALL_BYTES = 32 << 20
+"""Size up to which every byte is compared with the seal, because opening the file takes as long."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """One recording in plain values, as JSON knows them.
+
+    Attributes
+    ----------
+    identity
+        `daq.recording.identity.stored_id`: the same for each copy of a run; empty where the run is not closed.
+    state, where
+        As `daq.recording.verify.VerifyReport` has them, of what was compared.
+    all_bytes
+        Whether the samples were compared with the seal as well.
+    attrs
+        Root attributes.
+    setup
+        The setup as a JSON object (`daq.setup.setup.Setup`).
+    rate_hz, n_samples, lost_samples, channels
+        Samples a second, samples a channel, samples declared as lost, names of the channels.
+    gammas, achieved_gammas, ratios
+        Of each step; None where it is not known.
+    """
+
+    identity: str
+    state: str
+    where: tuple[str, ...]
+    all_bytes: bool
+    attrs: dict[str, Any]
+    setup: dict[str, Any]
+    rate_hz: float
+    n_samples: int
+    lost_samples: int
+    channels: tuple[str, ...]
+    gammas: tuple[float | None, ...] = ()
+    achieved_gammas: tuple[float | None, ...] = ()
+    ratios: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Unread:
+    """A file without a header: damaged, or HDF5 of another ``format`` (empty: none is stated)."""
+
+    why: str
+    damaged: bool
+    format: str = ""
+
+
+@dataclass(frozen=True)
+class _Later:
+    """Files that only another process may read, with what is known of them."""
+
+    found: dict[str, list[str]] = field(default_factory=dict)
+
+
+def read_headers(paths: Iterable[Path], *, all_bytes: bool = False) -> Iterator[tuple[Path, Header | Unread]]:
+    """Read the headers of recordings, those without a seal last.
+
+    Parameters
+    ----------
+    paths
+        HDF5 files, recordings or not.
+    all_bytes
+        Compare the samples with the seal too, as `daq.recording.verify.verify` does, whatever the size.
+
+    Yields
+    ------
+    Path, Header or Unread
+        A file that is no longer there is left out.
+    """
+    later = _Later()
+    for path in paths:
+        try:
+            answer = _sealed(path, later, all_bytes=all_bytes)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            answer = Unread(f"cannot be read ({error.strerror or error})", damaged=True)
+        if answer is not None:
+            yield path, answer
+    yield from _apart(later.found)
+
+
+def _sealed(path: Path, later: _Later, *, all_bytes: bool) -> Header | Unread | None:
+    """Header of a sealed file, read here; None where another process has to."""
+    size = path.stat().st_size
+    with path.open("rb") as raw:
+        head = raw.read(len(SIGNATURE))
+    if read_seal(path) is False:
+        if head != SIGNATURE:
+            return Unread("cannot be read as HDF5 (it does not begin as one)", damaged=True)
+        later.found[str(path)] = []
+        return None
+    every = all_bytes or size <= SMALL_BYTES
+    found = check(path) if every else check_tables(path)
+    if found is None or found.seal_differs:
+        later.found[str(path)] = list(found.where) if found else []
+        return None
+    try:
+        with open_checked(path, found) as recording:
+            recording.damage += tuple(differing_blocks(recording))
+            return header_of(recording, all_bytes=every)
+    except InputError as error:
+        return Unread(_without(path, str(error)), damaged=True)
+
+
+def header_of(recording: Recording, *, all_bytes: bool) -> Header:
+    """Header of an open recording."""
+    report, steps = report_of(recording), recording.steps
+    attrs = {k: v for k, v in recording.attrs.items() if k not in ("setup_json", "profile_text", "scales_json")}
+    return Header(
+        stored_id(recording), report.state, tuple(report.where), all_bytes, attrs,
+        recording.setup.model_dump(mode="json"), recording.rate_hz, recording.n_samples, report.lost_samples,
+        recording.channels, _known(steps["gamma"]), _known(steps["achieved_gamma"]),
+        tuple(int(c) for c in steps["ratio"]),
+    )  # fmt: skip
+
+
+def _known(values: np.ndarray) -> tuple[float | None, ...]:
+    """Numbers as JSON has them."""
+    return tuple(float(x) if math.isfinite(x) else None for x in values)
+
+
+def _apart(found: dict[str, list[str]]) -> Iterator[tuple[Path, Header | Unread]]:
+    """Headers of files without a seal, by another process; where it dies, the next goes on after that file."""
+    left = dict(found)
+    while left:
+        answer = apart("daq.recording.header:look", list(left), left)
+        for name, told in (answer.value or {}).items():
+            left.pop(name)
+            if told is not None:
+                yield Path(name), _taken(told)
+        if not answer.died:
+            return
+        at = answer.at if answer.at in left else next(iter(left))
+        left.pop(at)
+        yield Path(at), Unread(f"{answer.died}; run: bench verify {at}", damaged=True)
+
+
+def _taken(told: dict[str, Any]) -> Header | Unread:
+    """The value that the process sent as JSON."""
+    values: dict[str, Any] = {key: tuple(x) if isinstance(x, list) else x for key, x in told.items()}
+    return Header(**values) if "attrs" in values else Unread(**values)
+
+
+def look(names: list[str], found: dict[str, list[str]], tell: Tell) -> dict[str, Any]:
+    """Body of the process: the headers of all of them."""
+    told: dict[str, Any] = {}
+    for name in names:
+        tell(name)
+        try:
+            told[name] = dataclasses.asdict(_unsealed(Path(name), found[name]))
+        except FileNotFoundError:
+            told[name] = None
+        except (InputError, OSError, RuntimeError) as error:
+            why = _without(Path(name), str(error))
+            told[name] = dataclasses.asdict(Unread(why, damaged=True))
+    return told
+
+
+def _unsealed(path: Path, where: list[str]) -> Header | Unread:
+    """Header of a file that nobody vouches for: as if its writer had closed it, or else as it is being written."""
+    found = Checked(where=tuple(where), seal_differs=True) if where else None
+    try:
+        return _opened(path, found, ended=True)
+    except InputError:
+        return _opened(path, found, ended=False)
+
+
+def _opened(path: Path, found: Checked | None, *, ended: bool) -> Header | Unread:
+    with open_file(path, Checked(), ended=ended) as file:
+        format = file.attrs.get("format", "")
+    if format != FORMAT:
+        return Unread("is HDF5 but not a recording of this software", damaged=False, format=str(format))
+    with open_checked(path, Checked(), ended=ended) as recording:
+        recording.damage += unsealed(recording, found, intact=attributes_intact(recording.stored))
+        recording.damage += tuple(differing_blocks(recording))
+        if recording.frames is not None and recording.frames.faults:
+            if ended:
+                raise InputError(f"{path}: {recording.frames.faults[0]}")
+            recording.damage += tuple(recording.frames.faults)
+        return header_of(recording, all_bytes=False)
+
+
+def _without(path: Path, text: str) -> str:
+    """The text of an error without the path that it begins with."""
+    return text.removeprefix(f"{path}:").strip()

@@ -1,0 +1,71 @@
+"""What is computed once: the same numbers as when it is computed anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.memory import Memory
+from analysis.residuals.noise_model import EXCESSES_S, excess_noise, log_odds, robust_loss
+from analysis.residuals.plate_observables import expected
+
+FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
+PLATE = {("drive_gain", "relative"): 0.02, ("phase_lag", "delay_s"): 1e-4, ("drive_gain", "relative@drift"): 0.01}
+
+
+def test_a_result_is_made_once_until_too_many_are_kept() -> None:
+    """The same key gives the same object; the memory is emptied when it is full."""
+    memory, made = Memory(2), list[int]()
+
+    def make() -> list[int]:
+        made.append(0)
+        return made
+
+    assert memory.recall("a", make) is memory.recall("a", make)
+    assert len(made) == 1
+    memory.recall("b", make)
+    memory.recall("c", make)
+    memory.recall("a", make)
+    assert len(made) == 4
+
+
+def test_no_flight_is_flown_for_what_touches_the_plate_alone(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A drive's gain or lag leaves prediction and uncertainty the very objects they were, a friction does not."""
+    world = fly_ramp(FRICTION, 1)
+    assert world.predicted({**FRICTION, **PLATE}) is world.predicted(FRICTION)
+    assert world.uncertainty({**FRICTION, **PLATE}) is world.uncertainty(FRICTION)
+    assert world.predicted({}) is not world.predicted(FRICTION)
+
+
+def test_shares_of_the_effects_add_up_to_the_expected_data(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Plate residuals from kept shares are those of all effects at once, a trend among them."""
+    world = fly_ramp({}, 1)
+    data = world.evidence.plate
+    at_once = data.value - expected(data, world.by_step(PLATE))
+    for _ in range(2):
+        assert world.residuals(PLATE).plate == pytest.approx(at_once, rel=1e-12, abs=1e-12)
+
+
+def test_a_model_like_another_shares_its_plate_and_not_its_flights(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A model of the same plate predicts the same with a memory of flights of its own."""
+    world = fly_ramp(FRICTION, 1)
+    other = ForwardModel(world.evidence, world.declared, like=world)
+    assert other.predicted(FRICTION) is not world.predicted(FRICTION)
+    assert np.array_equal(other.residuals(FRICTION).landing_s, world.residuals(FRICTION).landing_s, equal_nan=True)
+    assert np.array_equal(other.residuals(FRICTION).plate, world.residuals(FRICTION).plate)
+
+
+def test_the_excess_is_that_of_the_robust_loss() -> None:
+    """The likelihood in one logarithm gives the loss and the excess of the robust loss itself, outliers included."""
+    rng = np.random.default_rng(3)
+    sigma, period = rng.uniform(2e-6, 3e-5, 300), np.full(300, 0.04)
+    residual = 4e-5 * rng.standard_normal(300)
+    residual[::40] = 0.02
+    total = np.hypot(sigma[None, :], EXCESSES_S[:, None])
+    losses = np.sum(robust_loss(residual / total, log_odds(total, period)) + np.log(total), axis=1)
+    excess, loss = excess_noise(residual, sigma, period)
+    assert excess == EXCESSES_S[np.argmin(losses)]
+    assert loss == pytest.approx(losses.min(), rel=1e-10)

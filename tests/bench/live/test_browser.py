@@ -1,0 +1,239 @@
+"""The live page in a real Chromium: a simulated ramp watched, noted, paused, stopped; hostile pages refused."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import pytest
+
+from bench.profiles.find import shipped_folder
+from daq.recording import open_recording, verify
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+PATIENCE_S = 60.0  # of a machine that runs tests beside
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A real browser; the test skips where there is none."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium on this machine (Debian: apt-get install chromium)")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> Path:
+    """A ramp of six short steps, 9 s in all."""
+    text = (shipped_folder() / "simulated.toml").read_text(encoding="utf-8")
+    text = text.replace("{ start = 0.4, stop = 2.6, steps = 23 }", "[0.6, 0.8, 1.0, 1.2, 1.4, 1.6]")
+    text = text.replace("_cycles = 10", "_cycles = 4").replace("_cycles = 20", "_cycles = 30")
+    path = tmp_path / "quick.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str], str]]]:
+    """Start a command that serves a page; gives the process and the page's address."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: object) -> tuple[subprocess.Popen[str], str]:
+        call = [sys.executable, "-c", "from bench.cli import main; main()", *map(str, arguments), "--port", "0"]
+        process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path)
+        started.append(process)
+        assert process.stdout is not None
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            found = re.search(r"http://127\.0\.0\.1:\d+/", line)
+            if found:
+                return process, found.group()
+        raise AssertionError("".join(said))
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+        process.communicate(timeout=PATIENCE_S)
+
+
+def wait_for(page: Any, selector: str, text: str) -> None:
+    """Until an element has a text."""
+    page.locator(selector, has_text=re.compile(text)).wait_for(timeout=1e3 * PATIENCE_S)
+
+
+def opened(chromium: Any, url: str) -> Any:
+    """A browser of its own with the page open."""
+    page = chromium.new_context(viewport={"width": 1280, "height": 800}).new_page()
+    page.faults = []
+    page.on("pageerror", lambda error: page.faults.append(str(error)))
+    page.goto(f"{url}live")
+    return page
+
+
+def test_run_is_started_watched_noted_paused_and_stopped(
+    chromium: Any, bench: Any, profile: Path, tmp_path: Path
+) -> None:
+    """Check, start, flights, a note, a pause, going on and a stop; a second browser watches and takes over."""
+    _, url = bench("live", profile, "--runs", tmp_path)
+    page, other = opened(chromium, url), opened(chromium, url)
+    wait_for(page, "#lease-word", "you hold the controls")
+    wait_for(other, "#lease-word", "another browser holds")
+    assert page.locator("#go").is_disabled()  # before the check
+    page.click("#check")
+    wait_for(page, "#findings", "check is green")
+    page.click("#go")
+    wait_for(page, "#state-step", "of 6")
+    assert page.locator("#simulated").is_visible() and "SIMULATED" in page.locator("#simulated").inner_text()
+    assert other.locator("#now").is_disabled()
+    other.keyboard.press("Escape")  # who only watches stops nothing
+    page.keyboard.press("p")
+    page.keyboard.press("n")
+    page.keyboard.type("a dusty ball <b>")
+    page.keyboard.press("Enter")
+    wait_for(other, "#log", "note: a dusty ball <b>")
+    wait_for(page, "#state-word", "paused")
+    step = int(page.locator("#state-step").inner_text().split()[1])
+    wait_for(other, "#cycle", f"step {step}: 1-cycle")
+    assert page.evaluate("window.deskCounts.flights") > 10
+    page.keyboard.press("p")
+    wait_for(page, "#state-step", f"step {step + 1} of 6")
+    other.click("#ask")
+    wait_for(page, "#lease-word", "asks for the controls")
+    page.click("#hand_over")
+    wait_for(other, "#lease-word", "you hold")
+    assert page.locator("#now").is_disabled()
+    other.keyboard.press("Space")
+    wait_for(page, "#state-word", "stopped")
+    assert page.faults == other.faults == []
+    (recorded,) = tmp_path.glob("quick-*.h5")
+    assert verify(recorded).state == "stopped"
+    with open_recording(recorded) as recording:
+        assert recording.attrs["why"].startswith("page: stopped now")
+        assert [text.decode() for text in recording.notes["text"]] == ["a dusty ball <b>"]
+        first, second = recording.steps[step - 1 : step + 1]
+        assert second["first_sample"] > first["first_sample"] + first["n_samples"]  # the pause
+    for one in (page, other):
+        one.context.close()
+
+
+@pytest.mark.parametrize(
+    ("button", "why"), [("#finish", "step finished"), ("#ramp_down", "ramped down"), ("#now", "stopped now")]
+)
+def test_each_button_stops(chromium: Any, bench: Any, profile: Path, tmp_path: Path, button: str, why: str) -> None:
+    """Each button of a page beside `bench ramp` ends the run as it says, and the recording is whole."""
+    out = tmp_path / "run.h5"
+    process, url = bench("ramp", profile, "--out", out, "--live")
+    page = opened(chromium, url)
+    wait_for(page, "#lease-word", "you hold")
+    page.click(button, timeout=1e3 * PATIENCE_S)
+    process.communicate(timeout=PATIENCE_S)
+    page.context.close()
+    assert process.returncode == 1 and verify(out).state == "stopped"
+    with open_recording(out) as recording:
+        assert recording.attrs["why"].startswith(f"page: {why}")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="finds the page's process by POSIX means")
+def test_death_of_page_and_browser_leaves_the_run_alone(bench: Any, profile: Path, tmp_path: Path) -> None:
+    """The browser killed, then the page's process: the run completes with every sample."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium on this machine (Debian: apt-get install chromium)")
+    out = tmp_path / "run.h5"
+    process, url = bench("ramp", profile, "--out", out, "--live")
+    call = [CHROMIUM, "--headless", "--no-sandbox", f"--user-data-dir={tmp_path / 'browser'}", f"{url}live"]
+    browser = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    time.sleep(2.0)
+    os.killpg(browser.pid, signal.SIGKILL)
+    browser.wait()
+    port = int(url.rstrip("/").rpartition(":")[2])
+    os.kill(_listener(process.pid, port), signal.SIGKILL)
+    process.communicate(timeout=PATIENCE_S)
+    report = verify(out)
+    assert process.returncode == 0 and report.state == "complete" and report.lost_samples == 0
+
+
+def _listener(parent: int, port: int) -> int:
+    """The child of ``parent`` that is the page: the one that holds the listening socket."""
+    inode = next(
+        row.split()[9]
+        for row in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]
+        if int(row.split()[1].rpartition(":")[2], 16) == port and row.split()[3] == "0A"
+    )
+    children = Path(f"/proc/{parent}/task/{parent}/children").read_text(encoding="ascii").split()
+    for child in map(int, children):
+        links = [str(link.readlink()) for link in Path(f"/proc/{child}/fd").iterdir() if link.is_symlink()]
+        if f"socket:[{inode}]" in links:
+            return child
+    raise AssertionError(f"no child of {parent} listens on {port}")
+
+
+class _Hostile(BaseHTTPRequestHandler):
+    """A page of another site that tries to drive the plate."""
+
+    def do_GET(self) -> None:
+        """The page; its target is in the query."""
+        target = self.path.partition("?")[2]
+        self.send_response(200)
+        self.send_header("content-type", "text/html")
+        self.end_headers()
+        self.wfile.write(
+            f"""<title>trying</title><script>
+            const name = "0123456789abcdef";
+            const socket = new WebSocket("ws://{target}/live/socket?browser=" + name);
+            socket.onopen = () => {{ socket.send(JSON.stringify({{do: "now"}})); document.title = "open"; }};
+            const closed = new Promise((done) => {{ socket.onclose = done; }});
+            const tries = [
+              fetch("http://{target}/live").then((r) => r.text()).then(() => "read", () => "refused"),
+            ];
+            Promise.all([closed, ...tries]).then(([_, read]) => {{
+              if (document.title !== "open") document.title = "socket refused, page " + read;
+            }});
+            </script>""".encode()
+        )
+
+    def log_message(self, *arguments: object) -> None:
+        """Say nothing."""
+
+
+def test_hostile_pages_get_nothing(chromium: Any, bench: Any, profile: Path, tmp_path: Path) -> None:
+    """A page of another origin reads nothing and opens no websocket; nor does a name that leads to this machine."""
+    _, url = bench("live", profile, "--runs", tmp_path)
+    host = url.removeprefix("http://").rstrip("/")
+    with ThreadingHTTPServer(("127.0.0.1", 0), _Hostile) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        page = chromium.new_page()
+        page.goto(f"http://127.0.0.1:{server.server_port}/?{host}")
+        _until_title(page, "socket refused, page refused")
+        page.close()
+        server.shutdown()
+    port = host.rpartition(":")[2]
+    rebound = chromium.new_page()
+    answer = rebound.goto(f"http://rebound.localhost:{port}/live")  # Chromium resolves every .localhost to this machine
+    assert answer is not None and answer.status == 421
+    rebound.close()
+
+
+def _until_title(page: Any, title: str) -> None:
+    until = time.monotonic() + PATIENCE_S
+    while page.title() != title and time.monotonic() < until:
+        page.wait_for_timeout(100)
+    assert page.title() == title

@@ -1,0 +1,223 @@
+"""Parts of the live page without a browser: board, decimation, controls, messages, one step's reduction, verdict."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.jobs.run_ramp import make_backend, record
+from bench.live.board import EVENT_SLOTS, Board
+from bench.live.decimate import MinMax, PlateHeight
+from bench.live.hub import GONE_S, SILENT_S, Lease
+from bench.live.messages import flights_piece, scope_piece, spectrum_piece
+from bench.live.prediction import predicted
+from bench.live.reduce import PLAIN, reduce_step
+from bench.live.run_side import RunSide
+from bench.live.verdict import verdict_of
+from bench.live.window import StepWindow
+from bench.profiles.find import load, shipped_folder
+from daq.files.tables import Block
+from daq.recorder.shared_ring import Ring, RingReader
+from daq.recording import open_recording
+from rig.execution.run import StopRequest
+from rig.profile import parse_profile
+from rig.programme.sequencer import Stop
+
+
+@pytest.fixture
+def board() -> Iterator[Board]:
+    """A board of its own."""
+    one = Board()
+    yield one
+    one.close()
+
+
+def test_messages_come_in_order_and_once(board: Board) -> None:
+    """What one side puts, the other reads once, in order; both lanes are apart."""
+    other = Board(board.name)
+    assert not other.events.waiting
+    for i in range(5):
+        assert board.events.put({"kind": "x", "i": i, "text": "\u0393 \u2265 1"})
+    other.commands.put({"do": "now"})
+    messages, missed = other.events.read()
+    assert [m["i"] for m in messages] == list(range(5)) and missed == 0 and messages[0]["text"] == "\u0393 \u2265 1"
+    assert other.events.read() == ([], 0)
+    assert board.commands.read()[0] == [{"do": "now"}]
+    other.close()
+
+
+def test_writer_never_waits_and_the_reader_is_told_what_it_missed(board: Board) -> None:
+    """A reader that slept gets the newest messages and their number is right; a message too long is left out."""
+    other = Board(board.name)
+    for i in range(3 * EVENT_SLOTS):
+        board.events.put({"i": i})
+    messages, missed = other.events.read()
+    assert messages[-1]["i"] == 3 * EVENT_SLOTS - 1 and missed + len(messages) == 3 * EVENT_SLOTS
+    assert not board.events.put({"text": "x" * 10_000})
+    other.close()
+
+
+@settings(max_examples=40, deadline=None)
+@given(n_bin=st.integers(1, 9), cuts=st.lists(st.integers(0, 120), max_size=6))
+def test_no_extreme_is_lost_whatever_the_pieces(n_bin: int, cuts: list[int]) -> None:
+    """Minima and maxima of each bin are those of all its samples, in whatever pieces they come."""
+    codes = np.random.default_rng(1).integers(-32768, 32767, (120, 3)).astype(np.int16)
+    minmax, edges = MinMax(n_bin, 3), [0, *sorted(cuts), 120]
+    found = np.concatenate([minmax.add(codes[a:b]) for a, b in itertools.pairwise(edges)])
+    whole = codes[: len(codes) // n_bin * n_bin].reshape(-1, n_bin, 3)
+    assert np.array_equal(found, np.stack([whole.min(axis=1), whole.max(axis=1)], axis=1))
+
+
+def test_plate_height_is_the_motion() -> None:
+    """Twice integrated, a sine of 20 m/s^2 at 25 Hz is one of its displacement, within a part in a hundred."""
+    rate, hz, a = 20_000.0, 25.0, 20.0
+    t = np.arange(60_000) / rate
+    scale, least = 0.003, 1e-7
+    codes = np.round(a * np.sin(2 * np.pi * hz * t) / scale).astype(np.int16)
+    height = PlateHeight(rate, hz, scale, least)
+    x = np.concatenate([height.add(piece) for piece in np.array_split(codes, 50)])[-8000:] * least
+    assert np.ptp(x) / 2 == pytest.approx(a / (2 * np.pi * hz) ** 2, rel=0.05)
+
+
+def test_reader_of_the_ring_takes_nothing() -> None:
+    """A third process reads every block; the recorder's own blocks are all still there, and nothing can be written."""
+    ring = Ring(8, 10, 2)
+    reader = RingReader(ring.slots, 10, 2, ring.name)
+    sent = [Block(10 * i, np.full((10, 2), i, np.int16)) for i in range(5)]
+    for block in sent:
+        ring.put(block)
+    assert [int(b.codes[0, 0]) for b in reader.read()] == list(range(5)) and reader.read() == []
+    assert ring.backlog == 5 and len(ring.take()) == 5
+    with pytest.raises(ValueError, match="read-only"):
+        reader.set_counter("taken", 0)
+    for i in range(30):
+        ring.put(Block(50 + 10 * i, np.full((10, 2), i, np.int16)))
+        ring.take()
+    late = reader.read()
+    assert [b.first_sample for b in late] == sorted(b.first_sample for b in late) and len(late) <= 7
+    reader.close()
+    ring.close()
+
+
+def test_one_browser_holds_the_controls() -> None:
+    """The first holds; another gets them when the holder hands over, is gone for a while, or does not answer."""
+    lease = Lease()
+    lease.ask("a", 0.0)
+    lease.ask("b", 0.0)
+    assert lease.may("a") and not lease.may("b") and lease.asked_by == "b"
+    lease.keep("a")
+    lease.hand_over("b")
+    assert lease.may("a") and lease.asked_by is None
+    lease.ask("b", 1.0)
+    lease.hand_over("a")
+    assert lease.may("b") and not lease.may("a")
+    lease.left("b", 2.0)
+    lease.came("b")
+    assert not lease.pass_time(2.0 + GONE_S + 1.0) and lease.may("b")  # it loaded the page again
+    lease.ask("a", 20.0)
+    assert not lease.pass_time(20.0 + SILENT_S - 1.0) and lease.pass_time(20.0 + SILENT_S + 1.0) and lease.may("a")
+    lease.left("a", 50.0)
+    assert lease.pass_time(50.0 + GONE_S + 0.1) and lease.holder is None
+
+
+def test_commands_become_requests(board: Board) -> None:
+    """Stops, pause, going on and notes become requests; the strongest stop stands, nonsense does not."""
+    request, other = StopRequest(), Board(board.name)
+    side = RunSide(board)
+    side._request = request
+    notes = [{"do": "note", "text": text} for text in (" dusty ", " ")]
+    for command in [{"do": "pause"}, *notes, {"do": "format c:"}, {"do": "ramp_down"}, {"do": "finish"}]:
+        side._obey(command)
+    assert request.pause and request.notes == ["dusty"] and request.wanted is Stop.RAMP_DOWN
+    side._obey({"do": "go_on"})
+    side._obey({"do": "now"})
+    assert not request.pause and request.wanted is Stop.NOW and request.why == "page: stopped now"
+    assert [m["do"] for m in other.events.read()[0]] == ["pause", "note", "ramp_down", "finish", "go_on", "now"]
+    other.close()
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Ramps of four steps on the simulated rig: an ideal one, and one with friction."""
+    text = (shipped_folder() / "simulated.toml").read_text(encoding="utf-8")
+    text = text.replace("{ start = 0.4, stop = 2.6, steps = 23 }", "[0.8, 1.2, 1.6, 2.2]")
+    profile, folder = parse_profile(text, "four.toml"), tmp_path_factory.mktemp("runs")
+    out = {}
+    for name in ("ideal", "friction"):
+        out[name] = folder / f"{name}.h5"
+        record(profile, text, make_backend(profile, scenario=Path(name)), out[name], quiet=True)
+    return out
+
+
+def reduced(path: Path) -> list:
+    """Every step of a recording as a page reduces it."""
+    found = []
+    with open_recording(path) as recording:
+        codes = np.stack([recording.codes(name) for name in recording.channels], axis=1)
+        scales = {name: recording.scale(name) for name in recording.channels}
+        for row in recording.steps:
+            step = {name: row[name].item() for name in row.dtype.names}
+            first, end = step["first_sample"], step["first_sample"] + step["n_samples"]
+            blocks = [Block(i, codes[i : i + 197]) for i in range(max(0, first - 300), end, 197)]
+            window = StepWindow(recording.setup, recording.channels, scales, step, blocks)
+            assert np.array_equal(window.codes("drive"), codes[first:end, recording.channels.index("drive")])
+            found.append(reduce_step(window, step["gamma"], first))
+    return found
+
+
+def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> None:
+    """Cycle, tones on target, and residuals of the ideal ball at its noise; the prediction meets the flights."""
+    steps = reduced(recorded["ideal"])
+    assert [s.label for s in steps][:2] == ["1-cycle", "1-cycle"]
+    for step in steps:
+        (tone,) = step.tones
+        assert tone["mps2"] == pytest.approx(tone["target_mps2"], rel=0.01)
+        assert tone["deg"] == pytest.approx(tone["target_deg"], abs=0.5)
+        compared = np.isfinite(step.residual_s)
+        assert compared.sum() > 5 and np.median(np.abs(step.residual_s[compared])) < 3 * np.median(
+            step.noise_s[compared]
+        )
+    setup = load("simulated")[0]
+    portions = list(predicted(setup, (0.8, 2.2)))
+    assert portions[-1]["part"] == 1.0
+    gamma, tau = (np.concatenate([p[key] for p in portions]) for key in ("gamma", "tau_ms"))
+    near = tau[np.abs(gamma - 2.4) < 0.02]  # gamma_peak of the second step
+    measured = 1e3 * np.median(steps[1].duration_s[steps[1].mark == PLAIN])
+    assert np.min(np.abs(near - measured)) < 0.3
+
+
+def test_verdict_while_it_runs(recorded: dict[str, Path]) -> None:
+    """An ideal ball is within noise; friction that was not declared is more, and friction is among its candidates."""
+    ideal = [s.observations for s in reduced(recorded["ideal"])]
+    for n in range(1, len(ideal) + 1):
+        assert verdict_of(ideal[:n], n - 1, ())["within"]
+    rubbing = [s.observations for s in reduced(recorded["friction"])]
+    verdict = verdict_of(rubbing[:3], 2, (2.2,))
+    assert not verdict["within"] and verdict["floor_us"] < 20
+    assert any("friction" in one for one in verdict["candidates"])
+    assert verdict["lines"]
+
+
+def test_messages_are_what_the_page_unpacks() -> None:
+    """Lengths and fields of the binary messages are those that the script reads."""
+    bins = np.arange(24, dtype=np.int16).reshape(3, 2, 4)
+    piece = scope_piece(1.5, 5e-5, bins)
+    assert struct.unpack("<BBHIdd", piece[:24]) == (1, 4, 0, 3, 1.5, 5e-5) and len(piece) == 24 + 48
+    columns = (np.array([0.03, 0.04]), np.array([0.1, 0.2]), np.array([1e-6, np.nan]), np.ones(2), np.zeros(2))
+    message = {"columns": columns, "gamma": np.nan, "asked": 0.7, "final": True, "step": 3}
+    piece = flights_piece(message, 2.0)
+    kind, final, step, n, gamma = struct.unpack("<BBHIf", piece[:12])
+    assert (kind, final, step, n) == (2, 1, 3, 2) and gamma == pytest.approx(1.4) and len(piece) == 16 + 2 * 17
+    assert np.frombuffer(piece, "<f4", 2, 16).tolist() == pytest.approx([30.0, 40.0])
+    t = np.arange(8192) / 20_000.0
+    piece = spectrum_piece(20_000.0, np.sin(2 * np.pi * 1000.0 * t))
+    n = struct.unpack("<I", piece[4:8])[0]
+    hz, density = np.frombuffer(piece, "<f4", n, 8), np.frombuffer(piece, "<f4", n, 8 + 4 * n)
+    assert hz[np.argmax(density)] == pytest.approx(1000.0, rel=0.05)

@@ -1,0 +1,157 @@
+"""The pages of the runs in a real Chromium."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.runs.folder import run_id
+from bench.runs.remarks import change_remarks, with_note, with_tags
+from tests.bench.runs.recordings import record, save, verdict_json
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)"),
+]
+HOSTILE = '</td><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
+SERVE = """
+from pathlib import Path
+import sys
+from bench.web.section import Place
+from bench.web.serve import bind, serve
+if __name__ == "__main__":
+    listening, access = bind(port=0)
+    print(access.url, flush=True)
+    serve(listening, access, ["bench.runs.section"], Place(Path(sys.argv[1]).resolve()))
+"""
+
+
+@pytest.fixture
+def server(folder: Path, tmp_path: Path) -> Iterator[str]:
+    """The pages' address, served by a process of their own."""
+    script = tmp_path / "serve.py"
+    script.write_text(SERVE, encoding="utf-8")
+    with subprocess.Popen([sys.executable, str(script), str(folder)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        url = process.stdout.readline().strip().rstrip("/")
+        host, port = url.removeprefix("http://").split(":")
+        for _ in range(200):
+            with socket.socket() as probe:
+                if probe.connect_ex((host, int(port))) == 0:
+                    break
+            time.sleep(0.05)
+        yield url
+        process.terminate()
+        process.wait(20)
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    """A page of a headless Chromium, which collects its errors."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page(viewport={"width": 1280, "height": 800})
+        page.errors = []
+        page.on("pageerror", lambda error: page.errors.append(str(error)))
+        yield page
+        chromium.close()
+
+
+def until(page: Any, condition: str) -> None:
+    """Wait until an expression is true in the page."""
+    for _ in range(300):
+        if page.evaluate(condition):
+            return
+        time.sleep(0.05)
+    raise AssertionError(condition)
+
+
+def files(page: Any) -> list[str]:
+    """File names in the table, in order."""
+    return [Path(text).name for text in page.locator("#runs tbody a").all_inner_texts()]
+
+
+def test_table_filtered_sorted_and_marked(server: str, browser: Any, folder: Path) -> None:
+    """The table filters while one types, sorts by its headings, and shows markup in a note as text."""
+    change_remarks(folder / "one" / "a.h5", "", lambda now: with_note(with_tags(now, ("warm",)), HOSTILE))
+    browser.goto(f"{server}/runs")
+    browser.wait_for_selector("#runs tbody tr")
+    assert len(files(browser)) == 3
+    assert HOSTILE in browser.locator("#runs tbody").inner_text()
+    browser.click('th[data-key="gamma"] button')
+    browser.wait_for_selector('th[data-key="gamma"][aria-sort="ascending"]')
+    until(browser, "document.querySelector('#runs tbody a').textContent === 'one/a.h5'")
+    assert files(browser) == ["a.h5", "b.h5", "c.h5"]
+    browser.fill("[name=tags]", "warm")
+    until(browser, "document.querySelectorAll('#runs tbody tr').length === 1")
+    assert files(browser) == ["a.h5"] and "tags=warm" in browser.url
+    assert browser.title().startswith("Runs") and browser.errors == []
+
+
+def test_click_opens_and_zooms_to_a_single_contact(server: str, browser: Any, folder: Path) -> None:
+    """A click opens the run; wheel, keys and drag lead from all of it to single samples and back."""
+    record(folder / "long.h5", gammas=(0.9,) * 40)
+    browser.goto(f"{server}/runs")
+    browser.click("#runs tbody tr:has-text('long.h5') td:nth-child(9)")
+    browser.wait_for_url(f"**/runs/{run_id('long.h5')}")
+    scope = browser.locator("#scope[data-seen]")
+    scope.wait_for()
+
+    def seen() -> list[float]:
+        return [float(x) for x in scope.get_attribute("data-seen").split()]
+
+    assert seen()[:2] == [0.0, 20.0]
+    browser.hover("#scope")
+    for _ in range(14):
+        browser.mouse.wheel(0, -240)
+    until(browser, "document.querySelector('#where').textContent.includes('every sample')")
+    start_s, stop_s, each = seen()
+    assert each == 1.0 and stop_s - start_s < 0.02
+    scope.focus()
+    browser.keyboard.press("Home")
+    until(browser, "document.querySelector('#scope').dataset.seen.startsWith('0 20 ')")
+    browser.keyboard.press("PageDown")
+    until(browser, "document.querySelector('#scope').dataset.seen.startsWith('0.5 ')")
+    box = scope.bounding_box()
+    browser.mouse.move(box["x"] + 600, box["y"] + 50)
+    browser.mouse.down()
+    browser.mouse.move(box["x"] + 400, box["y"] + 50)
+    browser.mouse.up()
+    until(browser, "parseFloat(document.querySelector('#scope').dataset.seen) > 0.55")
+    browser.fill("[name=tag]", "kept")
+    browser.click("text=add tag")
+    browser.wait_for_selector("#tags .tag")
+    assert (folder / "long.h5.remarks.json").exists() and browser.errors == []
+
+
+def test_two_runs_over_each_other(server: str, browser: Any, folder: Path) -> None:
+    """Marked runs are laid over each other: diagrams, verdicts, and what drifted."""
+    from daq.recording import open_recording
+    from daq.recording.identity import stored_id
+
+    for name, value in (("a", 0.12), ("b", 0.14)):
+        with open_recording(folder / "one" / f"{name}.h5") as opened:
+            save(folder / f"{name}.json", verdict_json(stored_id(opened), value))
+    browser.goto(f"{server}/runs?verdict=explained")
+    until(browser, "document.querySelectorAll('#runs tbody tr').length === 2")
+    for box in browser.locator("#runs tbody input").all():
+        box.check()
+    browser.click("#overlay")
+    browser.wait_for_selector("#diagram-state[data-done]", state="attached")
+    browser.wait_for_selector("#drifts[data-done]")
+    assert browser.locator("#verdicts tbody tr").count() == 2
+    assert "explained: coulomb_friction" in browser.locator("#verdicts").inner_text()
+    assert "coulomb_friction.mu_up" in browser.get_attribute("#drifts", "data-done")
+    assert "accelerometer.sensitivity" in browser.get_attribute("#drifts", "data-done")
+    assert browser.errors == []
