@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.loop.result import ClosedLoop
 from analysis.report.narrative import gains, why_this_verdict
-from analysis.report.wording import microseconds, others_in_words, plain, probability, size_of
+from analysis.report.wording import microseconds, others_in_words, plain, size_of, what_is_left
 
 LISTED = 3  # rival sets that are named
 NOTABLE = 1.2  # fall of an error from which it is named beside that of landings
@@ -74,7 +74,7 @@ def _plate_z(loop: ClosedLoop) -> float:
 
 def _certainty(loop: ClosedLoop) -> str:
     """Gain of the first effect on steps not fitted, and whether what is left looks like noise."""
-    left = f"what is left looks like noise ({probability(loop.remainder.p_lack_of_fit)})"
+    left = what_is_left(loop)
     gain = gains(loop).get(plain(loop.effects[0].name))
     if gain is None:
         return f"{_capital(left)}."

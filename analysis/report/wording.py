@@ -105,3 +105,11 @@ def plus_minus(value: float, sigma: float) -> str:
         return f"{value:.2e} +- {sigma:.1e}"
     place = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
     return f"{value:.{place}f} +- {sigma:.{place}f}"
+
+
+def what_is_left(loop: ClosedLoop) -> str:
+    """Whether the remainder looks like noise; a certain one that is a trifle is told by its size."""
+    left = loop.remainder
+    if left.p_lack_of_fit >= loop.limits.lack_p:
+        return f"what is left looks like noise ({probability(left.p_lack_of_fit)})"
+    return f"what is left is {left.ratio:.2f} times the noise, no more than is let pass ({loop.limits.lack_ratio:g})"

@@ -61,7 +61,7 @@ def command(
         out.mkdir(parents=True, exist_ok=True)
         drive = partial(_drive, scenario, seed, quiet)
         found = explore(text, out, aims, drive, say=say, ask=_asked if ask else None)
-        complete = quiet or _report(found, out)
+        complete = quiet or _report(found, out, run_seconds(checked))
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
@@ -149,7 +149,7 @@ def _asked(block: Chosen) -> Chosen | None:
             typer.echo(str(error))
 
 
-def _report(found: Explored, folder: Path) -> bool:
+def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     """Show the verdict and write its report; whether everything could be written."""
     from dataclasses import replace
 
@@ -161,7 +161,29 @@ def _report(found: Explored, folder: Path) -> bool:
     reasons = tuple(f"block {i}, chosen: {block.reason}" for i, block in enumerate(found.blocks, start=1))
     loop = replace(found.loop, notes=(*found.loop.notes, *reasons))
     show(loop)
-    return keep([("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}"))])
+    outputs = (
+        ("picture of the choices", lambda: _draw(found, standard_s, folder)),
+        ("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}")),
+    )
+    return keep(outputs)
+
+
+def _draw(found: Explored, standard_s: float, folder: Path) -> None:
+    """Where the rig chose to measure, and why, as ``choices.png`` and ``.svg``."""
+    from analysis.report.figures_choices import ChosenSteps, draw_choices
+    from analysis.report.style import badge_of, save_picture
+    from daq.recording import open_recording
+    from rig.profile import parse_profile
+
+    profiles = [parse_profile(block.text) for block in found.blocks]
+    steps = [
+        ChosenSteps(profile.forcing.ratio, profile.ramp.gammas(), block.seconds, block.reason)
+        for profile, block in zip(profiles, found.blocks, strict=True)
+    ]
+    with open_recording(found.recordings[0]) as opened:
+        badge = badge_of(opened)
+    save_picture(folder, "choices", badge, lambda figure: draw_choices(steps, standard_s, figure))
+    typer.echo(f"choices: {folder / 'choices.png'}")
 
 
 def _nothing(line: str) -> None:

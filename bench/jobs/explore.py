@@ -138,7 +138,7 @@ def explore(
         loop, chosen, why = _next(text, made, blocks, options, aims)
         if chosen is None:
             return ended(why, loop)
-        say(chosen.reason)
+        say(f"\nblock {len(made) + 1}: {chosen.reason}")
         answer = chosen if ask is None else ask(chosen)
         if answer is None:
             return ended("a person stopped it", loop)
