@@ -17,6 +17,7 @@ from analysis.events.edge_jitter import with_jitter
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
+from analysis.residuals.fades import Fades
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
@@ -201,7 +202,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         spread,
         forcing,
     )
-    measured, scored, keep = _events(flights, rows, _half_faded_s(recording))
+    measured, scored, keep = _events(flights, rows, Fades.of(recording))
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
@@ -294,21 +295,18 @@ def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
     return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
 
 
-def _half_faded_s(recording: Recording) -> Array:
-    """When the fade into each step is half over, s; before, the plate moves rather as in the step before."""
-    steps = recording.steps
-    return np.asarray((steps["first_sample"] + 0.5 * steps["fade_samples"]) / recording.rate_hz, dtype=np.float64)
-
-
 def _events(
-    flights: Flights, rows: NDArray[np.int64], half_faded_s: Array
+    flights: Flights, rows: NDArray[np.int64], fades: Fades
 ) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
     """True flights of steps whose plate is known, with their links; which are scored; which rows were kept."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
     step = np.clip(flights.step, 0, len(rows) - 1)
-    early = (step > 0) & (flights.landing_s < np.append(half_faded_s, np.inf)[np.minimum(step, len(half_faded_s))])
+    early = fades.before_half(step, flights.landing_s)
     step = np.where(early & (rows[step - 1] >= 0), step - 1, step)
+    other, share = fades.others(step, 0.5 * (flights.takeoff_s + flights.landing_s))
+    beside = np.where(other >= 0, rows[other], -1)
+    share = np.where((other >= 0) & (beside < 0), 0.0, share)  # a step whose motion is not known
     row = np.where(inside, rows[step], -1)
     keep = ((flags & NOT_EVENTS) == 0) & (row >= 0)
     opening = flights.plate.true_time_s(flights.takeoff_s[keep])
@@ -321,7 +319,20 @@ def _events(
     relaunched = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
     tiny = relaunched & (landing - opening < TINY_S)
     scored = linked & ~tiny & ((flags & NOT_SCORED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
-    return Measured(opening, landing, relaunched, linked, step.astype(np.int64), scored), scored, keep
+    measured = Measured(
+        opening, landing, relaunched, linked, step.astype(np.int64), scored, beside[keep].astype(np.int64), share[keep]
+    )
+    return measured, scored, keep
+
+
+def _moved(measured: Measured, shift: int) -> NDArray[np.int64]:
+    """Rows of the other steps in fades, counted on from ``shift``; -1 for none."""
+    beside = np.full(len(measured.step), -1) if measured.beside is None else measured.beside
+    return np.where(beside >= 0, beside + shift, -1)
+
+
+def _share(measured: Measured) -> Array:
+    return np.zeros(len(measured.step)) if measured.share is None else measured.share
 
 
 def join(parts: Sequence[Observations]) -> Observations:
@@ -338,6 +349,8 @@ def join(parts: Sequence[Observations]) -> Observations:
         linked=column(lambda p: p.measured.linked),
         step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
         wanted=column(lambda p: p.measured.wanted),
+        beside=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
+        share=np.concatenate([_share(p.measured) for p in parts]),
     )
     table = Steps(
         recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),

@@ -6,7 +6,7 @@ forces and friction add. Impacts and standstills are found on Hermite polynomial
 
 from __future__ import annotations
 
-from model.integrator.hermite import crossing, first_touch, hermite5, standstill
+from model.integrator.hermite import crossing, first_standstill, first_touch, hermite5
 from model.integrator.hooks import dry_friction, force, takeoff_threshold
 from model.integrator.plate import STEPS_PER_PERIOD, mode_at, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Floats, Law, Mode, Plate, Start, StepEnds, compiled, inlined
@@ -198,9 +198,9 @@ def segment(
         if opened < 0.0 and h1 > gap >= h:
             opened = s0 + s if gap == 0.0 else s0 + s + step * crossing(gap, 0.0, 1.0, ends)
         touch = first_touch(ends)
-        if law.rubbed and v1 * direction < 0.0:
-            z = standstill(ends) if v * direction > 0.0 else 1.0
-            if touch < 0.0 or z < touch:
+        if law.rubbed:
+            z = first_standstill(ends, direction)
+            if z >= 0.0 and (touch < 0.0 or z < touch):
                 return 2, s0 + s + z * step, max(hermite5(z, ends)[0], 0.0), 0.0, opened
         if touch >= 0.0:
             return 1, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened

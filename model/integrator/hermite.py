@@ -55,18 +55,18 @@ def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
 
 
 @compiled
-def standstill(ends: StepEnds) -> float:
-    """Where in [0, 1] the quintic's velocity vanishes; the velocities at the ends differ in sign."""
+def standstill(ends: StepEnds, hi: float) -> float:
+    """Where in [0, hi] the quintic's velocity vanishes; the velocities at 0 and hi differ in sign."""
     _, c1, c2, c3, c4, c5 = _coefficients(ends)
-    lo, hi = 0.0, 1.0
-    z = 0.5
+    lo = 0.0
+    z = 0.5 * hi
     for _ in range(MOST_STEPS):
         v = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))
         slope = 2.0 * c2 + z * (6.0 * c3 + z * (12.0 * c4 + z * 20.0 * c5))
-        if (v > 0.0) == (ends.v1 > 0.0):
-            hi = z
-        else:
+        if (v > 0.0) == (ends.v0 > 0.0):
             lo = z
+        else:
+            hi = z
         on = z - v / slope if slope != 0.0 else lo
         if not lo < on < hi:
             on = 0.5 * (lo + hi)
@@ -74,6 +74,43 @@ def standstill(ends: StepEnds) -> float:
             return on
         z = on
     return z
+
+
+@compiled
+def slowest(ends: StepEnds) -> float:
+    """Where in [0, 1] the quintic's acceleration vanishes; the accelerations at the ends differ in sign."""
+    _, _, c2, c3, c4, c5 = _coefficients(ends)
+    lo, hi = 0.0, 1.0
+    z = 0.5
+    for _ in range(MOST_STEPS):
+        a = 2.0 * c2 + z * (6.0 * c3 + z * (12.0 * c4 + z * 20.0 * c5))
+        slope = 6.0 * c3 + z * (24.0 * c4 + z * 60.0 * c5)
+        if (a > 0.0) == (ends.a0 > 0.0):
+            lo = z
+        else:
+            hi = z
+        on = z - a / slope if slope != 0.0 else lo
+        if not lo < on < hi:
+            on = 0.5 * (lo + hi)
+        if abs(on - z) < CLOSE:
+            return on
+        z = on
+    return z
+
+
+@compiled
+def first_standstill(ends: StepEnds, direction: float) -> float:
+    """First place in (0, 1] of a step at which a motion in ``direction`` ends, or -1.
+
+    A motion that turns and turns back inside the step counts, too: the velocities at both ends do not show it.
+    """
+    if ends.v1 * direction < 0.0:
+        return standstill(ends, 1.0) if ends.v0 * direction > 0.0 else 1.0
+    if ends.v0 * direction > 0.0 and ends.a0 * direction < 0.0 < ends.a1 * direction:
+        z = slowest(ends)
+        if hermite5(z, ends)[1] * direction < 0.0:
+            return standstill(ends, z)
+    return -1.0
 
 
 @compiled
@@ -87,7 +124,7 @@ def first_touch(ends: StepEnds) -> float:
                 lo *= 0.5
         return crossing(0.0, lo, 1.0, ends)
     if ends.v0 < 0.0 < ends.v1:
-        z = standstill(ends)
+        z = standstill(ends, 1.0)
         if hermite5(z, ends)[0] < 0.0:
             return crossing(0.0, 0.0, z, ends)
     return -1.0

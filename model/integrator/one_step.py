@@ -101,6 +101,9 @@ class Measured:
         Row of `PlateSteps`.
     wanted
         Flights for which a prediction is wanted.
+    beside, share
+        While the drive fades from step to step: row of the other step (-1: the plate at rest), and the share of its
+        motion. None where no flight is flown in a fade.
     """
 
     opening_s: Array
@@ -109,6 +112,8 @@ class Measured:
     linked: NDArray[np.bool_]
     step: NDArray[np.int64]
     wanted: NDArray[np.bool_]
+    beside: NDArray[np.int64] | None = None
+    share: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -242,6 +247,8 @@ class _Problem:
                 _of_each(np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1), n),
                 _of_each(d.gap_m, n),
                 _of_each(d.weak_mps, n),
+                _for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
+                _for_kernel(np.zeros(n) if m.share is None else m.share),
             ),
             Steps(_for_kernel(self.plate.period_s), _tones(self.plate.omega_radps, tones)),
             self.rows,

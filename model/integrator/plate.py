@@ -10,6 +10,7 @@ from model.integrator.hooks import plate_mode, rebound
 from model.integrator.records import Floats, Mode, Plate, Probe, compiled, inlined
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
+SAME_TONE = 1e-6  # relative difference of two frequencies that are one
 MINOR = 1e-3  # part of the largest displacement below which a tone needs no finer steps
 
 
@@ -101,6 +102,19 @@ def step_length(period: float, tones: Floats) -> float:
         if math.hypot(tones[k, 1], tones[k, 2]) / (tones[k, 0] * tones[k, 0]) > MINOR * largest:
             fastest = max(fastest, tones[k, 0])
     return 2.0 * math.pi / (fastest * STEPS_PER_PERIOD)
+
+
+@compiled
+def between_steps(every: Floats, m: int, beside: int, share: float) -> Floats:
+    """Tones of step ``m`` less a ``share`` that those of the step ``beside`` have; that of a plate at rest for -1."""
+    tones: Floats = every[m].copy()
+    for k in range(tones.shape[0]):
+        tones[k, 1:] *= 1.0 - share
+        for j in range(tones.shape[0] if beside >= 0 else 0):
+            if abs(every[beside, j, 0] - tones[k, 0]) < SAME_TONE * tones[k, 0]:
+                tones[k, 1:] += share * every[beside, j, 1:]
+                break
+    return tones
 
 
 @compiled

@@ -6,7 +6,15 @@ import numpy as np
 
 from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode
-from model.integrator.plate import mode_at_rest, mode_under_ball, project_mode, step_length, strike, with_state
+from model.integrator.plate import (
+    between_steps,
+    mode_at_rest,
+    mode_under_ball,
+    project_mode,
+    step_length,
+    strike,
+    with_state,
+)
 from model.integrator.records import (
     Chain,
     Events,
@@ -102,7 +110,10 @@ def one_ahead(
         p = rows[i if len(rows) > 1 else 0]
         m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
         om, ze, ratio = plate_mode(p)
-        bare = Plate(steps.tones[m], Mode(0.0, 0.0, om, ze))
+        tones = steps.tones[m]
+        if events.share[i] > 0.0:
+            tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
+        bare = Plate(tones, Mode(0.0, 0.0, om, ze))
         law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed, turning)
         out[i, 6], out[i, 9] = -1.0, 0.0
         passed, chained = 0, last.chained + 1

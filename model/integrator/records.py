@@ -128,6 +128,8 @@ class Events(NamedTuple):
     bounces: Bools
     gap_m: Floats
     weak_mps: Floats
+    beside: Integers
+    share: Floats
 
 
 class Steps(NamedTuple):

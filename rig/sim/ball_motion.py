@@ -106,11 +106,13 @@ def _root(c: Any, lo: float, hi: float, of_speed: bool, level: float) -> float:
             if lo < secant < hi:
                 x = secant
         f = (_speed(c, x) if of_speed else _height(c, x)) - level
+        if f == 0.0:
+            return x
         if (f > 0.0) == (f_lo > 0.0):
             lo, f_lo = x, f
         else:
             hi, f_hi = x, f
-        if hi - lo < 1e-13 or f == 0.0:
+        if hi - lo < 1e-13:
             break
     return hi
 

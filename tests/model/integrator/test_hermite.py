@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from model.integrator.hermite import crossing, first_touch, hermite5, standstill
+from model.integrator.hermite import crossing, first_standstill, first_touch, hermite5, standstill
 from model.integrator.records import StepEnds
 
 
@@ -38,7 +39,7 @@ def test_a_standstill_has_no_velocity() -> None:
         for _ in range(60):
             middle = 0.5 * (lo + hi)
             lo, hi = (middle, hi) if hermite5(middle, ends)[1] > 0.0 else (lo, middle)
-        assert abs(standstill(ends) - lo) < 1e-11
+        assert abs(standstill(ends, 1.0) - lo) < 1e-11
 
 
 def test_a_graze_is_met_from_above() -> None:
@@ -48,3 +49,16 @@ def test_a_graze_is_met_from_above() -> None:
         ends = StepEnds(0.002, h, -0.02, 20.0, h, 0.02, 20.0)
         z = first_touch(ends)
         assert (0.0 < z < 0.5) if touches else z == -1.0
+
+
+def test_a_motion_that_turns_and_turns_back_within_a_step_stands_still_where_it_turned() -> None:
+    """A fall with a short rise inside ends where the rise begins, and one that only slows down does not end."""
+    d = 1e-3
+    for least, wanted in ((0.01, 0.45), (-0.01, -1.0)):  # the velocity in the middle; falling at both ends
+
+        def velocity(z: float, least: float = least) -> float:
+            return least - 4.0 * (z - 0.5) ** 2
+
+        h1 = d * (least - 1.0 / 3.0)
+        ends = StepEnds(d, 0.0, velocity(0.0), 4.0 / d, h1, velocity(1.0), -4.0 / d)
+        assert first_standstill(ends, -1.0) == pytest.approx(wanted, abs=1e-11)

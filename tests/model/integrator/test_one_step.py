@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from model.effects.harmonic_distortion import harmonics
 from model.effects.registry import effect, row
-from model.integrator.one_step import Measured, PlateSteps, one_ahead
+from model.integrator.one_step import Measured, PlateSteps, one_ahead, simulate
+from model.tones import Plate
 
 G_MPS2 = 9.80665
 OMEGA_RADPS = 2.0 * math.pi * 25.0
@@ -90,6 +91,37 @@ def test_a_flight_with_one_force_lands_where_a_fine_integration_says(effect, p):
         run = solve_ivp(rate, (t, takeoff_s + 0.2), y, method="DOP853", rtol=1e-12, atol=1e-15, events=event)
         t, y = float(run.t_events[0][0]), [float(run.y_events[0][0][0]), -1e-13]
     assert found.landing_s[1] == pytest.approx(t, abs=5e-8)
+
+
+def fall_with_friction(plate, takeoff_s, mu_up, mu_down, dt):
+    """Landing of a ball left at rest, by small steps: the time, and how long each motion up or down lasted."""
+    t, h, v, direction, turned_s, lasted = takeoff_s, 0.0, 0.0, 1.0, takeoff_s, []
+    middle = np.arange(takeoff_s, takeoff_s + 2.0 * PERIOD_S, dt) + 0.5 * dt
+    for free in -G_MPS2 - plate.acceleration_at(middle):
+        if v == 0.0:
+            direction = 1.0 if free > mu_up * G_MPS2 else -1.0
+        a = free - direction * G_MPS2 * (mu_up if direction > 0.0 else mu_down)
+        if direction * (v + a * dt) < 0.0:
+            lasted.append(t - turned_s)
+            h, v, turned_s = h - 0.5 * v * v / a, 0.0, t
+        else:
+            h, v = h + v * dt + 0.5 * a * dt * dt, v + a * dt
+        t += dt
+        if h < 0.0 and v < 0.0:
+            return t - h / v, lasted
+    raise AssertionError("it never lands")
+
+
+def test_a_short_rise_in_mid_air_feels_the_friction_of_a_rise():
+    """c = 3 under friction: a ball that rises for a fraction of a step within its fall lands when it should."""
+    w, g = OMEGA_RADPS * np.array([1.0, 3.0]), 0.8 * G_MPS2
+    plate = Plate(w, 1j * g * np.array([1.0, 9.0]))
+    rod = {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.15}}
+    orbit = simulate(rod, plate, g_mps2=G_MPS2, period_s=PERIOD_S, flights=20)
+    landing_s, lasted = fall_with_friction(plate, orbit.takeoff_s[-1], 0.12, 0.15, 1e-7)
+    assert len(lasted) == 5
+    assert lasted[-1] < 0.5 * PERIOD_S / 48.0
+    assert orbit.landing_s[-1] == pytest.approx(landing_s, abs=2e-6)
 
 
 @njit

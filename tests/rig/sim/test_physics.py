@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rig.sim.ball_motion import _height, _root
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 from rig.sim.state import HANGING
@@ -156,6 +157,25 @@ def test_friction_delays_take_off_until_the_pull_exceeds_it() -> None:
     found = flights(Scenario("f", {"coulomb_friction": {"mu_up": 0.3, "mu_down": 0.3}}), drive(2.0, 2.0), 3)
     phase = (OMEGA * found[:, 0]) % (2.0 * math.pi)
     assert phase == pytest.approx(math.asin(1.3 / 2.0), abs=1e-6)
+
+
+def test_a_flight_that_rises_twice_under_friction_repeats_wherever_the_samples_fall() -> None:
+    """c = 2: the long flight stops falling and rises again in mid-air; in a locked motion all of them are alike."""
+    rod = Scenario("rod", {"coulomb_friction": {"mu_up": 0.12, "mu_down": 0.15}})
+    found = flights(rod, drive(1.5, 4.0, c=2), 24)
+    lengths = found[:, 1] - found[:, 0]
+    assert lengths.max() > 0.05
+    assert np.ptp(lengths[lengths > 0.05]) < 1e-7
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_height_is_crossed_where_it_is_reached(sign: float) -> None:
+    """Going up and going down, the place found in an interval is that of the height asked for."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        path = (0.0, sign * rng.uniform(1.0, 3.0), *rng.uniform(-0.1, 0.1, 4))
+        level = sign * rng.uniform(0.05, 0.5)
+        assert _height(path, _root(path, 0.0, 1.0, False, level)) == pytest.approx(level, abs=1e-12)
 
 
 @pytest.mark.parametrize(("gamma_peak", "period"), [(1.57, 1), (1.90, 2)])
