@@ -116,9 +116,7 @@ def single_drops(count: int, seed: int, heard: bool, echo: float = 0.03, speech:
     for k in range(count):
         rng = np.random.default_rng([seed, k])
         truth = _random_truth(cam, CAUSES[k % 4], rng)
-        events, strength, impacts, due = (
-            _heard(cam, truth, rng, echo, speech) if heard else _tabled(cam, truth, rng)
-        )
+        events, strength, impacts, due = _heard(cam, truth, rng, echo, speech) if heard else _tabled(cam, truth, rng)
         tally["due"] += int(due.sum())
         try:
             drop = Drop("x", bounces_of(events, f"drop {k}", strength=strength))

@@ -103,8 +103,9 @@ def _edges(grey: Grey) -> _Edges:
     chosen = np.zeros(grey.shape, dtype=bool)
     for slope in (np.abs(across), np.abs(down)):
         chosen |= inside & (slope >= np.quantile(slope[inside], 1.0 - _EDGES))
-    row, column = (part[: len(part) // _LINE * _LINE] for part in np.nonzero(chosen))
-    gradient = np.column_stack([across[row, column], down[row, column]]).astype(np.float64)
+    place = np.argwhere(chosen)
+    row, column = place[: len(place) // _LINE * _LINE].T
+    gradient = np.column_stack([np.asarray(slope)[row, column] for slope in (across, down)]).astype(np.float64)
     lines = [part.astype(np.float32).reshape(-1, _LINE) for part in (row, column)]
     strip = (column * _STRIPS // grey.shape[1]).astype(np.int64)
     return _Edges(lines[0], lines[1], grey[row, column].astype(np.float64), gradient, strip)

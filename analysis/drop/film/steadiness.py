@@ -1,4 +1,4 @@
-"""Whether the camera stood still, by what the ball itself shows: no fall accelerates sideways, one floor has one height."""
+"""Whether the camera stood still, by the ball: no fall accelerates sideways, and one floor has one height."""
 
 from __future__ import annotations
 
@@ -71,8 +71,9 @@ def floor_in_words(clip: NDArray[np.int64], floor: Array, draws: Array, fall: fl
         mean = float(np.average(heights, weights=sigma**-2.0))
         chance = float(stats.chi2.sf((((heights - mean) / sigma) ** 2).sum(), len(heights) - 1))
         if chance < _CHANCE and float(np.ptp(heights)) > _LEAST_STEP * fall:
+            apart = 100.0 * float(np.ptp(heights)) / fall
             return (
-                f"the impacts are at heights that differ by {100 * float(np.ptp(heights)) / fall:.1f} % of the fall, far "
-                "more than their errors: the camera or the floor moved"
+                f"the impacts are at heights that differ by {apart:.1f} % of the fall, far more than their errors: the "
+                "camera or the floor moved"
             )
     return None
