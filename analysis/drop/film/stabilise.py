@@ -104,7 +104,7 @@ def _edges(grey: Grey) -> _Edges:
     for slope in (np.abs(across), np.abs(down)):
         chosen |= inside & (slope >= np.quantile(slope[inside], 1.0 - _EDGES))
     place = np.argwhere(chosen)
-    row, column = place[: len(place) // _LINE * _LINE].T
+    row, column = np.resize(place, (-(-len(place) // _LINE) * _LINE, 2)).T  # whole lines; the first pixels again
     gradient = np.column_stack([np.asarray(slope)[row, column] for slope in (across, down)]).astype(np.float64)
     lines = [part.astype(np.float32).reshape(-1, _LINE) for part in (row, column)]
     strip = (column * _STRIPS // grey.shape[1]).astype(np.int64)
