@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion, with_doubts
+from analysis.drop.film.steadiness import floor_in_words
 from analysis.drop.film.trajectory import SHAPES
 from analysis.drop.outcome import (
     CONTRADICTION_SIGMAS,
@@ -133,7 +134,11 @@ def _doubts(
     quality: dict[str, Any], g: dict[str, float | None] | None, fit: CameraFit, candidate: CameraCandidate, units: Units
 ) -> list[str]:
     """What contradicts the model, in words."""
-    words = []
+    words = list(fit.moved)
+    seen, fall = fit.impacts[candidate.shape], float(np.nanmax(fit.fall_height[candidate.shape][0], initial=0.0))
+    uneven = floor_in_words(seen.clip, seen.floor, seen.floor_draws, fall) if fall > 0.0 else None
+    if uneven is not None:
+        words.append(uneven)
     if not quality["some_shape_fits"]:
         best = min(quality["rms"].values())
         words.append(

@@ -116,7 +116,7 @@ def _head(path: Path) -> bytes:
 def _film(path: Path, progress: Progress | None, corrections: Corrections) -> Path2D:
     tracked = track_film(path, progress, corrections)
     track = tracked.track
-    clip = Clip(path.name, track.clock, track.height, track.acceleration)
+    clip = Clip(path.name, track.clock, track.height, track.acceleration, track.x, tracked.watched)
     frame_s = 1.0 / tracked.fps if tracked.fps else None
     return Path2D(clip, frame_s, metres=False, tracked=tracked, remarks=tracked.remarks)
 

@@ -13,6 +13,7 @@ import importlib.util
 import sys
 import tempfile
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -103,7 +104,7 @@ def _summary(table: np.ndarray, names: Counter[str]) -> None:
 CAUSES = ("constant_restitution", "speed_dependent_restitution", "quadratic_drag", "coulomb_friction")
 
 
-def single_drops(count: int, seed: int, heard: bool) -> None:
+def single_drops(count: int, seed: int, heard: bool, echo: float = 0.03, speech: float | None = None) -> None:
     """Single drops of random truth, as sound or as a table of events: impacts, verdict, and coverage.
 
     Every fourth has nothing but a restitution, one that falls with speed, drag, or friction. Friction cannot be seen in
@@ -115,7 +116,7 @@ def single_drops(count: int, seed: int, heard: bool) -> None:
     for k in range(count):
         rng = np.random.default_rng([seed, k])
         truth = _random_truth(cam, CAUSES[k % 4], rng)
-        events, strength, impacts, due = (_heard if heard else _tabled)(cam, truth, rng)
+        events, strength, impacts, due = _heard(cam, truth, rng, echo, speech) if heard else _tabled(cam, truth, rng)
         tally["due"] += int(due.sum())
         try:
             drop = Drop("x", bounces_of(events, f"drop {k}", strength=strength))
@@ -140,7 +141,9 @@ def _random_truth(cam: ModuleType, cause: str, rng: np.random.Generator) -> Any:
     return cam.Truth(height_m=rng.uniform(0.15, 1.0), e0=rng.uniform(0.6, 0.94), hold_s=0.0, scatter=scatter, **added)
 
 
-def _heard(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array, Array | None, Array, Array]:
+def _heard(
+    cam: ModuleType, truth: Any, rng: np.random.Generator, echo: float = 0.03, speech: float | None = None
+) -> tuple[Array, Array | None, Array, Array]:
     """Events in a microphone recording, with noise, hum, talk, clicks and unheard impacts."""
     room = cam.Room(
         rate_hz=float(rng.choice([16000, 22050, 44100, 48000, 96000])),
@@ -151,7 +154,10 @@ def _heard(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array
         unheard=int(rng.integers(0, 2)),
         gain=float(rng.choice([0.1, 0.5, 2.0])),
         channels=int(rng.integers(1, 3)),
+        echo=echo,
     )
+    if speech is not None:
+        room = replace(room, speech=speech)
     samples, impacts, loud = cam.sound(truth, room, rng)
     apart = np.diff(impacts, prepend=impacts[0] - 1.0) > 0.03
     due = apart & (loud > 8.0 * np.hypot(room.noise, room.speech))
@@ -260,11 +266,13 @@ def main() -> None:
     parser.add_argument("--only", default="", help="rows whose name holds this text")
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=20261121)
+    parser.add_argument("--echo", type=float, default=0.03, help="sounds: loudness of the room's answer to a tap")
+    parser.add_argument("--speech", type=float, default=None, help="sounds: rms of somebody talking; else a third talk")
     chosen = parser.parse_args()
     if chosen.what == "films":
         films(chosen.count, chosen.seed)
     elif chosen.what in ("times", "sounds"):
-        single_drops(chosen.count, chosen.seed, heard=chosen.what == "sounds")
+        single_drops(chosen.count, chosen.seed, chosen.what == "sounds", chosen.echo, chosen.speech)
     else:
         real(chosen.folder, chosen.only)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.film.flights import Clip, Flight, flights_of
 from analysis.drop.film.restitution import RestitutionFit, fit_restitution
+from analysis.drop.film.steadiness import in_words, wander_of
 from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
 from analysis.drop.laws.bouncelaw import CONSTANT, DRAG, FRICTION, SPEED, SPEED_DRAG, BounceModel
 from analysis.drop.laws.flightlaw import FlightLaw
@@ -50,7 +51,9 @@ class Impacts:
         Impact times.
     speed_in, speed_out : (n,) float64
         NaN where the flight on that side was not resolved.
-    frame_draws, in_draws, out_draws : (m, n) float64
+    floor : (n,) float64
+        Height of the ball at the impact; NaN for an impact after which nothing is known.
+    frame_draws, in_draws, out_draws, floor_draws : (m, n) float64
         The same for each draw of the fit.
     """
 
@@ -58,9 +61,11 @@ class Impacts:
     frame: Array
     speed_in: Array
     speed_out: Array
+    floor: Array
     frame_draws: Array
     in_draws: Array
     out_draws: Array
+    floor_draws: Array
 
     @property
     def bounced(self) -> NDArray[np.bool_]:
@@ -106,6 +111,8 @@ class CameraFit:
         Of single positions, from third differences.
     worth : float
         Independent samples per sample.
+    moved : tuple of str
+        What shows that a camera moved whose motion nothing measures, in words.
     """
 
     flights: list[Flight]
@@ -116,6 +123,7 @@ class CameraFit:
     fall_height: dict[str, tuple[Array, Array]]
     noise: float
     worth: float
+    moved: tuple[str, ...] = ()
 
 
 def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
@@ -147,7 +155,9 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
         if "f" in SHAPES[name] and shape.law.friction < 0.0:  # rods do not push: nothing gained
             scores[name] = scores["drag" if "k" in SHAPES[name] else "parabola"]
     candidates = tuple(_candidate(*candidate, shapes, values, impacts, scores) for candidate in CAMERA_MODELS)
-    return CameraFit(flights, shapes, values, impacts, candidates, falls, noise, worth)
+    moved = [in_words(wander_of(c, [f for f in flights if f.clip == k])) for k, c in enumerate(clips)]
+    said = tuple(f"{clip.name}: {words}" for clip, words in zip(clips, moved, strict=True) if words)
+    return CameraFit(flights, shapes, values, impacts, candidates, falls, noise, worth, said)
 
 
 def _centred(flights: list[Flight]) -> list[Flight]:
@@ -204,7 +214,8 @@ def impacts_of(
     """Impacts where neighbouring flights meet, and one more where the last flight comes down to that floor."""
     laws = law_of(shape.name, np.vstack([shape.values, values]))
     frames, heights = np.vstack([shape.apex_frame, at]), np.vstack([shape.apex_height, top])
-    rows: list[tuple[int, Array, Array, Array]] = []
+    rows: list[tuple[int, Array, Array, Array, Array]] = []
+    unknown = np.full(len(frames), np.nan)
     fall = np.full((len(frames), max(f.clip for f in flights) + 1), np.nan)
     for i, flight in enumerate(flights):
         follows = i + 1 < len(flights) and flights[i + 1].clip == flight.clip
@@ -213,16 +224,17 @@ def impacts_of(
             down = _speed(laws, when - frames[:, i])
             if flight.order == 0:
                 fall[:, flight.clip] = laws.drop_m(when - frames[:, i])
-            rows.append((flight.clip, when, down, _speed(laws, when - frames[:, i + 1])))
+            level = heights[:, i] - laws.drop_m(when - frames[:, i])
+            rows.append((flight.clip, when, down, _speed(laws, when - frames[:, i + 1]), level))
         elif flight.lands and rows and rows[-1][0] == flight.clip:
             floor = heights[:, i - 1] - laws.drop_m(rows[-1][1] - frames[:, i - 1])
             below = np.maximum(heights[:, i] - floor, 0.0)
             when = frames[:, i] + laws.fall_s(below)
-            rows.append((flight.clip, when, _speed(laws, when - frames[:, i]), np.full(len(frames), np.nan)))
+            rows.append((flight.clip, when, _speed(laws, when - frames[:, i]), unknown, unknown))
     clip = np.array([row[0] for row in rows], dtype=np.int64)
-    table = np.array([[row[1], row[2], row[3]] for row in rows]).reshape(-1, 3, len(frames))
-    first, rest = table[:, :, 0], table[:, :, 1:].transpose(2, 1, 0)
-    found = Impacts(clip, first[:, 0], first[:, 1], first[:, 2], rest[:, 0], rest[:, 1], rest[:, 2])
+    table = np.array([row[1:] for row in rows]).reshape(-1, 4, len(frames))
+    first, rest = table[:, :, 0].T, table[:, :, 1:].transpose(1, 2, 0)
+    found = Impacts(clip, first[0], first[1], first[2], first[3], rest[0], rest[1], rest[2], rest[3])
     return found, (fall[0], fall[1:])
 
 

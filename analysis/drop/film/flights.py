@@ -35,12 +35,18 @@ class Clip:
         Time in frames (not always whole), and height in the file's unit, counted upward.
     acceleration : float
         Rough free-fall acceleration, unit per frame^2.
+    across : (n,) float64 or None
+        Place across the fall, where the unit is pixels.
+    watched : bool
+        The film has edges by which a motion of its camera along the fall would be seen, and was moved back.
     """
 
     name: str
     frame: Array
     height: Array
     acceleration: float
+    across: Array | None = None
+    watched: bool = True
 
 
 @dataclass(frozen=True)

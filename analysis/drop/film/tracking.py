@@ -57,6 +57,8 @@ class Tracked:
     n_frames : int
     lost : (m,) int64
         Frames between the track's first and last in which the ball was not found.
+    watched : bool
+        The picture has edges that show whether the camera moved along its columns.
     """
 
     track: Track
@@ -70,6 +72,7 @@ class Tracked:
     n_frames: int
     lost: NDArray[np.int64]
     remarks: tuple[str, ...] = ()
+    watched: bool = True
 
 
 def track_film(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Tracked:
@@ -116,6 +119,7 @@ def track_film(path: Path, progress: Progress | None = None, corrections: Correc
         still.n_frames,
         lost,
         remarks,
+        film.watched,
     )
 
 

@@ -40,6 +40,8 @@ class Film:
         Part of the picture that is used, pixels.
     shifts : (n, 2) float64 or None
         By which each used frame is off the first, across and down, px; frames are moved back by it.
+    watched : bool
+        Edges in the picture show whether the camera moved along its columns.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Film:
     last: int = 1 << 60
     region: tuple[int, int, int, int] | None = None
     shifts: NDArray[np.float64] | None = None
+    watched: bool = True
 
     def frames(self) -> Iterator[Image]:
         """The frames that are used, in order, (rows, columns, 3) uint8.
