@@ -92,9 +92,7 @@ ANSWERS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in ANSWERS]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in ANSWERS])
 def test_a_real_answer_fits_its_schema(name: str, folder: Path) -> None:
     """The command's standard output is JSON and nothing else, with exactly the keys and types of the schema."""
     result = CliRunner().invoke(app, [*ANSWERS[name].format(folder).split(" "), "--json", "-"])
