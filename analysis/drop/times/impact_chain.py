@@ -55,6 +55,12 @@ class Bounces:
         return np.diff(self.impacts_s)
 
     @property
+    def gaps_s(self) -> Array:
+        """Middle of each interval in which impacts are missing."""
+        gaps = np.flatnonzero(self.missed)
+        return np.asarray(0.5 * (self.impacts_s[gaps] + self.impacts_s[gaps + 1]))
+
+    @property
     def usable(self) -> NDArray[np.int64]:
         """Indices ``n`` of impacts with a whole flight before and after: rows of the one-bounce-ahead prediction."""
         single = self.missed == 0
