@@ -66,8 +66,12 @@ class FitPlot:
         }  # fmt: skip
 
 
-def _lists(points: Sequence[Points]) -> list[dict[str, list[float]]]:
-    return [{"x": np.round(x, 9).tolist(), "y": np.round(y, 9).tolist()} for x, y in points]
+def _lists(points: Sequence[Points]) -> list[dict[str, list[float | None]]]:
+    return [{"x": _plain(x), "y": _plain(y)} for x, y in points]
+
+
+def _plain(values: Array) -> list[float | None]:
+    return [round(v, 9) if np.isfinite(v) else None for v in values.tolist()]
 
 
 def times_plot(drops: Sequence[Drop], verdict: Verdict, g_mps2: float) -> FitPlot:
@@ -95,7 +99,7 @@ def times_plot(drops: Sequence[Drop], verdict: Verdict, g_mps2: float) -> FitPlo
 
 
 def camera_plot(fit: CameraFit, shape_name: str, step_s: Sequence[float | None]) -> FitPlot:
-    """Paths with their fitted flights; ``step_s``: seconds a frame in each file's own time, None where it states none."""
+    """Paths with their fitted flights; ``step_s``: seconds a frame in each file's own time, None where unknown."""
     steps = [step or 1.0 for step in step_s]
     data = [(flight.frame * steps[flight.clip], flight.height) for flight in fit.flights]
     models = []
@@ -105,7 +109,9 @@ def camera_plot(fit: CameraFit, shape_name: str, step_s: Sequence[float | None])
         for i, flight in enumerate(fit.flights):
             step = steps[flight.clip]
             grid = np.linspace(flight.frame[0], flight.frame[-1], _FLIGHT_GRID)
-            pieces.append((grid * step, shape.seen(shape.apex_height[i] - shape.law.drop_m(grid - shape.apex_frame[i]))))
+            pieces.append(
+                (grid * step, shape.seen(shape.apex_height[i] - shape.law.drop_m(grid - shape.apex_frame[i])))
+            )
             seen = shape.seen(shape.apex_height[i] - shape.law.drop_m(flight.frame - shape.apex_frame[i]))
             left.append((flight.frame * step, flight.height - seen))
         models.append(ModelCurve(f"{name}, rms {shape.sigma:.2f}", pieces, left))

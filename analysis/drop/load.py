@@ -23,6 +23,7 @@ from analysis.drop.read.tables import read_grids
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file
+from analysis.drop.times.wav import is_wav
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ class Path2D:
 
 
 class Known:
-    """What of files was worked out already: onsets and tracks, the slow parts, which corrections by hand leave alone."""
+    """What was worked out already: onsets and tracks, which are slow and which no correction of an impact moves."""
 
     def __init__(self) -> None:
         self._made: dict[object, Any] = {}
@@ -103,7 +104,7 @@ def load_all(
     head = _head(path)
     if not head:
         raise InputError(f"{path}: the file is empty")
-    if head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE":
+    if is_wav(path):
         onsets, rate_hz = known.made(path, "onsets", lambda: onsets_of_file(path, progress))
         return _drops(path, onsets, 1.0 / rate_hz, corrections, sound=True)
     if path.suffix.lower() in _OTHER_SOUND or head[8:11] == b"M4A" or head.startswith(_OTHER_SOUND_STARTS):
@@ -119,6 +120,26 @@ def load_all(
     if path.suffix.lower() == ".wav":
         raise InputError(f"{path}: damaged: a WAV file starts with RIFF, this one does not; export it again")
     return _table(path, corrections)
+
+
+def events_in(path: Path, corrections: Corrections, known: Known) -> Array:
+    """Every event of a sound, a contact circuit or a table of times, as corrected, whether a ball's or not; else none.
+
+    Raises
+    ------
+    InputError
+        Nothing in the file can be read.
+    """
+    if is_wav(path):
+        times = known.made(path, "onsets", lambda: onsets_of_file(path))[0].times_s
+    elif path.is_file() and _head(path).startswith(b"\x89HDF"):
+        times = known.made(path, "contact", lambda: contact_onsets(path))[0]
+    elif path.is_file() and path.suffix.lower() not in FILMS:
+        found = [item for _, item in read_tables(read_grids(path), str(path)).found]
+        times = found[0] if len(found) == 1 and not isinstance(found[0], Points) else np.empty(0)
+    else:
+        return np.empty(0)
+    return np.sort(np.concatenate([times[corrections.keeps(times, _IGNORE_REACH_S)], corrections.add_s]))
 
 
 def _drops(
@@ -152,23 +173,27 @@ def _film(path: Path, progress: Progress | None, corrections: Corrections, known
 
     try:
         tracked = tracked_without(())
-        frames = tuple(t for t, own in zip(corrections.ignore_s, _impacts_meant(tracked, corrections), strict=True) if not own)
+        frames = _frames_meant(_clip_of(path, tracked), tracked.fps, corrections)
     except InputError:
         if not corrections.ignore_s:
             raise
         frames = corrections.ignore_s
     if frames:
         tracked = tracked_without(frames)
-    track = tracked.track
-    clip = Clip(path.name, track.clock + tracked.first, track.height, track.acceleration, track.x, tracked.watched)
     frame_s = 1.0 / tracked.fps if tracked.fps else None
-    return Path2D(_corrected(clip, frame_s, corrections), frame_s, metres=False, tracked=tracked, remarks=tracked.remarks)
+    clip = _corrected(_clip_of(path, tracked), frame_s, corrections)
+    return Path2D(clip, frame_s, metres=False, tracked=tracked, remarks=tracked.remarks)
 
 
-def _impacts_meant(tracked: Tracked, corrections: Corrections) -> NDArray[np.bool_]:
-    """Which of the ignored times are those of impacts."""
-    clip = Clip("", tracked.track.clock + tracked.first, tracked.track.height, tracked.track.acceleration)
-    return near_impacts(clip, np.array(corrections.ignore_s) * (tracked.fps or 1.0))
+def _clip_of(path: Path, tracked: Tracked) -> Clip:
+    track = tracked.track
+    return Clip(path.name, track.clock + tracked.first, track.height, track.acceleration, track.x, tracked.watched)
+
+
+def _frames_meant(clip: Clip, fps: float | None, corrections: Corrections) -> tuple[float, ...]:
+    """The ignored times that are of frames, not of impacts."""
+    meant = near_impacts(clip, np.array(corrections.ignore_s) * (fps or 1.0))
+    return tuple(t for t, own in zip(corrections.ignore_s, meant, strict=True) if not own)
 
 
 def _corrected(clip: Clip, frame_s: float | None, corrections: Corrections) -> Clip:
@@ -227,10 +252,10 @@ def _without(words: str, path: Path) -> str:
 
 def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
     frame_s = _frame_s(found.clock) if found.in_seconds else 1.0
-    whole = _clip(found, name, replace(corrections, ignore_s=()), frame_s)[0] if corrections.ignore_s else None
-    meant = near_impacts(whole, np.array(corrections.ignore_s) / frame_s) if whole is not None else ()
-    frames = tuple(t for t, own in zip(corrections.ignore_s, meant, strict=True) if not own)
-    clip, remarks = _clip(found, name, replace(corrections, ignore_s=frames), frame_s)
+    clip, remarks = _clip(found, name, replace(corrections, ignore_s=()), frame_s)
+    if corrections.ignore_s:
+        frames = _frames_meant(clip, 1.0 / frame_s, corrections)
+        clip, remarks = _clip(found, name, replace(corrections, ignore_s=frames), frame_s)
     stated_s = frame_s if found.in_seconds else None
     return Path2D(_corrected(clip, stated_s, corrections), stated_s, found.metres, remarks=remarks)
 

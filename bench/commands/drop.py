@@ -108,7 +108,7 @@ def _serve(request: Request, json_target: str | None, into: Path | None, port: i
         fail("--page: the page writes JSON into the file of --json; --into and --json - go without it", EXIT_USAGE)
 
     def say(url: str) -> None:
-        print_lines(f"open {url}drop in a browser; Ctrl-C ends the page")
+        print_lines(f"open {url} in a browser; Ctrl-C ends the page")
         sys.stdout.flush()
 
     serve_page(request, None if json_target is None else Path(json_target), port, say)

@@ -1,4 +1,4 @@
-"""The result of a drop test written into a rig profile: what was measured, with its source, and nothing stale beside it."""
+"""The result of a drop test written into a rig profile, with its source, and nothing stale beside it."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ Height = tuple[float, float]
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked for; the options of `bench drop` by their names. ``corrections``: one for all files, or each its own."""
+    """What was asked for: the options of `bench drop` by their names; ``corrections`` of all files, or of each."""
 
     files: tuple[Path, ...]
     fps: float | None = None
@@ -184,7 +184,9 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
     stated = [request.stated[number] for number, _ in loaded]
     if times and paths:
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
-    done = DropTest(request, loaded, *(_from_times(times, stated, request) if times else _from_paths(paths, stated, request)))
+    done = DropTest(
+        request, loaded, *(_from_times(times, stated, request) if times else _from_paths(paths, stated, request))
+    )
     not_read = [words for _, item in loaded for words in item.not_read]
     done.outcome.payload["not_read"] = not_read
     done.outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read

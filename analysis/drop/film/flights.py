@@ -113,7 +113,8 @@ def impact_samples(clip: Clip) -> NDArray[np.intp]:
 def near_impacts(clip: Clip, frames: Array) -> NDArray[np.bool_]:
     """Which of ``frames`` mean an impact that was found."""
     found = clip.frame[impact_samples(clip)]
-    return np.abs(np.asarray(frames)[:, None] - found[None]).min(axis=1, initial=np.inf) <= _SAME_FRAMES
+    off = np.abs(np.asarray(frames)[:, None] - found[None]).min(axis=1, initial=np.inf)
+    return np.asarray(off <= _SAME_FRAMES)
 
 
 def _corrected(clip: Clip, low: NDArray[np.intp]) -> NDArray[np.intp]:

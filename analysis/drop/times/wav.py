@@ -67,6 +67,15 @@ class Wav:
         return np.concatenate(at), np.concatenate(low), np.concatenate(high)
 
 
+def is_wav(path: Path) -> bool:
+    """Whether a file begins as a WAV file does."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(12)
+    return head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE"
+
+
 def open_wav(path: Path) -> Wav:
     """The sound in ``path``, not yet read.
 
