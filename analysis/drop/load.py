@@ -239,7 +239,7 @@ def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
 def _in_milliseconds(error: InputError, times: Array) -> InputError:
     """The error with a hint, where the numbers would be seconds too long for any flight."""
     if len(times) > 1 and float(np.median(np.diff(np.sort(times)))) > _LONGEST_STEP_S:
-        return InputError(f"{error}. Are these milliseconds? Then say so in the heading: time (ms)")
+        return InputError(f"{error}. Are these milliseconds or microseconds? Then say so in the heading: time (ms)")
     return error
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.times.chain_search import LONGEST_FLIGHT_S, best_chain
 from analysis.drop.times.chain_tests import why_no_drop
-from analysis.drop.times.end_outliers import ends_that_stray
+from analysis.drop.times.end_outliers import ends_that_stray, ends_unlike_in_loudness
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
@@ -206,7 +206,7 @@ def _one_drop(events: _Events, uncertainty_s: float) -> Bounces | str | None:
     chain, kinds, broken = best_chain(events.times_s, events.strength)
     if len(chain) < 3 or not _holds_a_bounce(kinds, broken):
         return None
-    drop = _without_strays(events.times_s, chain, kinds, broken, uncertainty_s)
+    drop = _without_strays(events, chain, kinds, broken, uncertainty_s)
     if len(drop.impacts_s) < 3 or not len(drop.usable):
         return None
     mine = np.isin(events.times_s, drop.impacts_s)
@@ -219,16 +219,22 @@ def _one_drop(events: _Events, uncertainty_s: float) -> Bounces | str | None:
 
 
 def _without_strays(
-    events: Array, chain: list[int], kinds: list[int], broken: list[bool], uncertainty_s: float
+    heard: _Events, chain: list[int], kinds: list[int], broken: list[bool], uncertainty_s: float
 ) -> Bounces:
     """The chain as bounces, ends that belong to something else given up."""
+    events = heard.times_s
     inside = events[(events > events[chain[0]]) & (events < events[chain[-1]])]
     first, last = 0, len(chain)
     while True:
         single = np.array(kinds[first : last - 1]) == 0
-        cut = ends_that_stray(events[chain[first:last]], single)
+        own = chain[first:last]
+        cut = ends_that_stray(events[own], single)
         if not any(cut):
-            break
+            cut = ends_unlike_in_loudness(heard.loudness[own], events[own], single)
+            if not any(cut):
+                break
+            first, last = first + cut[0], last - cut[1]
+            continue
         if cut[0] and (other := _other_first(events, chain[first:last], single)) is not None:
             chain = [*chain[:first], other, *chain[first + 1 :]]
             continue
