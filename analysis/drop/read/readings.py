@@ -261,10 +261,8 @@ def heights_beside(label: str, columns: Columns, n_read: int) -> list[str]:
     """Columns of heights of a table of positions beyond the ``n_read`` that are read, in words."""
     if any(_words(name) & _ACROSS for name in columns.names):
         return []
-    varied = [
-        j for j, name in enumerate(columns.names)
-        if _words(name) & _HEIGHT and np.isfinite(columns.values[:, j]).sum() >= 6 and np.nanstd(columns.values[:, j]) > 0
-    ]  # fmt: skip
+    heights = [j for j, name in enumerate(columns.names) if _words(name) & _HEIGHT]
+    varied = [j for j in heights if np.isfinite(v := columns.values[:, j]).sum() >= 6 and np.nanstd(v) > 0.0]
     words = "heights beside others; another ball, or the same once more: give each a file of its own"
     return [f"{label}, {columns.names[j]}: {words}" for j in varied[n_read:]]
 
