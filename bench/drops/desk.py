@@ -207,7 +207,7 @@ class DropDesk:
         if self._process is None or not self._process.is_alive():
             context = multiprocessing.get_context("spawn")
             self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=work, args=(theirs,), name="drop test", daemon=True)
+            self._process = context.Process(target=work, args=(theirs, not self._fixed), name="drop test", daemon=True)
             self._process.start()
             theirs.close()
         self._asked = self.request

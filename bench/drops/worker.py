@@ -17,17 +17,17 @@ NICENESS = 10
 _TOLD_EVERY_S = 0.2
 
 
-def work(pipe: Connection) -> None:
-    """Measure every request that comes, until the pipe ends.
+def work(pipe: Connection, gives_way: bool) -> None:
+    """Measure every request that comes, until the pipe ends; ``gives_way``: a run on this machine goes first.
 
     Answers are ``("progress", what, done, total)``, and at the end ``("told", told, payload, pictures)``.
     """
     from analysis.drop.load import Known
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the page's business
-    if hasattr(os, "nice"):
+    if gives_way and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
-            os.nice(NICENESS)  # a run goes first
+            os.nice(NICENESS)
     known = Known()
     with contextlib.suppress(EOFError, OSError):
         while True:
