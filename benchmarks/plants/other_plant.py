@@ -358,7 +358,7 @@ def profile_of(run: Run) -> str:
 
 
 def write(run: Run, folder: Path, ending: str = ".csv") -> Path:
-    """Write ``recording.csv`` (or ``.npz``), ``profile.toml`` and the sealed ``truth.json``; returns the table's path."""
+    """Write ``recording.csv`` (or ``.npz``), ``profile.toml`` and the sealed ``truth.json``; the table's path."""
     folder.mkdir(parents=True, exist_ok=True)
     data = simulate(run)
     names = ("time_s", "continuity_v", "accelerometer_v", "drive_v")

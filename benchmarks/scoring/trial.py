@@ -27,7 +27,7 @@ CONTACTS: dict[str, dict[str, float]] = {
     "read once a sample": {"jitter_s": 0.0},
     "read once a sample, RC behind": {"jitter_s": 0.0, "contact_rc_s": 1e-4},
 }
-"""Kinds of contact circuit: edges that jitter, a comparator with the converter's clock, and one with a low-pass behind it."""
+"""Contact circuits: edges that jitter, a comparator with the converter's clock, and one with a low-pass behind it."""
 
 
 @dataclass(frozen=True)
