@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
-from analysis.explore.explanations import CLIP_SIGMAS, Explanation, Weighed, slopes_of
+from analysis.attribution.second_order import slopes_of
+from analysis.explore.explanations import CLIP_SIGMAS, Explanation, Weighed
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
