@@ -151,7 +151,7 @@ class Candidates:
         return self._space(self.found.x).by_noise(np.random.default_rng(np.frombuffer(seed, dtype="<u4")))
 
     def _p(self, gain: float, x: Array) -> float:
-        """Probability that chance lets the best of all candidates gain so much; scores of whole runs are taken at ``x``."""
+        """Probability that chance lets the best of all candidates gain so much; runs' scores are taken at ``x``."""
         by_runs = self._space(x).by_steps(
             self.every.astype(np.float64), np.arange(len(self.every)), np.random.default_rng(len(self.every))
         )
