@@ -97,8 +97,9 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     keys = (*shared, *dict.fromkeys(k for own in sizes for k in own))
     raw, slopes = slopes_of(world, fitter, best.whitener, at, keys)
     gradient, information = gradient_and_information(best.whitener, raw, slopes)
-    information[np.diag_indices(len(shared))] += _prior_widths(fitter, shared, frozenset(best.free))
-    gradient[: len(shared)] = 0.0  # the best set is fitted: what is left of its gradient is the fit's own precision
+    stiffness = _prior_widths(fitter, shared, frozenset(best.free))
+    information[np.diag_indices(len(shared))] += stiffness
+    gradient[: len(shared)] -= stiffness * [_off_prior(fitter, key, at) for key in shared]
     logs, found = [0.0], [Explanation(best.names, best.free, best.fitted.values, 0.0)]
     for candidate, own in zip(library, sizes, strict=True):
         rows = np.array([len(shared) + keys[len(shared) :].index(k) for k in own], dtype=np.int64)
@@ -136,17 +137,28 @@ def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId], released: frozens
     return out
 
 
+def _off_prior(fitter: Fitter, key: ParameterId, at: Values) -> float:
+    """Distance of a calibration from the mean of its prior, in coordinates; 0 for what has none."""
+    prior = fitter.priors.get(key)
+    return 0.0 if prior is None else float(fitter.to_x(key, at[key]) - fitter.to_x(key, prior.mean))
+
+
 def _evidence(
     information: Array, gradient: Array, shared: NDArray[np.int64], own: NDArray[np.int64]
 ) -> tuple[float, Array, Array]:
-    """Log evidence of freeing ``own`` over not freeing it, and mean and deviation of its coordinates."""
+    """Log evidence of freeing ``own`` over not freeing it, and mean and deviation of its coordinates.
+
+    A fit leaves a gradient of its own precision; the shared coordinates follow it first, else a candidate that they
+    nearly replace would seem to explain it.
+    """
     inner = information[np.ix_(shared, shared)]
     cross = information[np.ix_(shared, own)]
-    profiled = information[np.ix_(own, own)] - cross.T @ np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+    follow = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+    profiled, score = information[np.ix_(own, own)] - cross.T @ follow, gradient[own] - follow.T @ gradient[shared]
     precision = 0.5 * (profiled + profiled.T) + np.eye(len(own))  # a normal prior of one unit: the size that matters
     covariance = np.linalg.inv(precision)
-    mean = covariance @ gradient[own]
-    log = 0.5 * float(gradient[own] @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
+    mean = covariance @ score
+    log = 0.5 * float(score @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
     return log, mean, np.sqrt(np.diag(covariance))
 
 

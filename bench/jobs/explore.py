@@ -25,7 +25,8 @@ from rig.programme.sequencer import stop_fade_samples
 if TYPE_CHECKING:
     from analysis.attribution.fit import Fitter
     from analysis.attribution.hypothesis import Hypothesis
-    from analysis.explore.choice import Option
+    from analysis.explore.choice import Block, Option, Pool
+    from analysis.explore.explanations import Weighed
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel, ParameterId
 
@@ -245,7 +246,7 @@ def _next(
     text: str, made: Sequence[Path], blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
 ) -> tuple[ClosedLoop | None, Chosen | None, str]:
     """Verdict so far, and the next block; or why there is none."""
-    from analysis.explore.choice import Pool, best_block, bistable
+    from analysis.explore.choice import Pool, best_block
     from analysis.explore.explanations import weighed
 
     if not made:
@@ -256,23 +257,32 @@ def _next(
         return loop, None, why
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
+    if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
+        return loop, None, why
     block = best_block(pools, known, wanted, aims.steps)
-    if block is None or block.nats < LEAST_NATS:
-        if loop is not None and loop.verdict == "nothing_missing":
-            return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+    if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
+        chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
+    elif loop is not None and loop.verdict == "nothing_missing":
+        return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+    else:
         visited = [(p.forcing.ratio, g) for p in map(_profile_of, blocks) for g in p.ramp.gammas()]
         chosen = _spread(text, options, visited, aims, "no known explanation is left to be tested")
-    else:
-        a, b = (" + ".join(names) or "the declared model" for names in block.separates)
-        words = f"{block.nats:.1f} nats in {block.seconds:.1f} s of rig time, above all about {a} or {b}"
-        twice = bistable(pools, block)
-        if twice:
-            side = "below" if block.option.rising else "above"
-            words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
-        chosen = _chosen(text, block.option, block.gammas, aims, words)
     if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
         return loop, None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return loop, chosen, ""
+
+
+def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
+    """Why a block was chosen."""
+    from analysis.explore.choice import bistable
+
+    a, b = (" + ".join(names) or "the declared model" for names in block.separates)
+    about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {', '.join(map('.'.join, wanted))}"
+    words = f"{block.nats:.2g} nats in {block.seconds:.1f} s of rig time, above all {about}"
+    if twice := bistable(pools, block):
+        side = "below" if block.option.rising else "above"
+        words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
+    return words
 
 
 def _profile_of(block: Chosen) -> Profile:
@@ -305,10 +315,8 @@ def _judged(
 
 def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
     """Why the aims are reached, or an empty text."""
-    if loop.verdict == "explained" and len(loop.ties) < 2:
-        loose = {key: sigma for key, sigma in aims.until.items() if key in best.free and best.fitted.sigma(key) > sigma}
-        if not loose:
-            return f"{' + '.join(loop.names)} alone explains everything"
+    if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
+        return f"{' + '.join(loop.names)} alone explains everything"
     if loop.verdict == "nothing_missing":
         from analysis.attribution.priors import parameter_of
 
@@ -319,6 +327,29 @@ def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
         ]
         if not above:
             return "nothing is missing, down to the sizes asked for"
+    return ""
+
+
+def _loose(best: Hypothesis, aims: Aims) -> list[ParameterId]:
+    """Parameters that are not yet as sharp as asked for."""
+    return [key for key, sigma in aims.until.items() if key in best.free and best.fitted.sigma(key) > sigma]
+
+
+def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: Sequence[Pool], known: Weighed) -> str:
+    """Why no step would make the parameters as sharp as asked for, or an empty text."""
+    from analysis.explore.choice import limits_of
+
+    if loop.verdict != "explained" or len(loop.ties) > 1:
+        return ""
+    for key in _loose(best, aims):
+        share, limiting = limits_of(pools, known, key)
+        sigma = best.fitted.sigma(key)
+        if share * sigma > aims.until[key] and limiting:
+            first = " or ".join(f"{name}.{q}" for name, q in limiting)
+            return (
+                f"{' + '.join(loop.names)} alone explains everything; {'.'.join(key)} is known to {sigma:.2g}, and no "
+                f"number of steps would bring it below {share * sigma:.2g}: calibrate {first} better, or ask for less"
+            )
     return ""
 
 
