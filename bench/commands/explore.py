@@ -66,6 +66,8 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
+    except KeyboardInterrupt:
+        fail(f"interrupted; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
     write_json(as_json(found, aims.budget_s), json)
     say(f"{found.why}; {len(found.blocks)} blocks, {found.rig_s:.1f} s of rig time")
     if found.failed or not complete:

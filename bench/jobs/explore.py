@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 GAMMAS = 10  # offered for each forcing
 FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
+LEAST_STEPS = 2  # held, of a block that is gone on with
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time
 
 
@@ -113,7 +114,8 @@ def explore(
     text
         The profile (TOML).
     folder
-        For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven.
+        For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven, also those that a person
+        has put there. One that was stopped too early to tell anything is left out.
     aims
         When to stop.
     drive
@@ -129,7 +131,11 @@ def explore(
         For a profile that cannot be driven, or recordings that cannot be read.
     """
     options = offers(text, aims)
-    made = sorted(folder.glob("block-*.h5"))
+    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
+    made = [path for path in there if _tells(path)]
+    if left_out := [path.name for path in there if path not in made]:
+        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
+    number = max((int(path.stem[6:]) for path in there), default=0)
     blocks = [_as_driven(path) for path in made]
 
     def ended(why: str, loop: ClosedLoop | None, *, failed: bool = False) -> Explored:
@@ -139,13 +145,14 @@ def explore(
         loop, chosen, why = _next(text, made, blocks, options, aims)
         if chosen is None:
             return ended(why, loop)
-        say(f"\nblock {len(made) + 1}: {chosen.reason}")
+        number += 1
+        say(f"\nblock {number}: {chosen.reason}")
         answer = chosen if ask is None else ask(chosen)
         if answer is None:
             return ended("a person stopped it", loop)
-        path = folder / f"block-{len(made) + 1:02d}.h5"
-        if failure := drive(answer, path, len(made)):
-            return ended(f"block {len(made) + 1}: {failure}", loop, failed=True)
+        path = folder / f"block-{number:02d}.h5"
+        if failure := drive(answer, path, number - 1):
+            return ended(f"block {number}: {failure}", loop, failed=True)
         made.append(path)
         blocks.append(answer)
 
@@ -157,6 +164,13 @@ def with_gammas(block: Chosen, gammas: Sequence[float]) -> Chosen:
     if faults := planned(profile)[2]:
         raise InputError(refusal("these gammas", faults))
     return Chosen(text, run_seconds(profile), f"gamma {', '.join(f'{g:g}' for g in gammas)}: chosen by a person")
+
+
+def _tells(path: Path) -> bool:
+    """Whether enough steps of a block were held to their end."""
+    with open_recording(path) as opened:
+        held = [row for row in opened.steps if int(row["first_sample"] + row["n_samples"]) <= opened.n_samples]
+        return len(held) >= LEAST_STEPS
 
 
 def _as_driven(path: Path) -> Chosen:
