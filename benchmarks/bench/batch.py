@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import psutil
+import psutil  # type: ignore[import-untyped]
 
 import shakerbench as sb
 from bench.batch.examine import PARTS, Row, examine
