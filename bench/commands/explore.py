@@ -34,7 +34,7 @@ def command(
     Every block is planned, limited and recorded as by bench ramp; Ctrl-C ramps down and keeps what was recorded. Given
     again with the same folder, it goes on there.
 
-    Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.002
+    Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.005
 
     Exits 0 when an aim was reached or the budget is spent, 1 when a block failed or was stopped, 2 when the call was
     wrong.
