@@ -6,7 +6,7 @@ These are measured numbers; no model enters. Several recordings stand in one tab
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from analysis.events.edge_jitter import with_jitter
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
-from analysis.residuals.fades import Fades
+from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
@@ -39,7 +39,6 @@ SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative
 FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
 DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
-RINGING_S = 2.5e-3  # time after an impact in which a weak one may be masked
 
 
 @dataclass(frozen=True)
@@ -202,7 +201,12 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         spread,
         forcing,
     )
-    measured, scored, keep = _events(flights, rows, Fades.of(recording))
+    fades = Fades.of(recording)
+    measured, scored, keep = _events(flights, rows, fades)
+    pushed = pushes(recording, flights, fades, np.flatnonzero(keep))
+    measured = replace(
+        measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
+    )
     hints = _hints_hz(fitted)
     lines = [_lines_radps(steps, i, hints) for i in range(m)]
     step, period_s = measured.step, steps.plate.period_s
@@ -335,6 +339,10 @@ def _share(measured: Measured) -> Array:
     return np.zeros(len(measured.step)) if measured.share is None else measured.share
 
 
+def _push(pushed_mps: Array | None, measured: Measured) -> Array:
+    return np.full(len(measured.step), np.nan) if pushed_mps is None else pushed_mps
+
+
 def join(parts: Sequence[Observations]) -> Observations:
     """One table of the observations of several recordings."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
@@ -351,6 +359,9 @@ def join(parts: Sequence[Observations]) -> Observations:
         wanted=column(lambda p: p.measured.wanted),
         beside=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
         share=np.concatenate([_share(p.measured) for p in parts]),
+        gained_mps=column(lambda p: _push(p.measured.gained_mps, p.measured)),
+        pressed_mps=column(lambda p: _push(p.measured.pressed_mps, p.measured)),
+        pressed_at=column(lambda p: _push(p.measured.pressed_at, p.measured)),
     )
     table = Steps(
         recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
