@@ -42,9 +42,9 @@ class Fades:
         return np.asarray((step > 0) & (time_s < half_s[np.minimum(step, len(half_s) - 1)]))
 
     def touch(self, opening_s: Array, landing_s: Array) -> NDArray[np.bool_]:
-        """Whether flights (n,) are at least in part in a fade."""
+        """Whether intervals (n,) are at least in part in a fade; one found in a drive may have begun a length earlier."""
         fades = self.length_s > 0.0
-        begin_s, end_s = self.begin_s[fades], (self.begin_s + self.length_s)[fades]
+        begin_s, end_s = (self.begin_s - self.length_s)[fades], (self.begin_s + self.length_s)[fades]
         return np.searchsorted(begin_s, landing_s) > np.searchsorted(end_s, opening_s)
 
     def others(self, step: Ints, time_s: Array) -> tuple[Ints, Array]:
@@ -80,38 +80,39 @@ class Pushes:
 def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Ints) -> Pushes:
     """Integrals of the accelerometer's reading for the flights in ``rows``.
 
-    Nothing need be known of how the plate gets from one motion to the next. What the accelerometer reads at rest is
-    taken from the fit of the nearest step.
+    Nothing need be known of how the plate gets from one motion to the next. An accelerometer whose offset is not stated
+    tells nothing: a ringing mode shifts the means of flights and of contacts.
     """
-    takeoff_s, landing_s, step = (x[rows] for x in (flights.takeoff_s, flights.landing_s, flights.step))
+    takeoff_s, landing_s = flights.takeoff_s[rows], flights.landing_s[rows]
     out = Pushes(*np.full((3, len(rows)), np.nan))
-    at_rest = {s.step: s.acceleration.offset - recording.setup.g_mps2.value for s in flights.plate.steps if s}
-    usable = np.isin(step, list(at_rest)) & ((flights.flags[rows] & (FlightFlag.GAP | FlightFlag.CUT)) == 0)
+    if recording.setup.channels.accelerometer.offset_v is None:
+        return out
+    usable = (flights.flags[rows] & (FlightFlag.GAP | FlightFlag.CUT)) == 0
     before_s = np.concatenate([[-np.inf], landing_s[:-1]])
     for i in np.flatnonzero(usable & fades.touch(takeoff_s, landing_s) & (landing_s - takeoff_s < LONGEST_S)):
-        push = _read_mps2(recording, takeoff_s[i], landing_s[i]) - at_rest[int(step[i])]
-        out.flight_mps[i] = np.mean(push) * (landing_s[i] - takeoff_s[i])
+        out.flight_mps[i] = np.mean(_push_mps2(recording, takeoff_s[i], landing_s[i])) * (landing_s[i] - takeoff_s[i])
     for i in np.flatnonzero(usable & fades.touch(before_s, takeoff_s) & (takeoff_s - before_s < LONGEST_S)):
-        push = _after_impact_mps2(recording, before_s[i], takeoff_s[i]) - at_rest[int(step[i])]
-        push = np.maximum(push, 0.0) + LEAST_MPS2
-        out.contact_mps[i] = np.mean(push) * (takeoff_s[i] - before_s[i])
-        out.contact_centre[i] = np.average((np.arange(len(push)) + 0.5) / len(push), weights=push)
+        push = np.maximum(_after_impact_mps2(recording, before_s[i], takeoff_s[i]), 0.0) + LEAST_MPS2
+        if len(push):
+            out.contact_mps[i] = np.mean(push) * (takeoff_s[i] - before_s[i])
+            out.contact_centre[i] = np.average((np.arange(len(push)) + 0.5) / len(push), weights=push)
     return out
 
 
-def _read_mps2(recording: Recording, begin_s: float, end_s: float) -> Array:
-    """What the accelerometer reads at the samples between two times, one at least."""
-    channel = recording.setup.channels.accelerometer
+def _push_mps2(recording: Recording, begin_s: float, end_s: float) -> Array:
+    """The plate's acceleration plus gravity at the samples between two times, one at least."""
+    channel, g_mps2 = recording.setup.channels.accelerometer, recording.setup.g_mps2.value
     zero_v = 0.0 if channel.offset_v is None else channel.offset_v.value
     first = max(round(begin_s * recording.rate_hz), 0)
     stop = min(max(round(end_s * recording.rate_hz), first + 1), recording.n_samples)
-    return np.asarray((recording.read_v("accelerometer", first, stop) - zero_v) / channel.volts_per_mps2)
+    read_mps2 = (recording.read_v("accelerometer", first, stop) - zero_v) / channel.volts_per_mps2
+    return np.asarray(read_mps2 + (0.0 if channel.reads_gravity else g_mps2))
 
 
 def _after_impact_mps2(recording: Recording, impact_s: float, end_s: float) -> Array:
     """The same from an impact on; while that rings, a cubic through the readings on both sides stands for them."""
     begin_s, stop_s = impact_s - BESIDE_S, max(end_s, impact_s + RINGING_S + BESIDE_S)
-    read = _read_mps2(recording, begin_s, stop_s)
+    read = _push_mps2(recording, begin_s, stop_s)
     since_s = begin_s + (np.arange(len(read)) + 0.5) / recording.rate_hz - impact_s
     rings = (since_s > -1.0 / recording.rate_hz) & (since_s < RINGING_S)
     near = ~rings & (since_s < RINGING_S + BESIDE_S)

@@ -33,7 +33,7 @@ TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
-KICK = 0.1  # impact speed in units of gravity times the period: a fifth of a typical impact
+KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
 MOST_KEPT = {"flights": 64, "plate": 512}  # results that are kept: of predictions, and of plate data and hooks
 
 

@@ -294,7 +294,7 @@ def one_ahead(
         What the contact circuit misses.
     kick
         Added to a plate mode's displacement (m) and velocity (m/s) wherever the chain of flights begins anew: how the
-        mode rang before is known no better.
+        mode rang before is known no better; a part of it where ``pressed_mps`` tells.
     probe
         How the plate's tones were measured; without one, all the time.
     mode

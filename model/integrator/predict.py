@@ -31,6 +31,7 @@ from model.integrator.records import (
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
 OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
+FOLLOWED = 0.2  # part of a kick where the chain begins after a contact whose push was measured
 OUT_COLUMNS = 10
 """Of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as
 predicted; launch velocity and impact speed of the measured flight; by how much later the landing may be seen."""
@@ -113,7 +114,7 @@ def one_ahead(
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
     ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity
-    wherever the chain of flights begins anew. A measured flight's own launch and impact are found where an elastic
+    wherever the chain of flights begins anew, a part of it where the accelerometer followed the fade. A measured flight's own launch and impact are found where an elastic
     impact or a plate mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
@@ -132,7 +133,8 @@ def one_ahead(
         if not events.linked[i]:
             chained = 0
             last = _begin_chain(i, events, steps.period[m], last, bare, p)
-            last = Chain(last.t, last.impact, last.q + kick[0], last.qd + kick[1], False, 0)
+            loose = 1.0 if np.isnan(events.pressed_mps[i]) else FOLLOWED
+            last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(i, events, last, bare, law, seen, out[i])
         # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction

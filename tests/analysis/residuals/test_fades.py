@@ -40,6 +40,8 @@ def test_a_mode_rings_on_from_flights_in_the_fade(tmp_path: Path) -> None:
     path = tmp_path / "ringing.h5"
     sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=5)
     observations = observations_from([path])
-    abrupt = replace(observations, measured=replace(observations.measured, beside=None, share=None))
+    unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
+    abrupt = replace(observations, measured=replace(unread, beside=None, share=None))
+    assert scatter_us(replace(observations, measured=unread)) < 8.0
+    assert scatter_us(abrupt) > 3.0 * scatter_us(replace(observations, measured=unread))
     assert scatter_us(observations) < 8.0
-    assert scatter_us(abrupt) > 3.0 * scatter_us(observations)
