@@ -42,7 +42,7 @@ class Fades:
         return np.asarray((step > 0) & (time_s < half_s[np.minimum(step, len(half_s) - 1)]))
 
     def touch(self, opening_s: Array, landing_s: Array) -> NDArray[np.bool_]:
-        """Whether intervals (n,) are at least in part in a fade; one found in a drive may have begun a length earlier."""
+        """Whether intervals (n,) meet a fade; one found in a drive may have begun by its length earlier."""
         fades = self.length_s > 0.0
         begin_s, end_s = (self.begin_s - self.length_s)[fades], (self.begin_s + self.length_s)[fades]
         return np.searchsorted(begin_s, landing_s) > np.searchsorted(end_s, opening_s)

@@ -114,8 +114,8 @@ def one_ahead(
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
     ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity
-    wherever the chain of flights begins anew, a part of it where the accelerometer followed the fade. A measured flight's own launch and impact are found where an elastic
-    impact or a plate mode needs them.
+    wherever the chain of flights begins anew, a part of it where the accelerometer followed the fade. A measured
+    flight's own launch and impact are found where an elastic impact or a plate mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning = np.empty((steps.tones.shape[1] + 1, 6))
