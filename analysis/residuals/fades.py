@@ -80,12 +80,13 @@ class Pushes:
 def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Ints) -> Pushes:
     """Integrals of the accelerometer's reading for the flights in ``rows``.
 
-    Nothing need be known of how the plate gets from one motion to the next. An accelerometer whose offset is not stated
-    tells nothing: a ringing mode shifts the means of flights and of contacts.
+    Nothing need be known of how the plate gets from one motion to the next. One whose offset is not stated, or that is
+    coupled through a capacitor, tells nothing: a ringing mode shifts the means of flights and of contacts.
     """
     takeoff_s, landing_s = flights.takeoff_s[rows], flights.landing_s[rows]
     out = Pushes(*np.full((3, len(rows)), np.nan))
-    if recording.setup.channels.accelerometer.offset_v is None:
+    channel = recording.setup.channels.accelerometer
+    if channel.offset_v is None or channel.coupling == "ac":
         return out
     usable = (flights.flags[rows] & (FlightFlag.GAP | FlightFlag.CUT)) == 0
     before_s = np.concatenate([[-np.inf], landing_s[:-1]])
