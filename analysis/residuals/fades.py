@@ -80,8 +80,8 @@ class Pushes:
 def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Ints) -> Pushes:
     """Integrals of the accelerometer's reading for the flights in ``rows``.
 
-    Nothing need be known of how the plate gets from one motion to the next. One whose offset is not stated, or that is
-    coupled through a capacitor, tells nothing: a ringing mode shifts the means of flights and of contacts.
+    Nothing need be known of how the plate gets from one motion to the next, but the accelerometer's zero must: no mean
+    of its readings tells it beside a ringing mode. Without a stated zero, or behind a capacitor, all are NaN.
     """
     takeoff_s, landing_s = flights.takeoff_s[rows], flights.landing_s[rows]
     out = Pushes(*np.full((3, len(rows)), np.nan))
