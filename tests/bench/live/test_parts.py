@@ -26,7 +26,7 @@ from bench.web.hub import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, RingReader
 from daq.recording import open_recording
-from rig.execution.run import StopRequest
+from rig.execution.operator import StopRequest
 from rig.profile import parse_profile
 from rig.programme.sequencer import Stop
 
