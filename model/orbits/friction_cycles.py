@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from model.flight.branches import TWO_PI, branch_of, fold
-from model.flight.chatter import tail_of_chatter
 from model.flight.friction import (
     edge_tables,
     hang,
@@ -21,6 +20,7 @@ from model.flight.friction import (
     next_segment,
     next_take_off,
     rebound,
+    rebound_or_rest,
 )
 from model.flight.ideal import RESTS
 from model.flight.numerics import Floats, compiled
@@ -30,19 +30,6 @@ from model.orbits.cycles import CHATTERS, SMALL, Flown, itinerary_codes_of, lock
 
 Tangent = tuple[float, float, float, float]  # d landing/d phase, d landing/d v, d rebound/d phase, d rebound/d v
 MOST_SEGMENTS = 1000  # of a flight whose tangent is asked for
-
-
-@compiled
-def _rebound_or_rest(
-    tones: Floats, gamma: float, law: FrictionRestitution, phi: float, speed: float
-) -> tuple[float, float]:
-    """Speed after an impact, and 0; where a chatter begins that can be summed, 0 and the time to its end."""
-    v = rebound(law, speed)
-    if v > 0.0:
-        tail = tail_of_chatter(tones, gamma, law, phi, v)
-        if tail >= 0.0:
-            return 0.0, tail
-    return v, 0.0
 
 
 @compiled
@@ -87,7 +74,7 @@ def fly_until_closed(
         symbol[k] = 2 * n_up * turns + branch_of(up, n_up, phi)
         mark[k] = SMALL if branch % 2 == 1 and symbol[k] == branch else 0
         turn += turns
-        v, tail = _rebound_or_rest(tones, gamma, law, phi, speed[k])
+        v, tail = rebound_or_rest(tones, gamma, law, phi, speed[k])
         if tail > 0.0:
             mark[k] |= CHATTERS
             phi += tail
