@@ -30,7 +30,7 @@ def land_lanes(
 
     Returns
     -------
-    x, turns, branch, speed, plain
+    x, turns, speed, plain
     """
     v = gamma * slope0
     discriminant = v * v + 2.0 * gamma * (s0 - highest)
@@ -45,7 +45,7 @@ def land_lanes(
     plain = h > 0.0
     searching = plain
     turns = spread(0.0)
-    lo, hi, h_lo, h_hi, tangent, total, branch = edge, edge + 1.0, h, spread(-1.0), edge, turns, i
+    lo, hi, h_lo, h_hi, tangent, total = edge, edge + 1.0, h, spread(-1.0), edge, turns
     while any_of(searching):
         at = base + TABLE * i
         far = gather(table, at + 3.0)
@@ -56,7 +56,7 @@ def land_lanes(
         odd = (i - 2.0 * floor(0.5 * i)) == 1.0
         found = searching & (g <= 0.0)
         tangent = select(found, select(odd, far - g / g1, edge - h / h1), tangent)
-        lo, hi, total, branch = select(found, edge, lo), select(found, far, hi), select(found, turns, total), select(found, i, branch)
+        lo, hi, total = select(found, edge, lo), select(found, far, hi), select(found, turns, total)
         h_lo, h_hi = select(found, h, h_lo), select(found, g, h_hi)
         meet = (g - h - g1 * width) / (h1 - g1)
         unsure = searching & ~odd & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
@@ -71,7 +71,7 @@ def land_lanes(
                 touches = unsure & (h_y < -PLAIN_GRAZE)
                 found = found | touches
                 tangent = select(touches, dl - hl / sl, tangent)
-                lo, hi, total, branch = select(touches, dl, lo), select(touches, y, hi), select(touches, turns, total), select(touches, i, branch)
+                lo, hi, total = select(touches, dl, lo), select(touches, y, hi), select(touches, turns, total)
                 h_lo, h_hi = select(touches, hl, h_lo), select(touches, h_y, h_hi)
                 near = unsure & (size(h_y) <= PLAIN_GRAZE)
                 plain = plain & ~near
@@ -117,4 +117,4 @@ def land_lanes(
         if not any_of(away):
             break
     plain = plain & ~away & (x - phi0 + total >= SHORT) & (speed > 0.0)
-    return x, total, branch, speed, plain
+    return x, total, speed, plain

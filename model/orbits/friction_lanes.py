@@ -7,34 +7,55 @@ a lane whose orbit is done takes the next.
 
 from __future__ import annotations
 
-import numpy as np
-
-from kernels.lanes import WIDTH, load, select, spread, store
+from kernels.lanes import WIDTH, select, spread, store
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.friction import MOST_SEGMENTS, fall, rebound_or_rest, rise
 from model.flight.friction_lanes import branch_at, end_of_segment, fold_onto, hang_in_lanes
 from model.flight.numerics import Floats, compiled, inlined
-from model.flight.records import FrictionRestitution, Segment
+from model.flight.records import Segment
 from model.flight.segment import motion, segment_from, shape, total_speed
 from model.flight.short_bounce import short_bounce
 from model.orbits.cycles import CHATTERS, Integers
-
-# rows of the lanes' numbers
-GAMMA, PHI, V0, H0, RISING, UP, UP_LAST, DOWN, DOWN_LAST, MU_UP, MU_DOWN, TAU, X, H, V, STOPS, PLAIN, TOTAL, E0, E1, AT_EDGE, LAST_PHI, LAST_V = range(23)
-NUMBERS = 23
-# rows of the lanes' whole numbers; from SEEN on, where each threshold was met, then in which turn
-ROW, COUNT, TURN, SEGMENTS, STATUS, FIRST, PERIODS, SEEN = range(8)
-FLIES, CLOSED, FULL, STUCK, IDLE = range(5)  # values of STATUS
-TAUS, PHASES, SPEEDS = range(3)  # of the flights
-THRESHOLDS, MARKS = range(2)
-
-
-@inlined
-def law_of_lane(work: Floats, lane: int) -> FrictionRestitution:
-    """Friction and restitution of a lane."""
-    return FrictionRestitution(work[MU_UP, lane], work[MU_DOWN, lane], work[E0, lane], work[E1, lane])
-
+from model.orbits.lane_state import (
+    AT_EDGE,
+    COUNT,
+    DOWN,
+    DOWN_LAST,
+    FLIES,
+    FULL,
+    GAMMA,
+    H0,
+    LAST_PHI,
+    LAST_V,
+    LIMIT,
+    MARKS,
+    MU_DOWN,
+    MU_UP,
+    PHASES,
+    PHI,
+    PLAIN,
+    RISING,
+    SEGMENTS,
+    SPEEDS,
+    STATUS,
+    STOPS,
+    STUCK,
+    TAU,
+    TAUS,
+    THRESHOLDS,
+    TOTAL,
+    TURN,
+    UP,
+    UP_LAST,
+    V0,
+    H,
+    V,
+    X,
+    law_of_lane,
+    numbers,
+    reset_at,
+)
 
 @inlined
 def _land(
@@ -58,37 +79,27 @@ def _land(
     return phi, v
 
 
-@inlined
-def _leave(
+@compiled
+def leave(
     tones: Floats, both: Floats, closes: bool, work: Floats, whole: Integers, flights: Floats, marks: Integers,
-    lane: int, phi: float, v: float,
+    lane: int,
 ) -> None:  # fmt: skip
-    """From the plate at a phase and speed to the next flight that is not a short bounce; sets the lane's STATUS."""
+    """From the plate, at LAST_PHI and LAST_V, to the next flight that is not a short bounce; sets the STATUS."""
+    phi, v = work[LAST_PHI, lane], work[LAST_V, lane]
     base, last = work[UP, lane], work[UP_LAST, lane]
-    n_up = int(last) // 2
     while True:
-        phi0, window = phi, -1
-        if v <= 0.0:
-            i = branch_at(both, base, last, phi)
-            edge = both[int(base + TABLE * i)]
-            branch = int(i)
-            if branch % 2 == 1 or phi <= edge:
-                window = ((branch + 1) // 2) % n_up
-                phi0 = both[int(base) + TABLE * 2 * window]
-                if branch == 2 * n_up - 1:
-                    whole[TURN, lane] += 1
         k = whole[COUNT, lane]
-        if window >= 0:
-            if closes and whole[SEEN + window, lane] >= 0:
-                whole[FIRST, lane] = whole[SEEN + window, lane]
-                whole[PERIODS, lane] = whole[TURN, lane] - whole[SEEN + n_up + window, lane]
-                whole[STATUS, lane] = CLOSED
-                return
-            whole[SEEN + window, lane], whole[SEEN + n_up + window, lane] = k, whole[TURN, lane]
-        if k == flights.shape[2]:
+        if k == whole[LIMIT, lane]:
             work[LAST_PHI, lane], work[LAST_V, lane] = phi, v
             whole[STATUS, lane] = FULL
             return
+        phi0, window = phi, -1
+        if v <= 0.0:
+            branch = int(branch_at(both, base, last, phi))
+            if branch % 2 == 1 or phi <= both[int(base) + TABLE * branch]:
+                window, phi0, repeats = reset_at(both, closes, work, whole, lane, branch)
+                if repeats:
+                    return
         flights[PHASES, lane, k], marks[THRESHOLDS, lane, k] = phi0, window
         short = False
         if v > 0.0:
@@ -124,21 +135,16 @@ def _alone(tones: Floats, both: Floats, work: Floats, lane: int) -> None:
     work[STOPS, lane] = 0.0 if landed else 1.0
 
 
-@inlined
-def _row(flat: Floats, name: int) -> object:
-    return load(flat, name * WIDTH)
-
-
 @compiled
 def fly_segments(tones: Floats, highest: float, both: Floats, work: Floats) -> None:
     """The end of the segment of every lane."""
     flat = work.reshape(-1)
-    phi, gamma, rising = _row(flat, PHI), _row(flat, GAMMA), _row(flat, RISING) > 0.5
+    phi, gamma, rising = numbers(flat, PHI), numbers(flat, GAMMA), numbers(flat, RISING) > 0.5
     s0, slope0, _ = shape(tones, phi)
-    level = select(rising, 1.0 + _row(flat, MU_UP), 1.0 - _row(flat, MU_DOWN))
-    segment = Segment(phi, s0, slope0, s0, _row(flat, V0), _row(flat, H0), level)
-    last = select(rising, _row(flat, UP_LAST), _row(flat, DOWN_LAST))
-    place = (select(rising, _row(flat, UP), _row(flat, DOWN)), last)
+    level = select(rising, 1.0 + numbers(flat, MU_UP), 1.0 - numbers(flat, MU_DOWN))
+    segment = Segment(phi, s0, slope0, s0, numbers(flat, V0), numbers(flat, H0), level)
+    last = select(rising, numbers(flat, UP_LAST), numbers(flat, DOWN_LAST))
+    place = (select(rising, numbers(flat, UP), numbers(flat, DOWN)), last)
     bounds = (highest, total_speed(tones))
     tau, x, h, v, stops, plain = end_of_segment(tones, bounds, both, gamma, place, segment, rising, last > 0.5)
     store(flat, TAU * WIDTH, tau)
@@ -153,27 +159,16 @@ def fly_segments(tones: Floats, highest: float, both: Floats, work: Floats) -> N
 def turn_segments(both: Floats, work: Floats) -> None:
     """From a standstill in mid-air to the next rise or fall, hanging between, in every lane that stands still."""
     flat = work.reshape(-1)
-    stops = _row(flat, STOPS) > 0.5
-    up, down = (_row(flat, UP), _row(flat, UP_LAST)), (_row(flat, DOWN), _row(flat, DOWN_LAST))
-    rises, wait, phi, at_edge = hang_in_lanes(both, up, down, _row(flat, X))
-    total = _row(flat, TOTAL) + _row(flat, TAU)
+    stops = numbers(flat, STOPS) > 0.5
+    up, down = (numbers(flat, UP), numbers(flat, UP_LAST)), (numbers(flat, DOWN), numbers(flat, DOWN_LAST))
+    rises, wait, phi, at_edge = hang_in_lanes(both, up, down, numbers(flat, X))
+    total = numbers(flat, TOTAL) + numbers(flat, TAU)
     store(flat, TOTAL * WIDTH, total + select(stops, wait, 0.0))
-    store(flat, PHI * WIDTH, select(stops, phi, _row(flat, PHI)))
-    store(flat, H0 * WIDTH, select(stops, _row(flat, H), _row(flat, H0)))
-    store(flat, V0 * WIDTH, select(stops, select(wait > 0.0, 0.0, _row(flat, V)), _row(flat, V0)))
-    store(flat, RISING * WIDTH, select(stops, select(rises, spread(1.0), spread(0.0)), _row(flat, RISING)))
+    store(flat, PHI * WIDTH, select(stops, phi, numbers(flat, PHI)))
+    store(flat, H0 * WIDTH, select(stops, numbers(flat, H), numbers(flat, H0)))
+    store(flat, V0 * WIDTH, select(stops, select(wait > 0.0, 0.0, numbers(flat, V)), numbers(flat, V0)))
+    store(flat, RISING * WIDTH, select(stops, select(rises, spread(1.0), spread(0.0)), numbers(flat, RISING)))
     store(flat, AT_EDGE * WIDTH, select(at_edge, spread(1.0), spread(0.0)))
-
-
-@compiled
-def begin(
-    tones: Floats, both: Floats, closes: bool, work: Floats, whole: Integers, flights: Floats, marks: Integers,
-    lane: int,
-) -> None:  # fmt: skip
-    """Start the orbit of a lane, whose parameters are in ``work``, from rest at phase 0."""
-    whole[COUNT, lane] = whole[TURN, lane] = whole[SEGMENTS, lane] = 0
-    whole[SEEN:, lane] = -1
-    _leave(tones, both, closes, work, whole, flights, marks, lane, fold_onto(both, work[UP, lane], 0.0), 0.0)
 
 
 @compiled
@@ -196,17 +191,7 @@ def advance(
                 whole[STATUS, lane] = STUCK
         else:
             speed = max(-work[V, lane], 0.0)
-            phi, v = _land(
+            work[LAST_PHI, lane], work[LAST_V, lane] = _land(
                 tones, both, work, whole, flights, marks, lane, work[TOTAL, lane], work[X, lane], speed
             )
-            _leave(tones, both, closes, work, whole, flights, marks, lane, phi, v)
-
-
-@compiled
-def take_row(work: Floats, lane: int, gamma: float, law: FrictionRestitution, row: int, rows: int, size: int,
-             n_up: int, n_down: int) -> None:  # fmt: skip
-    """Give a lane the parameters of a row."""
-    work[GAMMA, lane] = gamma
-    work[MU_UP, lane], work[MU_DOWN, lane], work[E0, lane], work[E1, lane] = law
-    work[UP, lane], work[UP_LAST, lane] = row * TABLE * size, 2 * n_up
-    work[DOWN, lane], work[DOWN_LAST, lane] = (rows + row) * TABLE * size, 2 * n_down
+            leave(tones, both, closes, work, whole, flights, marks, lane)

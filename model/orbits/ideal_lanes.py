@@ -1,142 +1,112 @@
-"""Ideal orbits side by side, from rest until they close: as `model.orbits.ideal_cycles`, a gamma a lane."""
+"""Ideal orbits side by side: as `model.orbits.ideal_cycles`, an orbit a lane.
+
+All lanes together find their landings (`model.flight.ideal_lanes`); whether a ball waits for a threshold, and whether
+that closes its orbit, is decided lane by lane.
+"""
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
-from kernels.lanes import WIDTH, gather, load, select, spread, store
-from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
-from model.flight.ideal import land
+from kernels.lanes import WIDTH, select, spread, store
+from model.flight.branches import TWO_PI, branch_of, q_and_slope
 from model.flight.edge_table import TABLE
+from model.flight.ideal import land
 from model.flight.ideal_lanes import land_lanes
-from model.flight.segment import shape
 from model.flight.numerics import Floats, compiled
-
-# rows of the lanes' state
-GAMMA, BASE, LAST, BRANCH, PHI0, RESET, X, TURNS, SPEED, PLAIN, LANDED = range(11)
+from model.flight.segment import shape
+from model.orbits.cycles import Integers
+from model.orbits.lane_state import (
+    AT_EDGE,
+    BRANCH,
+    COUNT,
+    FLIES,
+    FULL,
+    GAMMA,
+    LAST_PHI,
+    LIMIT,
+    MARKS,
+    PHASES,
+    PHI,
+    PLAIN,
+    SPEEDS,
+    STATUS,
+    TAU,
+    TAUS,
+    THRESHOLDS,
+    TURN,
+    UP,
+    UP_LAST,
+    V,
+    X,
+    numbers,
+    reset_at,
+)
 
 
 @compiled
-def _land_alone(
-    tones: Floats, gamma: float, table: Floats, base: int, n: int, phi0: float, reset: bool, edge: Floats
-) -> Any:
+def leave(
+    tones: Floats, both: Floats, closes: bool, work: Floats, whole: Integers, flights: Floats, marks: Integers,
+    lane: int,
+) -> None:  # fmt: skip
+    """From the plate, at LAST_PHI, to the next flight; sets the lane's STATUS."""
+    k = whole[COUNT, lane]
+    if k == whole[LIMIT, lane]:
+        whole[STATUS, lane] = FULL
+        return
+    phi0, window = work[LAST_PHI, lane], -1
+    base, last, i = int(work[UP, lane]), int(work[UP_LAST, lane]), 0
+    while i + 1 < last and phi0 >= both[base + TABLE * (i + 1)]:
+        i += 1
+    if i % 2 == 1 or phi0 <= both[base + TABLE * i]:
+        window, phi0, repeats = reset_at(both, closes, work, whole, lane, i)
+        if repeats:
+            return
+        i = 2 * window
+    flights[PHASES, lane, k], marks[THRESHOLDS, lane, k], marks[MARKS, lane, k] = phi0, window, 0
+    work[PHI, lane], work[BRANCH, lane], work[AT_EDGE, lane] = phi0, i, 1.0 if window >= 0 else 0.0
+    whole[STATUS, lane] = FLIES
+
+
+@compiled
+def _alone(tones: Floats, both: Floats, work: Floats, lane: int) -> None:
     """A flight that is not plain, by `model.flight.ideal.land`."""
-    for i in range(2 * n + 1):
-        edge[i] = table[base + TABLE * i]
-    a0 = 0.0 if reset else max(gamma * q_and_slope(tones, phi0)[0] - 1.0, 0.0)
-    tau, landing, speed, _ = land(tones, gamma, edge, n, phi0, a0, 0.0)
-    return tau, landing, speed, branch_of(edge, n, landing)
+    gamma, phi0 = work[GAMMA, lane], work[PHI, lane]
+    base, last = int(work[UP, lane]), int(work[UP_LAST, lane])
+    edge = both[base : base + TABLE * (last + 1) : TABLE].copy()
+    a0 = 0.0 if work[AT_EDGE, lane] == 1.0 else max(gamma * q_and_slope(tones, phi0)[0] - 1.0, 0.0)
+    work[TAU, lane], work[X, lane], work[V, lane], _ = land(tones, gamma, edge, last // 2, phi0, a0, 0.0)
 
 
 @compiled
-def fly_rows(
-    tones: Floats, gammas: Floats, n_rows: int, table: Floats, windows: Any, closes: bool,
-    taus: Floats, phases: Floats, thresholds: Any, closed: Any,
-) -> int:  # fmt: skip
-    """Fly every row from rest at phase 0 until a threshold repeats or its arrays are full.
+def _land_all(tones: Floats, highest: float, both: Floats, work: Floats) -> None:
+    """The landings of all lanes."""
+    flat = work.reshape(-1)
+    phi = numbers(flat, PHI)
+    s0, slope0, _ = shape(tones, phi)
+    x, turns, speed, plain = land_lanes(
+        tones, highest, both, numbers(flat, GAMMA), numbers(flat, UP), numbers(flat, UP_LAST), numbers(flat, BRANCH),
+        phi, s0, slope0,
+    )  # fmt: skip
+    store(flat, TAU * WIDTH, x - phi + turns)
+    store(flat, X * WIDTH, x)
+    store(flat, V * WIDTH, speed)
+    store(flat, PLAIN * WIDTH, select(plain, spread(1.0), spread(0.0)))
 
-    Fills taus, phases and thresholds (rows, most) and ``closed`` (rows, 3): first, stop, periods. Returns the flights.
-    """
-    most = taus.shape[1]
-    stride = table.shape[0] // gammas.shape[0]
-    size = stride // TABLE
-    state = np.zeros((11, WIDTH))
-    flat = state.reshape(-1)
-    row = np.full(WIDTH, -1, dtype=np.int64)
-    count = np.zeros(WIDTH, dtype=np.int64)
-    turn = np.zeros(WIDTH, dtype=np.int64)
-    seen = np.zeros((WIDTH, size), dtype=np.int64)
-    seen_turn = np.zeros((WIDTH, size), dtype=np.int64)
-    edge = np.empty(size)
-    highest = 0.0
-    for j in range(tones.shape[0]):
-        highest += tones[j, 1]
-    taken = 0
-    flown = 0
-    busy = 0
+
+@compiled
+def advance(
+    tones: Floats, highest: float, both: Floats, closes: bool, work: Floats, whole: Integers, flights: Floats,
+    marks: Integers,
+) -> None:  # fmt: skip
+    """One flight of every lane that flies, and what follows it."""
+    _land_all(tones, highest, both, work)
     for lane in range(WIDTH):
-        count[lane] = most
-    while True:
-        for lane in range(WIDTH):
-            done = row[lane] < 0
-            while True:
-                if done:
-                    while taken < n_rows and windows[taken] == 0:
-                        closed[taken, 0], closed[taken, 1], closed[taken, 2] = -1, 0, 0
-                        taken += 1
-                    if taken >= n_rows:
-                        if row[lane] >= 0:
-                            busy -= 1
-                        row[lane] = -1
-                        break
-                    if row[lane] < 0:
-                        busy += 1
-                    r = taken
-                    taken += 1
-                    row[lane], count[lane], turn[lane] = r, 0, 0
-                    last = 2 * windows[r]
-                    base = r * stride
-                    for i in range(size):
-                        seen[lane, i] = -1
-                    state[GAMMA, lane], state[BASE, lane], state[LAST, lane] = gammas[r], base, last
-                    landing = fold(0.0, table[base])
-                    i = 0
-                    while i + 1 < last and landing >= table[base + TABLE * (i + 1)]:
-                        i += 1
-                    state[X, lane], state[LANDED, lane] = landing, i
-                r = row[lane]
-                i = int(state[LANDED, lane])
-                last = int(state[LAST, lane])
-                base = r * stride
-                k = count[lane]
-                waits = i % 2 == 1 or state[X, lane] <= table[base + TABLE * i]
-                if waits:
-                    i += i % 2
-                    if i == last:
-                        i = 0
-                        turn[lane] += 1
-                    if closes and seen[lane, i] >= 0:
-                        closed[r, 0], closed[r, 1], closed[r, 2] = seen[lane, i], k, turn[lane] - seen_turn[lane, i]
-                        done = True
-                        continue
-                    seen[lane, i] = k
-                    seen_turn[lane, i] = turn[lane]
-                if k == most:
-                    closed[r, 0], closed[r, 1], closed[r, 2] = -1, k, 0
-                    done = True
-                    continue
-                phi0 = table[base + TABLE * i] if waits else state[X, lane]
-                state[PHI0, lane], state[BRANCH, lane], state[RESET, lane] = phi0, i, 1.0 if waits else 0.0
-                phases[r, k] = phi0
-                thresholds[r, k] = i // 2 if waits else -1
-                break
-        if busy == 0:
-            return flown
-        flown += busy
-        gamma, base_, last_ = load(flat, GAMMA * WIDTH), load(flat, BASE * WIDTH), load(flat, LAST * WIDTH)
-        branch_, phi_ = load(flat, BRANCH * WIDTH), load(flat, PHI0 * WIDTH)
-        s0, slope0, _ = shape(tones, phi_)
-        x, turns, landed, speed, plain = land_lanes(
-            tones, highest, table, gamma, base_, last_, branch_, phi_, s0, slope0
-        )
-        store(flat, X * WIDTH, x)
-        store(flat, TURNS * WIDTH, turns)
-        store(flat, LANDED * WIDTH, landed)
-        store(flat, PLAIN * WIDTH, select(plain, spread(1.0), spread(0.0)))
-        for lane in range(WIDTH):
-            r = row[lane]
-            if r < 0:
-                continue
-            k = count[lane]
-            phi0 = state[PHI0, lane]
-            tau = state[X, lane] - phi0 + state[TURNS, lane]
-            if state[PLAIN, lane] == 0.0:
-                tau, state[X, lane], _, branch = _land_alone(
-                    tones, gammas[r], table, r * stride, windows[r], phi0, state[RESET, lane] == 1.0, edge
-                )
-                state[LANDED, lane] = branch
-            taus[r, k] = tau
-            turn[lane] += round((phi0 + tau - state[X, lane]) / TWO_PI)
-            count[lane] = k + 1
+        if whole[STATUS, lane] != FLIES:
+            continue
+        if work[PLAIN, lane] == 0.0:
+            _alone(tones, both, work, lane)
+        k, tau, landing = whole[COUNT, lane], work[TAU, lane], work[X, lane]
+        flights[TAUS, lane, k], flights[SPEEDS, lane, k] = tau, work[V, lane]
+        whole[TURN, lane] += round((work[PHI, lane] + tau - landing) / TWO_PI)
+        whole[COUNT, lane] = k + 1
+        work[LAST_PHI, lane] = landing
+        leave(tones, both, closes, work, whole, flights, marks, lane)

@@ -14,15 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.flight import first_landing
 from model.flight.precision import check_gamma, lengthened
-from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
-from model.orbits.cycles import FLIGHTS, PERIOD, RESETS, room_for
+from model.orbits.attractor import AT_REST, FEW_FLIGHTS, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
+from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.surveys import cycle_batch
 from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row
-MOST_FLIGHTS = 256  # before a row is left to `model.orbits.attractor`
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
 HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
 
@@ -108,17 +107,15 @@ def exact_rows(
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
-    flown = room_for(MOST_FLIGHTS)
-    if laws is None:
-        cycle_batch.ideal_batch(tones, turning, gammas, np.zeros((gammas.size, 4)), flown, outcome, rows.tau)
-    else:
-        each = np.ascontiguousarray(laws)
-        cycle_batch.friction_batch(tones, turning, gammas, each, flown, outcome, rows.tau)
-    rows.kind[:] = outcome[:, cycle_batch.CHATTERING]
+    batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
+    each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
+    batch(tones, turning, gammas, each, FEW_FLIGHTS, MAX_FLIGHTS, outcome, rows.tau)
+    rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]
     rows.resets[:] = outcome[:, RESETS]
-    for i in np.flatnonzero(outcome[:, FLIGHTS] < 0):
+    rows.locked[:] = outcome[:, cycle_batch.LOCKED]
+    for i in np.flatnonzero(outcome[:, FLIGHTS] == cycle_batch.OPEN):
         put(rows, int(i), attractor(ball_at(int(i)), float(gammas[i])))
     return rows
 
