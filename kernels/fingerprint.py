@@ -26,6 +26,13 @@ def fingerprint(dispatcher: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
+def fingerprint_of_closure(function: FunctionType) -> str:
+    """The hash of a function and of what a factory has given it: two of one name differ."""
+    parts: Parts = []
+    _function(function, parts, {})
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
 def _kernel(dispatcher: Any, parts: Parts, seen: dict[int, int]) -> None:
     """Add a compiled function; one met before is named by its number."""
     if id(dispatcher) in seen:

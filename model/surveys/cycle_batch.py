@@ -157,7 +157,7 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
             _keep_cycle(flights, marks, lane, whole, outcome, kept)
         elif status == FULL:
             near = settle(tones, turning, both, work, whole, flights, lane, cycle, outcome, kept)
-            if not near and count < flights.shape[2]:
+            if outcome[LOCKED] == 0 and count < flights.shape[2]:
                 return False
             if not near:
                 _keep_chaos(flights, marks, lane, count, outcome, kept)
@@ -188,7 +188,7 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
                         if not finish(
                             tones, turning, both, work, whole, flights, marks, lane, cycle, outcome[r], kept[r]
                         ):
-                            whole[LIMIT, lane] = flights.shape[2]
+                            whole[LIMIT, lane] = min(4 * whole[LIMIT, lane], flights.shape[2])
                             leave(tones, both, closes, work, whole, flights, marks, lane)
                             continue
                         flown += whole[COUNT, lane]

@@ -141,3 +141,52 @@ def test_the_folder_is_keyed_by_the_versions() -> None:
     name = folder.places()[0].name
     assert f"numba-{numba.__version__}" in name
     assert sys.implementation.cache_tag in name
+
+
+FACTORY = """
+import sys
+from kernels import njit
+
+
+@njit()
+def one(x):
+    return x + 1.0
+
+
+@njit()
+def two(x):
+    return x + 2.0
+
+
+def made_of(inner):
+    @njit()
+    def step(x):
+        return inner(x)
+
+    @njit()
+    def outer(x):
+        total = 0.0
+        for _ in range(3):
+            total += step(x)
+        return total
+
+    return outer
+
+
+kernels = {"one": made_of(one), "two": made_of(two)}
+print(*(kernels[name](0.0) for name in sys.argv[1:]))
+"""
+
+
+def test_kernels_of_one_name_made_by_a_factory_keep_apart(tmp_path: Path) -> None:
+    """Compiled in two processes and taken from the folder by a third, each is still itself."""
+    (tmp_path / "factory.py").write_text(FACTORY, encoding="utf-8")
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+
+    def printed(*names: str) -> list[float]:
+        command = [sys.executable, "factory.py", *names]
+        done = subprocess.run(command, cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True, check=True)
+        return [float(word) for word in done.stdout.split()]
+
+    assert [printed("one"), printed("two")] == [[3.0], [6.0]]
+    assert printed("one", "two") == [3.0, 6.0]
