@@ -47,7 +47,7 @@ SHORT = 0.125  # over shorter times the height is computed as tau^2 times a seri
 ROUNDING = 32 * 2.2e-16  # bound on the relative rounding of a height
 
 
-@compiled
+@inlined
 def shape(tones: Floats, phi: Number) -> tuple[Number, Number, Number]:
     """``s(phi)``, ``s'(phi)`` and ``q(phi) = -s''(phi)``."""
     s = slope = q = 0.0 * phi

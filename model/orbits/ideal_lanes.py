@@ -11,7 +11,7 @@ from model.flight.branches import TWO_PI, branch_of, q_and_slope
 from model.flight.edge_table import TABLE
 from model.flight.ideal import land
 from model.flight.ideal_lanes import land_lanes
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import Floats, compiled, inlined
 from model.flight.segment import shape
 from model.orbits.cycles import Integers
 from model.orbits.lane_state import (
@@ -42,7 +42,7 @@ from model.orbits.lane_state import (
 )
 
 
-@compiled
+@inlined
 def leave(
     tones: Floats, both: Floats, closes: bool, work: Floats, whole: Integers, flights: Floats, marks: Integers,
     lane: int,

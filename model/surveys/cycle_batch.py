@@ -127,12 +127,18 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
         count = whole[COUNT, lane]
         phases, speeds = flights[PHASES, lane], flights[SPEEDS, lane]
         near = False
+        unstable = 0  # flights of an unstable cycle found: only its doublings can be what the orbit is near
         for n in range(1, LONGEST_LOCKED + 1):
+            if n == 2 * unstable:
+                unstable = n
+            elif unstable > 0:
+                continue
             if not repeating(phases, speeds, count, n, NEAR):
                 continue
             near = True
             ok, periods, multiplier = close(tones, turning, work, lane, both, n, cycle)
             if not ok or not multiplier < 1.0:
+                unstable = n if ok else unstable
                 continue
             off, start = math.inf, 0
             for k in range(n):
