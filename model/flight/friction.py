@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from kernels.lanes import nearest
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
 from model.flight.chatter import tail_of_chatter
 from model.flight.ideal import RESTS
@@ -53,7 +54,7 @@ def rise(tones: Floats, gamma: float, up: Floats, n_up: int, segment: Segment) -
         x = standstill(tones, gamma, segment, 0.0, phi0, phi0 + last, min(phi0 + v0 / -a0, phi0 + last), False)
         return x - phi0, x
     lo = fold(phi0 + sure, up[0])
-    turns = TWO_PI * np.rint((phi0 + sure - lo) / TWO_PI)
+    turns = TWO_PI * nearest((phi0 + sure - lo) / TWO_PI)
     i = branch_of(up, n_up, lo)
     while True:
         hi = up[i + 1]
