@@ -70,6 +70,14 @@ def _gather(array: Any, index: float) -> float:
     return array[int(index)]  # type: ignore[no-any-return]
 
 
+def _max(a: float, b: float) -> float:
+    return a if a > b else b
+
+
+def _min(a: float, b: float) -> float:
+    return a if a < b else b
+
+
 _ONE_NUMBER = {
     id(lanes.select): _select,
     id(lanes.any_of): _any_of,
@@ -78,7 +86,10 @@ _ONE_NUMBER = {
     id(lanes.root): _root,
     id(lanes.size): _size,
     id(lanes.gather): _gather,
+    id(_max): _max,
+    id(_min): _min,
 }
+_OF_TWO = {"max": _max, "min": _min}  # numba's own take any number of arguments, which its CUDA target does not
 _made: dict[int, Any] = {}
 
 
@@ -95,7 +106,9 @@ def on_device(kernel: Callable[..., Any]) -> Any:
 def _with_device_functions(function: Callable[..., Any]) -> FunctionType:
     """A copy of a function in which the kernels that it names are those of the device."""
     code, given = function.__code__, function.__globals__
-    names = {name: _device_value(given[name]) for name in _names(code) if name in given}
+    read = _names(code)
+    names = {name: _device_value(given[name]) for name in read if name in given}
+    names |= {name: _device_value(of_two) for name, of_two in _OF_TWO.items() if name in read}
     cells = tuple(CellType(_device_value(cell.cell_contents)) for cell in function.__closure__ or ())
     here = {**given, **names}
     return FunctionType(code, here, function.__name__, function.__defaults__, cells or None)

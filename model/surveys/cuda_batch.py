@@ -84,7 +84,9 @@ def _fly_each(
         if mark[k] & CHATTERS:
             outcome[row, CHATTERING] = 1
     outcome[row, PERIOD], outcome[row, FLIGHTS] = periods, stop - first
-    for k in range(min(stop - first, kept.shape[1])):
+    for k in range(kept.shape[1]):
+        if k == stop - first:
+            break
         j = start + k
         kept[row, k] = tau[j if j < stop else j - (stop - first)]
 
