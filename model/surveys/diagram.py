@@ -100,16 +100,25 @@ def exact_rows(
     laws: Floats | None,
     ball_at: Callable[[int], Ball],
     keep: int,
+    device: str | None = None,
 ) -> Rows:
     """Rows by the compiled kernels, ``laws`` (m, 4); those that do not close by the attractor of ``ball_at(row)``."""
     lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
-    outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
-    batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
     each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
-    batch(tones, turning, gammas, each, FEW_FLIGHTS, MAX_FLIGHTS, outcome, rows.tau)
+    todo = np.ones(gammas.size, dtype=bool)
+    outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
+    if device is not None:
+        from model.surveys import cuda_batch  # numba's CUDA target need not be there
+
+        outcome, rows.tau[:] = cuda_batch.cycles(forcing, gammas, each, keep)
+        todo = outcome[:, FLIGHTS] == cycle_batch.OPEN
+    batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
+    some, kept = outcome[todo], rows.tau[todo]
+    batch(tones, turning, gammas[todo], each[todo], FEW_FLIGHTS, MAX_FLIGHTS, some, kept)
+    outcome[todo], rows.tau[todo] = some, kept
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]
