@@ -46,6 +46,10 @@ def _select(mask: bool, a: float, b: float) -> float:
     return a if mask else b
 
 
+def _itself(x: float) -> float:
+    return x
+
+
 def _any_of(mask: bool) -> bool:
     return mask
 
@@ -86,38 +90,47 @@ _ONE_NUMBER = {
     id(lanes.root): _root,
     id(lanes.size): _size,
     id(lanes.gather): _gather,
+    id(lanes.spread): _itself,
     id(_max): _max,
     id(_min): _min,
 }
 _OF_TWO = {"max": _max, "min": _min}  # numba's own take any number of arguments, which its CUDA target does not
-_made: dict[int, Any] = {}
+_made: dict[tuple[int, Any], Any] = {}
 
 
 def on_device(kernel: Callable[..., Any]) -> Any:
     """The device function of a kernel of the processor, with every kernel that it calls."""
+    return remade(kernel, _device_function)
+
+
+def remade(kernel: Callable[..., Any], wrap: Callable[[FunctionType], Any]) -> Any:
+    """A kernel of the processor for one number at a time, it and every kernel that it calls passed through ``wrap``."""
+    if (id(kernel), wrap) not in _made:
+        source = _ONE_NUMBER.get(id(kernel)) or kernel.py_func  # type: ignore[attr-defined]
+        _made[id(kernel), wrap] = wrap(_with_kernels_remade(source, wrap))
+    return _made[id(kernel), wrap]
+
+
+def _device_function(function: FunctionType) -> Any:
     from numba import cuda
 
-    if id(kernel) not in _made:
-        source = _ONE_NUMBER.get(id(kernel)) or kernel.py_func  # type: ignore[attr-defined]
-        _made[id(kernel)] = cuda.jit(device=True)(_with_device_functions(source))
-    return _made[id(kernel)]
+    return cuda.jit(device=True)(function)
 
 
-def _with_device_functions(function: Callable[..., Any]) -> FunctionType:
-    """A copy of a function in which the kernels that it names are those of the device."""
+def _with_kernels_remade(function: Callable[..., Any], wrap: Callable[[FunctionType], Any]) -> FunctionType:
+    """A copy of a function in which the kernels that it names are remade."""
+
+    def value_of(value: Any) -> Any:
+        return remade(value, wrap) if is_jitted(value) or id(value) in _ONE_NUMBER else value
+
     code, given = function.__code__, function.__globals__
     read = _names(code)
-    names = {name: _device_value(given[name]) for name in read if name in given}
-    names |= {name: _device_value(of_two) for name, of_two in _OF_TWO.items() if name in read}
-    cells = tuple(CellType(_device_value(cell.cell_contents)) for cell in function.__closure__ or ())
-    here = {**given, **names}
-    return FunctionType(code, here, function.__name__, function.__defaults__, cells or None)
+    names = {name: value_of(given[name]) for name in read if name in given}
+    names |= {name: value_of(of_two) for name, of_two in _OF_TWO.items() if name in read}
+    cells = tuple(CellType(value_of(cell.cell_contents)) for cell in function.__closure__ or ())
+    return FunctionType(code, {**given, **names}, function.__name__, function.__defaults__, cells or None)
 
 
 def _names(code: Any) -> set[str]:
     """The global names that a function reads: not the attributes, which may have a kernel's name."""
     return {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
-
-
-def _device_value(value: Any) -> Any:
-    return on_device(value) if is_jitted(value) or id(value) in _ONE_NUMBER else value

@@ -97,9 +97,20 @@ def _binary(function: Any, emit: Callable[[Any, Any, Any], Any], result: Any) ->
         lower_builtin(function, number, Lanes)(lower)
 
 
-for _function, _name in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
+for _function, _name in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
     _binary(_function, lambda b, x, y, name=_name: getattr(b, name)(x, y, flags=_FUSED), lanes_type)
-for _function, _name in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "==")):
+for _function, _name in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+):
     _binary(_function, lambda b, x, y, name=_name: b.fcmp_ordered(name, x, y), mask_type)
 
 
@@ -167,7 +178,9 @@ def _unary(name: str, doc: str) -> Any:
             callee = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.{suffix}"
             )
-            return builder.call(callee, [args[0] if lanes else context.cast(builder, args[0], sig.args[0], types.float64)])
+            return builder.call(
+                callee, [args[0] if lanes else context.cast(builder, args[0], sig.args[0], types.float64)]
+            )
 
         return (lanes_type if lanes else types.float64)(x), emit
 

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from analysis.report import style
 from analysis.report.gamma import GAMMA_TEX
@@ -36,30 +37,33 @@ def map_picture(path: Path, job: Job, picture: Path) -> None:
         ax = figure.subplots()
         colours = colormaps["viridis"](np.linspace(0.0, 1.0, len(PERIODS)))
         shades = ListedColormap(["0.6", "white", *colours])
-        norm = BoundaryNorm([-1.5, -0.5, *(p - 0.5 for p in PERIODS), 1e9], shades.N)
+        norm = BoundaryNorm([-1.5, -0.5, *(p - 0.5 for p in PERIODS), 2 * PERIODS[-1]], shades.N)
         extent = (gammas[0], gammas[-1], axis.values[0], axis.values[-1])
         shown = ax.imshow(
             period, origin="lower", aspect="auto", extent=extent, cmap=shades, norm=norm, interpolation="nearest"
         )
         ax.set_xlabel(GAMMA_TEX)
         ax.set_ylabel(NAMES.get(axis.name, axis.name))
-        ticks = [-1.0, 0.0, *PERIODS]
-        bar = figure.colorbar(shown, ax=ax, spacing="uniform", label="period of the attractor from rest, forcing periods")
+        bar = figure.colorbar(
+            shown, ax=ax, spacing="uniform", label="period of the attractor from rest, forcing periods"
+        )
         edges = norm.boundaries
-        bar.set_ticks([*(0.5 * (edges[:-2] + edges[1:-1])), 2.0 * PERIODS[-1]])
+        bar.set_ticks(0.5 * (edges[:-1] + edges[1:]))
         bar.set_ticklabels(["chaotic", "at rest", *_labels()])
         ax.set_title(f"c = {job.ratio}: {columns} x {rows} points" + (f", every {step}th shown" if step > 1 else ""))
         figure.savefig(picture, dpi=200)
 
 
-def _periods(file: h5py.File, start: int, stop: int, step: int) -> np.ndarray:
+def _periods(file: h5py.File, start: int, stop: int, step: int) -> NDArray[np.int64]:
     some = slice(start, stop, step)
     flights, kind = file["flights"][some], file["kind"][some]
-    return np.where(kind == 2, CHAOTIC, np.where(flights == 0, AT_REST, file["period"][some]))
+    period = np.minimum(file["period"][some], PERIODS[-1])
+    return np.where(kind == 2, CHAOTIC, np.where(flights == 0, AT_REST, period))
 
 
 def _labels() -> list[str]:
     ends = [*(b - 1 for b in PERIODS[1:]), None]
     return [
-        f"{a}" if b == a else f"{a} and more" if b is None else f"{a} to {b}" for a, b in zip(PERIODS, ends, strict=True)
+        f"{a}" if b == a else f"{a} and more" if b is None else f"{a} to {b}"
+        for a, b in zip(PERIODS, ends, strict=True)
     ]

@@ -57,6 +57,7 @@ from model.orbits.lane_state import (
     reset_at,
 )
 
+
 @inlined
 def _land(
     tones: Floats, both: Floats, work: Floats, whole: Integers, flights: Floats, marks: Integers, lane: int,

@@ -7,7 +7,7 @@ that closes its orbit, is decided lane by lane.
 from __future__ import annotations
 
 from kernels.lanes import WIDTH, select, spread, store
-from model.flight.branches import TWO_PI, branch_of, q_and_slope
+from model.flight.branches import TWO_PI, q_and_slope
 from model.flight.edge_table import TABLE
 from model.flight.ideal import land
 from model.flight.ideal_lanes import land_lanes

@@ -17,10 +17,9 @@ from kernels.lanes import WIDTH
 from model.flight.branches import fold
 from model.flight.edge_table import TABLE, fill_tables
 from model.flight.numerics import Floats, compiled
-from model.flight.records import FrictionRestitution
 from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
+from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, NEAR, SLOW
 from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, repeating
-from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, MAX_FLIGHTS, NEAR, SLOW
 from model.orbits.lane_state import (
     CLOSED,
     COUNT,
@@ -115,8 +114,10 @@ def _friction_close(
     return ok, periods, math.sqrt(determinant) if root < 0.0 else 0.5 * abs(trace) + math.sqrt(root)
 
 
-def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any]) -> Callable[..., int]:
-    """The kernel of one kind of ball."""
+def _batch_of(
+    leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
+) -> Callable[..., int]:
+    """The kernel of one kind of ball; ``both_ways`` says that falls have a table of their own."""
 
     @compiled
     def settle(
@@ -155,12 +156,14 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
     @compiled
     def finish(
         tones: Floats, turning: Floats, both: Floats, work: Floats, whole: Integers, flights: Floats, marks: Integers,
-        lane: int, cycle: Floats, outcome: Integers, kept: Floats,
+        lane: int, cycle: Floats, closes: bool, outcome: Integers, kept: Floats,
     ) -> bool:  # fmt: skip
         """Write what became of a lane's orbit; False where it is to be flown on."""
         status, count = whole[STATUS, lane], whole[COUNT, lane]
         if status == CLOSED:
             _keep_cycle(flights, marks, lane, whole, outcome, kept)
+        elif status == FULL and not closes:
+            _keep_chaos(flights, marks, lane, count, outcome, kept)
         elif status == FULL:
             near = settle(tones, turning, both, work, whole, flights, lane, cycle, outcome, kept)
             if outcome[LOCKED] == 0 and count < flights.shape[2]:
@@ -176,13 +179,13 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
     @compiled
     def fly_block(
         tones: Floats, turning: Floats, gammas: Floats, laws: Floats, n: int, both: Floats, n_up: Integers,
-        n_down: Integers, limit: int, outcome: Integers, kept: Floats, arrays: Any,
+        n_down: Integers, closes: bool, outcome: Integers, kept: Floats, arrays: Any,
     ) -> int:  # fmt: skip
         """The orbits of ``n`` rows whose tables are in ``both``; returns the flights flown."""
         work, whole, flights, marks, cycle = arrays
         rows, stride = gammas.shape[0], TABLE * (turning.shape[0] + 2)
         highest = np.sum(np.abs(tones[:, 1]))
-        closes = limit == FEW_FLIGHTS
+        limit = min(FEW_FLIGHTS, flights.shape[2]) if closes else flights.shape[2]
         taken = flown = 0
         whole[STATUS] = IDLE
         while True:
@@ -192,7 +195,7 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
                     if whole[STATUS, lane] != IDLE:
                         r = whole[ROW, lane]
                         if not finish(
-                            tones, turning, both, work, whole, flights, marks, lane, cycle, outcome[r], kept[r]
+                            tones, turning, both, work, whole, flights, marks, lane, cycle, closes, outcome[r], kept[r]
                         ):
                             whole[LIMIT, lane] = min(4 * whole[LIMIT, lane], flights.shape[2])
                             leave(tones, both, closes, work, whole, flights, marks, lane)
@@ -222,12 +225,13 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
 
     @compiled
     def cycle_batch(
-        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, limit: int, most: int, outcome: Integers,
+        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, most: int, outcome: Integers,
         kept: Floats,
     ) -> int:  # fmt: skip
         """Fill ``outcome`` (m, OUTCOME_SIZE; FLIGHTS -1 where the orbit is left open) and ``kept`` (m, keep).
 
-        ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``. Returns the flights flown.
+        ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``. Unless it ``closes``, every one of ``most`` flights is flown
+        and the last are kept. Returns the flights flown.
         """
         size = turning.shape[0] + 2
         both, found = np.zeros(2 * BLOCK * TABLE * size), np.zeros(4 * size * WIDTH)
@@ -247,17 +251,17 @@ def _batch_of(leave: Callable[..., Any], advance: Callable[..., Any], close: Cal
             level = np.ones(BLOCK)
             level[:n] = 1.0 + law[:, 0]
             fill_tables(tones, turning, gamma / level, both[: both.size // 2], n_up, found)
-            if advance is not ideal_lanes.advance:
+            if both_ways:
                 level[:n] = 1.0 - law[:, 1]
                 fill_tables(tones, turning, gamma / level, both[both.size // 2 :], n_down, found)
             stop = start + n
             flown += fly_block(
-                tones, turning, gamma, law, n, both, n_up, n_down, limit, outcome[start:stop], kept[start:stop], arrays
+                tones, turning, gamma, law, n, both, n_up, n_down, closes, outcome[start:stop], kept[start:stop], arrays
             )
         return flown
 
     return cycle_batch
 
 
-ideal_batch = _batch_of(ideal_lanes.leave, ideal_lanes.advance, _ideal_close)
-friction_batch = _batch_of(friction_lanes.leave, friction_lanes.advance, _friction_close)
+ideal_batch = _batch_of(ideal_lanes.leave, ideal_lanes.advance, _ideal_close, both_ways=False)
+friction_batch = _batch_of(friction_lanes.leave, friction_lanes.advance, _friction_close, both_ways=True)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.flight import first_landing
 from model.flight.precision import check_gamma, lengthened
-from model.orbits.attractor import AT_REST, FEW_FLIGHTS, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
+from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
 from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
@@ -117,7 +117,7 @@ def exact_rows(
         todo = outcome[:, FLIGHTS] == cycle_batch.OPEN
     batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
     some, kept = outcome[todo], rows.tau[todo]
-    batch(tones, turning, gammas[todo], each[todo], FEW_FLIGHTS, MAX_FLIGHTS, some, kept)
+    batch(tones, turning, gammas[todo], each[todo], True, MAX_FLIGHTS, some, kept)
     outcome[todo], rows.tau[todo] = some, kept
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]

@@ -194,7 +194,9 @@ def run(
     """
     check(job)
     if device is not None and (workers > 1 or cluster is not None or job.sweep or not job.exact):
-        raise ValueError("--device goes with friction and restitution alone, and neither --sweep, --workers nor --cluster")
+        raise ValueError(
+            "--device goes with friction and restitution alone, and neither --sweep, --workers nor --cluster"
+        )
     chunk = min(chunk, _chunk_size(job))
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
