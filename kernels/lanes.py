@@ -82,10 +82,8 @@ def _binary(function: Any, emit: Callable[[Any, Any, Any], Any], result: Any) ->
     @infer_global(function)
     class _Typing(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            if len(args) == 2 and any(isinstance(a, Lanes) for a in args):
-                if all(isinstance(a, Lanes) or _number(a) for a in args):
-                    return signature(result, *args)
-            return None
+            fits = all(isinstance(a, Lanes) or _number(a) for a in args) and any(isinstance(a, Lanes) for a in args)
+            return signature(result, *args) if fits and len(args) == 2 else None
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         a, b = (_spread(builder, context, value, given) for value, given in zip(args, sig.args, strict=True))

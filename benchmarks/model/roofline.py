@@ -2,7 +2,7 @@
 
 Prints the core's fused multiply-adds a second (a small loop in lanes), the operations of an ideal flight, counted by
 flying flights of job J (`benchmarks.model.kernels`) with numbers that count, the rates of the kernels with every flight
-flown, and the time of J's diagrams and of a survey of gamma, friction and restitution. Processor seconds, one core; with
+flown, and the time of J's diagrams and of a survey of gamma, friction and restitution. Processor seconds; with
 ``--before`` those that a tree before can do as well are measured on it in the same run.
 """
 

@@ -58,7 +58,7 @@ def end_of_segment(
     i = 0.0 * phi0
     edge, h, h1 = phi0, h0 + 0.0 * phi0, v0 - level * turns
     searching, plain = flies, flies
-    lo, hi, h_lo, h_hi, total = phi0, phi0 + 1.0, h, h - 1.0, turns
+    lo, hi, total = phi0, phi0 + 1.0, turns
     guess = phi0
     stops = rising
     while any_of(searching):

@@ -57,7 +57,7 @@ def slowest(ends: StepEnds) -> float:
 
 @compiled
 def _root(polynomial: Coefficients, lo: float, hi: float, positive: bool) -> float:
-    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton, bisecting where it leaves the bracket."""
+    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton, or bisection."""
     c0, c1, c2, c3, c4, c5 = polynomial
     z = 0.5 * (lo + hi)
     for _ in range(MOST_STEPS):

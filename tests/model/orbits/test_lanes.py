@@ -66,9 +66,8 @@ def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(c, mu, e):
                     continue
                 assert flights[at.TAUS, lane, k] == pytest.approx(tau, abs=1e-11 / min(speed, 1.0))
                 assert flights[at.SPEEDS, lane, k] == pytest.approx(speed, abs=1e-10 / min(speed, 1.0))
-                v, tail = rebound_or_rest(
-                    forcing.tones, gammas[lane], law, phi0 + flights[at.TAUS, lane, k], flights[at.SPEEDS, lane, k]
-                )
+                landing = phi0 + flights[at.TAUS, lane, k]
+                v = rebound_or_rest(forcing.tones, gammas[lane], law, landing, flights[at.SPEEDS, lane, k])[0]
                 if k + 1 < FLIGHTS and v > 0.0:
                     off = flights[at.PHASES, lane, k + 1] - phi0 - flights[at.TAUS, lane, k]
                     assert abs(math.remainder(off, 2 * math.pi)) < 1e-11
