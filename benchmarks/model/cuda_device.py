@@ -55,8 +55,8 @@ def main() -> int:
         outcome, _ = cuda_batch.cycles(forcing, gammas[:100_000], laws[:100_000], 1)
         orbits = time.perf_counter() - began
         print(
-            f"c = {c}: {m / took / 1e6:.1f} M flights/s with tables and copying, {wrong} of {options.checked} differ by "
-            f"more than 1e-12, {flagged} flagged; {1e6 * orbits / 100_000:.2f} us an orbit until it closes, "
+            f"c = {c}: {m / took / 1e6:.1f} M flights/s with tables and copying, {wrong} of {options.checked} differ "
+            f"by more than 1e-12, {flagged} flagged; {1e6 * orbits / 100_000:.2f} us an orbit until it closes, "
             f"{int((outcome[:, 0] < 0).sum())} of 100000 left open"
         )
     return 0

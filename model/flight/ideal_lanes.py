@@ -12,13 +12,74 @@ from typing import Any
 from kernels.lanes import any_of, floor, gather, root, select, size, spread
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
-from model.flight.numerics import Floats, inlined
+from model.flight.numerics import Floats, Number, inlined
 from model.flight.segment import SHORT, shape
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
 ROUNDS = 8  # of Halley at most; three or four are taken
 CONVERGED = 1e-6  # a last step of Halley smaller than this leaves an error of its cube
-DIPS = 8
+DIPS = 8  # halvings of a dip, at most
+
+
+@inlined
+def _height(gamma: Number, take_off: Any, x: Number, s: Number, slope: Number) -> tuple[Number, Number]:
+    """``h`` and ``h'`` at ``x`` after a take-off from rest: its phase (less the turns since), s and s'."""
+    phi0, s0, slope0 = take_off
+    tau = x - phi0
+    return gamma * (s0 + slope0 * tau - s) - 0.5 * tau * tau, gamma * (slope0 - slope) - tau
+
+
+@inlined
+def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, right: Any) -> Any:
+    """Whether a convex branch that falls and rises again touches the plate, in every ``unsure`` lane.
+
+    ``left`` and ``right`` are points (phase, h, h') of the branch. The tangents at both lie below it: where they meet
+    above the plate it is clear. A point found below encloses the first root, and only that one, with ``left``.
+
+    Returns
+    -------
+    touches, undecided, left, right
+    """
+    never = unsure & ~unsure
+    touched, undecided = never, never
+    dl, hl, sl = left
+    dr, hr, sr = right
+    for _ in range(DIPS):
+        y = dl + (hr - hl - sr * (dr - dl)) / (sl - sr)
+        s, slope, _ = shape(tones, y)
+        h, h1 = _height(gamma, take_off, y, s, slope)
+        touches = unsure & (h < -PLAIN_GRAZE)
+        near = unsure & (size(h) <= PLAIN_GRAZE)
+        falls = unsure & ~touches & (h1 < 0.0)
+        ends = unsure & (touches | (h1 >= 0.0))
+        dl, hl, sl = select(falls, y, dl), select(falls, h, hl), select(falls, h1, sl)
+        dr, hr, sr = select(ends, y, dr), select(ends, h, hr), select(ends, h1, sr)
+        touched, undecided = touched | touches, undecided | near
+        meet = (hr - hl - sr * (dr - dl)) / (sl - sr)
+        unsure = unsure & ~(touches | near) & (hl + sl * meet <= PLAIN_GRAZE)
+        if not any_of(unsure):
+            break
+    return touched, undecided | unsure, (dl, hl, sl), (dr, hr, sr)
+
+
+@inlined
+def _halley(tones: Floats, gamma: Number, take_off: Any, x: Number, lo: Number, hi: Number, away: Any) -> Any:
+    """The one root of each bracket from ``x`` on, the impact speed there, and the lanes that have not converged."""
+    speed = x
+    for _ in range(ROUNDS):
+        s, slope, q = shape(tones, x)
+        h, h1 = _height(gamma, take_off, x, s, slope)
+        h2 = gamma * q - 1.0
+        step = 2.0 * h * h1 / (2.0 * h1 * h1 - h * h2)
+        new = x - step
+        inside = (new > lo) & (new <= hi)
+        gentle = (size(step) <= CONVERGED) & (size(step * h2) <= CONVERGED * size(h1))
+        speed = select(away, h2 * step - h1, speed)
+        x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
+        away = away & ~(inside & gentle)
+        if not any_of(away):
+            break
+    return x, speed, away
 
 
 @inlined
@@ -61,29 +122,12 @@ def land_lanes(
         meet = (g - h - g1 * width) / (h1 - g1)
         unsure = searching & ~odd & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
         if any_of(unsure):
-            dl, hl, sl, dr, hr, sr = edge, h, h1, far, g, g1
-            for _ in range(DIPS):
-                y = dl + (hr - hl - sr * (dr - dl)) / (sl - sr)
-                s, slope, _ = shape(tones, y)
-                t_y = y - phi0 + turns
-                h_y = gamma * (s0 + slope0 * t_y - s) - 0.5 * t_y * t_y
-                s_y = gamma * (slope0 - slope) - t_y
-                touches = unsure & (h_y < -PLAIN_GRAZE)
-                found = found | touches
-                tangent = select(touches, dl - hl / sl, tangent)
-                lo, hi, total = select(touches, dl, lo), select(touches, y, hi), select(touches, turns, total)
-                h_lo, h_hi = select(touches, hl, h_lo), select(touches, h_y, h_hi)
-                near = unsure & (size(h_y) <= PLAIN_GRAZE)
-                plain = plain & ~near
-                unsure = unsure & ~(touches | near)
-                falls = s_y < 0.0
-                dl, hl, sl = select(falls, y, dl), select(falls, h_y, hl), select(falls, s_y, sl)
-                dr, hr, sr = select(falls, dr, y), select(falls, hr, h_y), select(falls, sr, s_y)
-                y = (hr - hl - sr * (dr - dl)) / (sl - sr)
-                unsure = unsure & (hl + sl * y <= PLAIN_GRAZE)
-                if not any_of(unsure):
-                    break
-            plain = plain & ~unsure
+            left, right = (edge, h, h1), (far, g, g1)
+            touches, undecided, left, right = _dip(tones, gamma, (phi0 - turns, s0, slope0), unsure, left, right)
+            found, plain = found | touches, plain & ~undecided
+            tangent = select(touches, left[0] - left[1] / left[2], tangent)
+            lo, hi, total = select(touches, left[0], lo), select(touches, right[0], hi), select(touches, turns, total)
+            h_lo, h_hi = select(touches, left[1], h_lo), select(touches, right[1], h_hi)
         grazes = searching & ~plain
         searching = searching & ~(found | grazes)
         wraps = (i + 1.0) == last
@@ -99,22 +143,6 @@ def land_lanes(
         h1 = g1 - skipped
     chord = lo + (hi - lo) * h_lo / (h_lo - h_hi)
     x = 0.5 * (chord + tangent)
-    speed = v
-    away = plain
-    for _ in range(ROUNDS):
-        s, slope, q = shape(tones, x)
-        tau = x - phi0 + total
-        h = gamma * (s0 + slope0 * tau - s) - 0.5 * tau * tau
-        h1 = gamma * (slope0 - slope) - tau
-        h2 = gamma * q - 1.0
-        step = 2.0 * h * h1 / (2.0 * h1 * h1 - h * h2)
-        new = x - step
-        inside = (new > lo) & (new <= hi)
-        gentle = (size(step) <= CONVERGED) & (size(step * h2) <= CONVERGED * size(h1))
-        speed = select(away, h2 * step - h1, speed)
-        x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
-        away = away & ~(inside & gentle)
-        if not any_of(away):
-            break
+    x, speed, away = _halley(tones, gamma, (phi0 - total, s0, slope0), x, lo, hi, plain)
     plain = plain & ~away & (x - phi0 + total >= SHORT) & (speed > 0.0)
     return x, total, speed, plain

@@ -114,10 +114,25 @@ def _friction_close(
     return ok, periods, math.sqrt(determinant) if root < 0.0 else 0.5 * abs(trace) + math.sqrt(root)
 
 
-def _batch_of(
-    leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
-) -> Callable[..., int]:
-    """The kernel of one kind of ball; ``both_ways`` says that falls have a table of their own."""
+@compiled
+def _take_row(
+    row: int, gammas: Floats, laws: Floats, both: Floats, n_up: Integers, n_down: Integers, stride: int, limit: int,
+    work: Floats, whole: Integers, lane: int,
+) -> None:  # fmt: skip
+    """Give a lane the orbit of a row, from rest at phase 0."""
+    work[GAMMA, lane] = gammas[row]
+    work[MU_UP, lane], work[MU_DOWN, lane] = laws[row, 0], laws[row, 1]
+    work[E0, lane], work[E1, lane] = laws[row, 2], laws[row, 3]
+    work[UP, lane], work[UP_LAST, lane] = row * stride, 2 * n_up[row]
+    work[DOWN, lane], work[DOWN_LAST, lane] = (gammas.shape[0] + row) * stride, 2 * n_down[row]
+    work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, both[row * stride]), 0.0
+    whole[ROW, lane], whole[LIMIT, lane] = row, limit
+    whole[COUNT, lane] = whole[TURN, lane] = whole[SEGMENTS, lane] = 0
+    whole[SEEN:, lane] = -1
+
+
+def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
+    """The kernel that looks for the locked cycle that an orbit has reached; ``close`` is Newton's method."""
 
     @compiled
     def settle(
@@ -153,6 +168,12 @@ def _batch_of(
                 break
         return near
 
+    return settle
+
+
+def _finish_of(settle: Callable[..., bool]) -> Callable[..., bool]:
+    """The kernel that says what became of an orbit."""
+
     @compiled
     def finish(
         tones: Floats, turning: Floats, both: Floats, work: Floats, whole: Integers, flights: Floats, marks: Integers,
@@ -176,6 +197,12 @@ def _batch_of(
             outcome[FLIGHTS] = OPEN
         return True
 
+    return finish
+
+
+def _fly_of(leave: Callable[..., Any], advance: Callable[..., Any], finish: Callable[..., bool]) -> Callable[..., int]:
+    """The kernel that flies the orbits of a block of rows, a lane that is done taking the next."""
+
     @compiled
     def fly_block(
         tones: Floats, turning: Floats, gammas: Floats, laws: Floats, n: int, both: Floats, n_up: Integers,
@@ -183,7 +210,7 @@ def _batch_of(
     ) -> int:  # fmt: skip
         """The orbits of ``n`` rows whose tables are in ``both``; returns the flights flown."""
         work, whole, flights, marks, cycle = arrays
-        rows, stride = gammas.shape[0], TABLE * (turning.shape[0] + 2)
+        stride = TABLE * (turning.shape[0] + 2)
         highest = np.sum(np.abs(tones[:, 1]))
         limit = min(FEW_FLIGHTS, flights.shape[2]) if closes else flights.shape[2]
         taken = flown = 0
@@ -207,21 +234,22 @@ def _batch_of(
                         taken += 1
                     if taken == n:
                         break
-                    work[GAMMA, lane] = gammas[taken]
-                    work[MU_UP, lane], work[MU_DOWN, lane] = laws[taken, 0], laws[taken, 1]
-                    work[E0, lane], work[E1, lane] = laws[taken, 2], laws[taken, 3]
-                    work[UP, lane], work[UP_LAST, lane] = taken * stride, 2 * n_up[taken]
-                    work[DOWN, lane], work[DOWN_LAST, lane] = (rows + taken) * stride, 2 * n_down[taken]
-                    work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, both[taken * stride]), 0.0
-                    whole[ROW, lane], whole[LIMIT, lane] = taken, limit
-                    whole[COUNT, lane] = whole[TURN, lane] = whole[SEGMENTS, lane] = 0
-                    whole[SEEN:, lane] = -1
+                    _take_row(taken, gammas, laws, both, n_up, n_down, stride, limit, work, whole, lane)
                     leave(tones, both, closes, work, whole, flights, marks, lane)
                     taken += 1
                 busy += whole[STATUS, lane] == FLIES
             if busy == 0:
                 return flown
             advance(tones, highest, both, closes, work, whole, flights, marks)
+
+    return fly_block
+
+
+def _batch_of(
+    leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
+) -> Callable[..., int]:
+    """The kernel of one kind of ball; ``both_ways`` says that falls have a table of their own."""
+    fly_block = _fly_of(leave, advance, _finish_of(_settle_of(close)))
 
     @compiled
     def cycle_batch(
