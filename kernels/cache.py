@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any, cast
 
 import numba
@@ -40,7 +41,8 @@ def njit(**options: Any) -> Any:
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        if getattr(function, "__closure__", None):  # the machine code of two of one name must not share a symbol
+        if isinstance(function, FunctionType) and function.__closure__:
+            # the machine code of two of one name must not share a symbol
             function.__qualname__ = f"{function.__qualname__}_{fingerprint_of_closure(function)[:12]}"
         dispatcher = numba.njit(**{**options, "cache": False})(function)
         if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
