@@ -4,6 +4,7 @@ A kernel made by `kernels.njit` is compiled anew as a device function of `numba.
 functions of lanes (`kernels.lanes`) become those of one number, because there a thread takes the place of a lane.
 """
 
+# mypy: disable-error-code="no-untyped-call"  # numba's inner parts carry no types
 from __future__ import annotations
 
 import dis
@@ -106,7 +107,7 @@ def on_device(kernel: Callable[..., Any]) -> Any:
 def remade(kernel: Callable[..., Any], wrap: Callable[[FunctionType], Any]) -> Any:
     """A kernel of the processor for one number at a time, it and every kernel that it calls passed through ``wrap``."""
     if (id(kernel), wrap) not in _made:
-        source = _ONE_NUMBER.get(id(kernel)) or kernel.py_func  # type: ignore[attr-defined]
+        source: Any = _ONE_NUMBER.get(id(kernel)) or kernel.py_func  # type: ignore[attr-defined]
         _made[id(kernel), wrap] = wrap(_with_kernels_remade(source, wrap))
     return _made[id(kernel), wrap]
 
