@@ -4,7 +4,8 @@ A kernel made by `kernels.njit` is compiled anew as a device function of `numba.
 functions of lanes (`kernels.lanes`) become those of one number, because there a thread takes the place of a lane.
 """
 
-# mypy: disable-error-code="no-untyped-call"  # numba's inner parts carry no types
+# numba's inner parts carry no types
+# mypy: disable-error-code="no-untyped-call"
 from __future__ import annotations
 
 import dis

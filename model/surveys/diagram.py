@@ -22,6 +22,7 @@ from model.surveys import cycle_batch
 from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row
+FEW_ROWS = 1000  # flown one at a time: the kernels in lanes take half a minute to compile, once
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
 HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
 
@@ -102,11 +103,15 @@ def exact_rows(
     keep: int,
     device: str | None = None,
 ) -> Rows:
-    """Rows by the compiled kernels, ``laws`` (m, 4); those that do not close by the attractor of ``ball_at(row)``."""
+    """Rows of exact balls, ``laws`` (m, 4): few one at a time, many in lanes; what those leave open as `attractor`."""
     lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
+    if gammas.size < FEW_ROWS and device is None:
+        for i, gamma in enumerate(gammas):
+            put(rows, i, attractor(ball_at(i), float(gamma)))
+        return rows
     each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
     todo = np.ones(gammas.size, dtype=bool)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
