@@ -4,6 +4,8 @@ The functions are those of the processor (`kernels.device`): no equation stands 
 orbit that neither closes nor is seen to be chaotic, a flight flagged undecidable) is left to the processor.
 """
 
+# numba.cuda fills its names in when it is imported
+# mypy: disable-error-code="attr-defined"
 from __future__ import annotations
 
 import math

@@ -129,8 +129,8 @@ def exact_rows(
     rows.flights[:] = outcome[:, FLIGHTS]
     rows.resets[:] = outcome[:, RESETS]
     rows.locked[:] = outcome[:, cycle_batch.LOCKED]
-    for i in np.flatnonzero(outcome[:, FLIGHTS] == cycle_batch.OPEN):
-        put(rows, int(i), attractor(ball_at(int(i)), float(gammas[i])))
+    for row in np.flatnonzero(outcome[:, FLIGHTS] == cycle_batch.OPEN).tolist():
+        put(rows, row, attractor(ball_at(row), float(gammas[row])))
     return rows
 
 
