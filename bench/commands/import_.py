@@ -56,17 +56,10 @@ def command(
             overwrite=overwrite,
         )  # fmt: skip
         setup, text = load_setup(profile)
-        select = _selection(channel)
-        source = open_source(raw, select, channel_column)
+        source = open_source(raw, _selection(channel), channel_column)
+        options = ImportOptions(parse_map(mapping), rate, readable(note))
         with _progress(json_out == "-") as progress:
-            summary = import_recording(
-                source,
-                out,
-                setup,
-                text,
-                ImportOptions(parse_map(mapping), rate, readable(note)),
-                progress=progress,
-            )
+            summary = import_recording(source, out, setup, text, options, progress=progress)
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:

@@ -9,8 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from bench.runs import query as queries
 from bench.runs.database import Opened, open_database
@@ -19,6 +18,7 @@ from bench.runs.loops import FORMAT as LOOP_FORMAT
 from bench.runs.loops import Loop, loop_of_json, loops_of_hdf5
 from bench.runs.remarks import ENDING, Remarks, change_remarks, read_remarks, side_file
 from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
+from daq.files.closing import Closing
 from daq.recording.header import Header, Unread, read_headers
 from daq.setup.errors import InputError
 
@@ -27,7 +27,7 @@ Row = dict[str, Any]
 BATCH_S = 1.0  # what was read is kept at least so often
 
 
-class Catalogue:
+class Catalogue(Closing):
     """The runs below a folder. Any number of processes and threads may use it at once.
 
     Parameters
@@ -64,14 +64,6 @@ class Catalogue:
         """Close the database."""
         with self._lock:
             self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def update(self, *, all_bytes: bool = False, progress: Progress | None = None) -> int:
         """Read the files that are new or have changed, and forget those that are gone.

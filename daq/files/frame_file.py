@@ -206,8 +206,10 @@ def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[ND
     rows = np.zeros(len(sealed), dtype)
     for field in dtype.names:
         rows[field] = sealed[field]
-    intact = np.array([crc32(row) == crc for row, crc in zip(rows, sealed[ROW_CRC], strict=True)], np.bool_)
-    return rows, intact
+    held, size = rows.tobytes(), dtype.itemsize
+    stored = sealed[ROW_CRC].tolist()
+    intact = [zlib.crc32(held[k * size : (k + 1) * size]) == crc for k, crc in enumerate(stored)]
+    return rows, np.array(intact, np.bool_)
 
 
 def _clip_steps(steps: NDArray[np.void], n_samples: int) -> NDArray[np.void]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.claims import refuse_columns
+from daq.files.closing import Closing
 from daq.files.column_file import TABLES, read_table
 from daq.files.frame_file import FRAMES, FrameFile
 from daq.files.holes import Holes
@@ -49,7 +49,7 @@ def gaps_of(blocks: NDArray[np.void]) -> NDArray[np.int64]:
     return np.stack([lost["first_sample"], lost["lost_before"]], axis=1).astype(np.int64)
 
 
-class Recording:
+class Recording(Closing):
     """An open recording; see `daq.recording.opening.open_recording`.
 
     Attributes
@@ -271,14 +271,6 @@ class Recording:
         """Close the file."""
         self._columns.clear()
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _plain(value: Any) -> Any:

@@ -37,7 +37,7 @@ def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turni
     then need no trigonometry. The first is the mode's displacement, zero where it does not ring.
     """
     q, qd, om, ze = mode
-    turning[0, :2] = 0.0
+    turning[0, 0], turning[0, 1] = 0.0, 0.0  # not by a slice: that takes seconds to compile
     if q != 0.0 or qd != 0.0:
         od = om * math.sqrt(1.0 - ze * ze)
         back, on = math.exp(-ze * om * s), math.exp(-ze * om * d)
@@ -109,11 +109,12 @@ def between_steps(every: Floats, m: int, beside: int, share: float) -> Floats:
     """Tones of step ``m`` less a ``share`` that those of the step ``beside`` have; that of a plate at rest for -1."""
     tones: Floats = every[m].copy()
     for k in range(tones.shape[0]):
-        tones[k, 1:] *= 1.0 - share
+        re, im = (1.0 - share) * tones[k, 1], (1.0 - share) * tones[k, 2]
         for j in range(tones.shape[0] if beside >= 0 else 0):
             if abs(every[beside, j, 0] - tones[k, 0]) < SAME_TONE * tones[k, 0]:
-                tones[k, 1:] += share * every[beside, j, 1:]
+                re, im = re + share * every[beside, j, 1], im + share * every[beside, j, 2]
                 break
+        tones[k, 1], tones[k, 2] = re, im
     return tones
 
 
