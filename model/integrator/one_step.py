@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 import model.tones
 from model.effects.registry import null_row, registry, row
-from model.integrator import predict
+from model.integrator import predict, slopes
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
 from model.integrator.records import Events, Law, Mode, Plate, Probe, Steps, Visibility
+from model.integrator.variation import Columns
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
@@ -164,6 +165,8 @@ class Predicted:
     projection, observed_s
         The mode's motion projected on the tones of a `ToneProbe` in its intervals, (r, l), and for how much of their
         time it is known, (r,).
+    table
+        The kernel's table, (n, `predict.OUT_COLUMNS`), for derivatives of the prediction.
     """
 
     takeoff_s: Array
@@ -177,6 +180,7 @@ class Predicted:
     mode_amplitudes: NDArray[np.complex128]
     projection: NDArray[np.complex128]
     observed_s: Array
+    table: Array | None = None
 
 
 class ToneProbe(Protocol):
@@ -234,32 +238,47 @@ class _Problem:
 
     def predicted(self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], probe: Probe) -> Array:
         """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
-        m, d, n = self.measured, self.detection, len(self.measured.landing_s)
-        out = np.full((n, predict.OUT_COLUMNS), np.nan)
+        out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
+        seen = Visibility(0.0, self.detection.unseen_s, self.detection.passable_s, self.detection.closure_s)
         predict.one_ahead(
-            Events(
-                _for_kernel(m.opening_s),
-                _for_kernel(m.landing_s),
-                _for_kernel(m.relaunched),
-                _for_kernel(m.linked),
-                _for_kernel(wanted),
-                _for_kernel(m.step),
-                _of_each(np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1), n),
-                _of_each(d.gap_m, n),
-                _of_each(d.weak_mps, n),
-                _for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
-                _for_kernel(np.zeros(n) if m.share is None else m.share),
-            ),
-            Steps(_for_kernel(self.plate.period_s), _tones(self.plate.omega_radps, tones)),
-            self.rows,
-            _active(self.rows, "force"),
-            _active(self.rows, "dry_friction"),
-            Visibility(0.0, d.unseen_s, d.passable_s, d.closure_s),
-            self.kick,
-            probe,
-            out,
+            self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out
         )
         return out
+
+    def slopes(
+        self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], columns: Columns, table: Array
+    ) -> tuple[Array, Array]:
+        """Derivatives (n, 2, d) of the openings and landings in ``table``, and their info (n, `slopes.INFO`)."""
+        n, d = len(table), slopes.TONES + 2 * tones.shape[1] + len(columns.place)
+        out, info = np.zeros((n, 2, d)), np.zeros((n, slopes.INFO))
+        slopes.slopes_ahead(
+            self.events(wanted), self.steps(tones), self.rows, self.acting, self.kick, columns, table, out, info
+        )
+        return out, info
+
+    @property
+    def acting(self) -> tuple[bool, bool]:
+        """Whether there are forces, and dry friction."""
+        return _active(self.rows, "force"), _active(self.rows, "dry_friction")
+
+    def steps(self, tones: NDArray[np.complex128]) -> Steps:
+        return Steps(_for_kernel(self.plate.period_s), _tones(self.plate.omega_radps, tones))
+
+    def events(self, wanted: NDArray[np.bool_]) -> Events:
+        m, n = self.measured, len(self.measured.landing_s)
+        return Events(
+            _for_kernel(m.opening_s),
+            _for_kernel(m.landing_s),
+            _for_kernel(m.relaunched),
+            _for_kernel(m.linked),
+            _for_kernel(wanted),
+            _for_kernel(m.step),
+            _of_each(np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1), n),
+            _of_each(self.detection.gap_m, n),
+            _of_each(self.detection.weak_mps, n),
+            _for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
+            _for_kernel(np.zeros(n) if m.share is None else m.share),
+        )
 
 
 def one_ahead(
@@ -313,16 +332,87 @@ def one_ahead(
         of_step = np.add.reduceat(np.append(observed_s, 0.0), first[:-1]) * (np.diff(first) > 0)
         for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
             amplitudes[k] = _carried(plate.omega_radps[k, :own], tones[k, :own], rows[0])
-    if ringing:  # the measured tones contain the mode: only the rest is driven
-        driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)
-        tones = np.concatenate([driven, tones[:, own:]], axis=1)
+    if ringing:
+        tones = _driven(plate, amplitudes)
     unused = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
     silent = Probe(nothing, span_s, np.zeros((len(tones), 0)), *unused)
     out = problem.predicted(tones, measured.wanted, silent)
     out[out[:, 6] < 0, :6] = np.nan
-    takeoff, _, landing, _, *others = out.T
-    columns: tuple[Any, ...] = (takeoff, landing, *others, amplitudes, projection, observed_s)
+    takeoff, _, landing, _, *others = out[:, :10].T
+    columns: tuple[Any, ...] = (takeoff, landing, *others, amplitudes, projection, observed_s, out)
     return Predicted(*columns)
+
+
+def _driven(plate: PlateSteps, amplitudes: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Tones (m, k) less what a plate mode adds to them: the measured ones contain it, only the rest is driven."""
+    tones, own = plate.acceleration_mps2, amplitudes.shape[1]
+    driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)
+    return np.concatenate([driven, tones[:, own:]], axis=1)
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of a prediction, arrays of n events; zeros where they cannot be used.
+
+    Parameters
+    ----------
+    landing, landing_before, kick
+        Of openings and landings by the landing before and the one before that, (n, 2) each, and by displacement and
+        velocity of a plate mode where the chain of flights began, (n, 2, 2); the second axis is opening, landing.
+    tones
+        By the real and imaginary part of each tone of the event's step, (n, 2, k, 2), s per m/s^2.
+    parameters
+        By each parameter asked for, (n, 2, c).
+    info
+        What the second order is about, (n, `model.integrator.slopes.INFO`).
+    """
+
+    landing: Array
+    landing_before: Array
+    kick: Array
+    tones: Array
+    parameters: Array
+    info: Array
+
+
+def slopes_of(
+    measured: Measured,
+    plate: PlateSteps,
+    rows: Array,
+    detection: Detection,
+    found: Predicted,
+    places: NDArray[np.int64],
+    changes: Array,
+) -> Slopes:
+    """Derivatives of a prediction without another flight: of all it depends on.
+
+    Parameters
+    ----------
+    measured, plate, rows, detection
+        Those of the prediction.
+    found
+        The prediction, see `one_ahead`.
+    places, changes
+        Parameters to which derivatives are wanted, as places in a row, (c,), and a small change of each: hooks have
+        differences, in that direction.
+    """
+    rows = _for_kernel(rows.reshape(-1, rows.shape[-1]))
+    problem, tones = _Problem(measured, plate, rows, detection, (0.0, 0.0)), plate.acceleration_mps2
+    if np.any(rows[:, _columns("plate_mode")] > 0.0):
+        tones = _driven(plate, found.mode_amplitudes)
+    columns = Columns(_for_kernel(np.asarray(places, dtype=np.int64)), _for_kernel(np.asarray(changes, dtype=np.float64)))
+    assert_table = np.empty((0, 0)) if found.table is None else found.table
+    out, info = problem.slopes(tones, measured.wanted, columns, _for_kernel(assert_table))
+    out[info[:, 0] == 0.0] = 0.0
+    k, first = tones.shape[1], slopes.TONES
+    return Slopes(
+        out[..., slopes.LANDING],
+        out[..., slopes.LANDING_BEFORE],
+        out[..., slopes.KICK : slopes.KICK_RATE + 1],
+        out[..., first : first + 2 * k].reshape(len(out), 2, k, 2),
+        out[..., first + 2 * k :],
+        info,
+    )
 
 
 def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> NDArray[np.complex128]:
@@ -377,6 +467,7 @@ def simulate(
     rows = row(effects, g_mps2)
     out = np.empty((flights, 6))
     tones = _tones(plate.omega_radps, plate.acceleration)
-    law = Law(_for_kernel(rows), 0.0, _active(rows, "force"), _active(rows, "dry_friction"), np.empty((0, 6)))
+    acting = _active(rows, "force"), _active(rows, "dry_friction")
+    law = Law(_for_kernel(rows), 0.0, *acting, np.empty((0, 6)), np.empty((0, 12)))
     out = out[: predict.simulate(float(start[0]), float(start[1]), period_s, tones, law, unseen_s, out)]
     return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))
