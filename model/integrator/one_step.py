@@ -240,9 +240,7 @@ class _Problem:
         """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
         out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
         seen = Visibility(0.0, self.detection.unseen_s, self.detection.passable_s, self.detection.closure_s)
-        predict.one_ahead(
-            self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out
-        )
+        predict.one_ahead(self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out)
         return out
 
     def slopes(
@@ -400,7 +398,9 @@ def slopes_of(
     problem, tones = _Problem(measured, plate, rows, detection, (0.0, 0.0)), plate.acceleration_mps2
     if np.any(rows[:, _columns("plate_mode")] > 0.0):
         tones = _driven(plate, found.mode_amplitudes)
-    columns = Columns(_for_kernel(np.asarray(places, dtype=np.int64)), _for_kernel(np.asarray(changes, dtype=np.float64)))
+    columns = Columns(
+        _for_kernel(np.asarray(places, dtype=np.int64)), _for_kernel(np.asarray(changes, dtype=np.float64))
+    )
     assert_table = np.empty((0, 0)) if found.table is None else found.table
     out, info = problem.slopes(tones, measured.wanted, columns, _for_kernel(assert_table))
     out[info[:, 0] == 0.0] = 0.0

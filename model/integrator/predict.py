@@ -135,7 +135,10 @@ def one_ahead(
             continue
         start, v0, hit, q, qd = _measured(i, events, steps.period[m], last, bare, law, passed, out[i])
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
-            hit, out[i, 11] = out[i, 3], AS_PREDICTED  # the flight as measured is several: only the prediction knows its last impact
+            hit, out[i, 11] = (
+                out[i, 3],
+                AS_PREDICTED,
+            )  # the flight as measured is several: only the prediction knows its last impact
         hit = max(hit, 0.0)
         out[i, 7], out[i, 8], out[i, 10] = v0, hit, start
         flying = with_state(bare, q, qd)

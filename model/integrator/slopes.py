@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.integrator.flight import flight, pull
+from model.integrator.flight import LONGEST_PERIODS, flight, pull
 from model.integrator.hooks import dry_friction, force, plate_mode, rebound, takeoff_threshold
 from model.integrator.plate import (
     between_steps,
@@ -23,7 +23,7 @@ from model.integrator.plate import (
     with_state,
 )
 from model.integrator.predict import AS_PREDICTED, TWO_POINTS, begin_chain
-from model.integrator.records import Bools, Chain, Events, Floats, Law, Mode, Plate, Steps, compiled
+from model.integrator.records import Chain, Events, Floats, Law, Mode, Plate, Steps, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
 from model.integrator.variation import (
     LAUNCH,
@@ -34,7 +34,6 @@ from model.integrator.variation import (
     TAKEOFF,
     TONES,
     Columns,
-    Room,
     flight_variations,
     room_for,
 )
@@ -262,13 +261,12 @@ def slopes_ahead(
         out[i], info[i] = 0.0, 0.0
         ringing = ratio != 0.0
         if not events.linked[i]:
+            before = last.t
             last = begin_chain(i, events, steps.period[m], last, bare, p)
             last = Chain(last.t, last.impact, last.q + kick[0], last.qd + kick[1], False, 0)
-            carried.hit[:], carried.q[:], carried.qd[:] = 0.0, 0.0, 0.0
+            carried.hit[:] = 0.0
             if ringing:
-                rest_response(last.t, tones, p, moving)
-                carried.q[:], carried.qd[:] = moving[0], moving[1]
-                carried.q[KICK], carried.qd[KICK_RATE] = 1.0, 1.0
+                _begun(before, last, tones, om, ze, ratio, p, carried)
             sound = True
         resting = with_state(bare, last.q, last.qd)
         if events.wanted[i] and events.linked[i] and found[i, 6] >= 0.0 and found[i, 5] == 0.0 and found[i, 12] == 0.0:
@@ -313,6 +311,31 @@ def slopes_ahead(
         _after(landing - begun, hit, own_hit, flying, leaving, carried, p)
         q, qd = strike(flying.mode, landing - begun, hit, p)
         last = Chain(landing, hit, q, qd, True, 0)
+
+
+@compiled
+def _begun(before: float, last: Chain, tones: Floats, om: float, ze: float, ratio: float, p: Floats, at: Last) -> None:
+    """Derivatives of the mode's state where a chain begins; it may ring on from the landing ``before``."""
+    d = len(at.q)
+    then, now = np.zeros((3, d)), np.zeros((3, d))
+    rest_response(last.t, tones, p, now)
+    rested = last.t - before
+    if 0.0 <= rested < LONGEST_PERIODS * 2.0 * math.pi / tones[0, 0]:
+        rest_response(before, tones, p, then)
+        root = math.sqrt(1.0 + ratio)
+        one = mode_at(rested, Mode(1.0, 0.0, om / root, ze / root))
+        two = mode_at(rested, Mode(0.0, 1.0, om / root, ze / root))
+        for j in range(d):
+            q, qd = at.q[j] - then[0, j], at.qd[j] - then[1, j]
+            at.q[j], at.qd[j] = q * one[0] + qd * two[0], q * one[1] + qd * two[1]
+    else:
+        at.q[:], at.qd[:] = 0.0, 0.0
+    at.q[LANDING : LANDING_BEFORE + 1], at.qd[LANDING : LANDING_BEFORE + 1] = 0.0, 0.0
+    for j in range(d):
+        at.q[j] += now[0, j]
+        at.qd[j] += now[1, j]
+    at.q[KICK] += 1.0
+    at.qd[KICK_RATE] += 1.0
 
 
 @compiled

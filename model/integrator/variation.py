@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.integrator.flight import _effects, pull
-from model.integrator.hermite import crossing, hermite5, standstill
-from model.integrator.hooks import dry_friction
+from model.integrator.flight import _effects
+from model.integrator.hermite import hermite5, standstill
+from model.integrator.hooks import dry_friction_of, force_of
 from model.integrator.plate import mode_at
 from model.integrator.records import Floats, Integers, Law, Mode, Plate, StepEnds, compiled
 
@@ -172,17 +172,20 @@ def _carry(
 
 
 @compiled
+def _push(k: int, s: float, h: float, v: float, u: float, direction: float, p: Floats) -> float:
+    """Acceleration by the one effect that owns the parameter ``k``."""
+    return float(force_of(k, s, h, v, u, p) - direction * dry_friction_of(k, h, abs(v), direction, p))
+
+
+@compiled
 def _pushes(s: float, h: float, v: float, u: float, direction: float, law: Law, columns: Columns, out: Floats) -> None:
     """Change of the acceleration for a unit of each wanted parameter, (c,): one hook more for each."""
-    if len(out) == 0:
-        return
-    p, acting = law.p, (True, True)
-    base = _effects(s, h, v, u, direction, p, acting)
+    p = law.p
     for c in range(len(out)):
         k = columns.place[c]
-        kept = p[k]
+        base, kept = _push(k, s, h, v, u, direction, p), p[k]
         p[k] = kept + columns.change[c]
-        out[c] = (_effects(s, h, v, u, direction, p, acting) - base) / columns.change[c]
+        out[c] = (_push(k, s, h, v, u, direction, p) - base) / columns.change[c]
         p[k] = kept
 
 
