@@ -7,8 +7,9 @@ tones), propagated through the prediction; it is never taken from the scatter of
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, Slopes, one_ahead, slopes_of
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 ParameterId = tuple[str, str]
 Values = Mapping[ParameterId, float]
 Own = tuple[tuple[ParameterId, float], ...]
@@ -36,7 +38,7 @@ MOST_KEPT = {"flights": 64, "plate": 512}  # results that are kept: of predictio
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a prediction is made from: parameters (n or 1, P + 1), plate, opening height and delay of the circuit (n,)."""
+    """What a prediction is made from: parameters (P + 1,) or (n, P + 1), plate, the circuit's height and delay (n,)."""
 
     rows: Array
     plate: PlateSteps
@@ -234,11 +236,46 @@ class ForwardModel:
         ev = self.evidence
         return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
 
-    def slopes(self, values: Values, places: NDArray[np.int64], changes: Array) -> tuple[Inputs, Slopes]:
-        """Derivatives of the prediction at ``values``, see `model.integrator.one_step.slopes_of`, and its inputs."""
-        x = self.inputs(values)
-        found = self.predicted(values)
+    def slopes(
+        self, values: Values, places: Sequence[int] = (), changes: Sequence[float] = ()
+    ) -> tuple[Inputs, Slopes]:
+        """Inputs of the prediction at ``values``, and its derivatives: see `model.integrator.one_step.slopes_of`."""
+        x, found = self.inputs(values), self.predicted(values)
         return x, slopes_of(self._measured(x), x.plate, x.rows, self._detection(x), found, places, changes)
+
+    def copies(
+        self,
+        x: Inputs,
+        tones: Sequence[NDArray[np.complex128]],
+        shift_s: Array,
+        events: NDArray[np.int64],
+        wanted: Mask,
+    ) -> Array:
+        """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
+
+        For plates without a mode: nothing rings on from flights that are left out. ``shift_s`` (q, n) is added to
+        landings; only events ``wanted`` (n,) are predicted.
+        """
+        q, e, seen, d = len(tones), len(events), self._measured(x, wanted), self._detection(x)
+        m = len(x.plate.period_s)
+        copy = np.repeat(np.arange(q), e)
+        follows = np.diff(events, prepend=-2) == 1
+
+        def each(values: Any) -> Any:
+            return np.tile(np.asarray(values)[events], q)
+
+        measured = Measured(
+            each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
+            each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
+            None if seen.beside is None else np.where(each(seen.beside) >= 0, each(seen.beside) + m * copy, -1),
+            None if seen.share is None else each(seen.share),
+        )  # fmt: skip
+        plate = PlateSteps(
+            np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived
+        )
+        rows = x.rows if x.rows.ndim == 1 else np.tile(x.rows[events], (q, 1))
+        p = one_ahead(measured, plate, rows, replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps)))
+        return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, kept: what touches plate data only needs no new flight."""

@@ -13,18 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.residuals.plate_mode import INEXACT
-from model.integrator.one_step import Slopes
+from model.integrator.one_step import Predicted, Slopes
 
 if TYPE_CHECKING:
-    from analysis.residuals.forward_model import ForwardModel, Values
+    from analysis.residuals.forward_model import ForwardModel, Inputs, Values
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
+Kicks = tuple[tuple[float, float], ...]
 
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
-BENT = 0.2  # second order over an event's own uncertainty, beyond which it is flown anew
+BENT = 0.5  # second order over an event's own uncertainty, beyond which it is flown anew
 NEAR_SWITCH = 4.0  # changes within which a ball that leaves at once might rest before, or the reverse
 SHORT_S = 2e-3  # flights that a small change may hide from the contact circuit
 BEFORE = 3  # events before one that is flown anew, on which an elastic ball's prediction leans
@@ -57,48 +59,48 @@ class Uncertainty:
 def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
     """Uncertainty of the residuals of ``model`` at ``values``."""
     ev, base = model.evidence, model.predicted(values)
-    moves = _moves(model, values)
-    nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
-    x, slopes = model.slopes(values, *nothing)
-    step, before = ev.measured.step, np.stack([_earlier(ev.landing_sigma_s, back) for back in (1, 2)])
-    kicks = [np.zeros(2)] * (len(moves) - len(model.kicks(values))) + [np.array(k) for k in model.kicks(values)]
-    linear = []
-    for (there, _), kick in zip(moves, kicks, strict=True):
-        moved = model.inputs(values, there["tones"]).plate if "tones" in there else x.plate
-        linear.append(by_tones(slopes, moved.acceleration_mps2 - x.plate.acceleration_mps2, step) + slopes.kick @ kick)
-    changes = np.array(linear).reshape(len(moves), len(ev), 2)
-    edges = np.stack([np.clip(s, -STEEPEST, STEEPEST) for s in (slopes.landing, slopes.landing_before)])
-    bent = second_order(slopes, changes)
+    tones, kicks = _tone_changes(model, values), model.kicks(values)
+    x, slopes = model.slopes(values)
+    plates = [model.inputs(values, ev.steps.plate.acceleration_mps2 + by).plate for by in tones]
+    linear = [by_tones(slopes, y.acceleration_mps2 - x.plate.acceleration_mps2, ev.measured.step) for y in plates]
+    linear += [slopes.kick @ np.array(kick) for kick in kicks]
+    changes = np.array(linear).reshape(-1, len(ev), 3)
+    bent, changes = second_order(slopes, changes), changes[..., :2].copy()
+    edges = np.stack([np.clip(by[:, :2], -STEEPEST, STEEPEST) for by in (slopes.landing, slopes.landing_before)])
     own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
-    again = (
-        ev.measured.wanted & (base.kind >= 0) & _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
-    )
+    again = ev.measured.wanted & (base.kind >= 0)
+    again &= _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
     if ev.measured.share is not None:
         again |= ev.measured.wanted & (ev.measured.share > 0.0)
     if again.any():
-        _fly_again(model, values, moves, again, edges, changes, bent)
+        flown = _FlownAgain(model, values, again)
+        own_edges, own_changes, own_bent = (
+            flown.one_by_one(tones, kicks) if len(kicks) else flown.together(x, [y.acceleration_mps2 for y in plates])
+        )
+        edges[:, again], changes[:, again], bent[:, again] = own_edges, own_changes, own_bent
+    before = np.stack([_earlier(ev.landing_sigma_s, back) for back in (1, 2)])
     var = own**2 + np.sum(bent**2, axis=0) + np.sum((edges * before[..., None]) ** 2, axis=0)
     var[:, 1] += _finite(base.ambiguity_s) ** 2
     return Uncertainty(np.sqrt(var[:, 0]), np.sqrt(var[:, 1]), changes[..., 0].T, changes[..., 1].T)
 
 
-def by_tones(slopes: Slopes, change_mps2: NDArray[np.complex128], step: NDArray[np.int64]) -> Array:
-    """Changes of openings and landings, (n, 2), for changes (m, k) of the plate's tones."""
+def by_tones(slopes: Slopes, change_mps2: Complex, step: NDArray[np.int64]) -> Array:
+    """Changes of opening, landing and impact speed, (n, 3), for changes (m, k) of the plate's tones."""
     parts = np.stack([change_mps2.real, change_mps2.imag], axis=-1)[step]
     return np.asarray(np.einsum("nckp,nkp->nc", slopes.tones, parts))
 
 
 def second_order(slopes: Slopes, changes: Array) -> Array:
-    """Size of the second order of changes (q, n, 2) of openings and landings.
+    """Size of the second order, (q, n, 2), of openings and landings where changes (q, n, 3) are the first.
 
-    A landing's is that of a fall at the relative acceleration and velocity of the impact; a take-off's that of what
-    throws the ball, which the flight carries on.
+    A take-off's is that of what throws the ball. A landing's is where the parabola of the end of the flight meets the
+    plate, lower by what the change of the take-off costs in height.
     """
     _, rate, bend, lasts, acceleration, velocity, _ = slopes.info.T
     speed = np.where(velocity < 0.0, -velocity, np.inf)
-    opening, landing = changes[..., 0] ** 2, changes[..., 1] ** 2
-    late = np.abs(bend) * opening
-    return np.stack([late, (0.5 * np.abs(acceleration) * landing + 0.5 * rate * lasts * opening) / speed], axis=-1)
+    opening, landing, impact = np.moveaxis(changes, -1, 0)
+    lower = 0.5 * acceleration * landing**2 + impact * landing + 0.5 * rate * lasts * opening**2
+    return np.stack([np.abs(bend) * opening**2, np.abs(lower) / speed], axis=-1)
 
 
 def _doubtful(slopes: Slopes, changes: Array, bent: Array, own: Array, lasts_s: Array) -> Mask:
@@ -110,48 +112,73 @@ def _doubtful(slopes: Slopes, changes: Array, bent: Array, own: Array, lasts_s: 
     return np.asarray(out | ~(lasts_s > SHORT_S))
 
 
-def _moves(model: ForwardModel, values: Values) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """One sigma of each number of the plate, either way, as `ForwardModel.predict` takes it."""
+def _tone_changes(model: ForwardModel, values: Values) -> list[Complex]:
+    """One sigma of each number that the plate's measured tones depend on, as changes of the tones (m, k)."""
     steps, base = model.evidence.steps, model.predicted(values)
     sigma = steps.sigma_mps2
     inexact = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
     if (swings := model.modulation_at(values)) is not None:
         inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
     wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)
-    moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
-    for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
-        by = wider[:, j // 2, None] * steps.spread_mps2[:, j]
-        z = steps.plate.acceleration_mps2
-        moves.append(({"tones": z + by}, {"tones": z - by}))
-    moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in model.kicks(values)]
-    return moves
+    columns = np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2)))
+    return [wider[:, j // 2, None] * steps.spread_mps2[:, j] for j in columns]
 
 
-def _fly_again(
-    model: ForwardModel,
-    values: Values,
-    moves: list[tuple[dict[str, Any], dict[str, Any]]],
-    again: Mask,
-    edges: Array,
-    changes: Array,
-    bent: Array,
-) -> None:
-    """Overwrite derivatives by edges and changes of the events ``again`` with differences of predictions."""
-    base = model.predicted(values)
-    wanted = again.copy()
-    for back in range(1, BEFORE + 1):
-        wanted[:-back] |= again[back:]
-    for moved, rows in model.moved_landings(values, np.full(len(again), EDGE_STEP_S), wanted):
-        for back in (1, 2):
-            own = again & rows[back]
-            both = np.stack([moved.opening_s - base.opening_s, moved.landing_s - base.landing_s], axis=1)
-            edges[back - 1, own] = edge_slope(both[own])
-    for q, (there, back_again) in enumerate(moves):
-        ahead, behind = (model.predict(values, **x, near=base, wanted=wanted) for x in (there, back_again))
-        for c, name in enumerate(("opening_s", "landing_s")):
-            a, b, here = (getattr(p, name)[again] for p in (ahead, behind, base))
-            changes[q, again, c] = _finite(0.5 * (a - b))
-            bent[q, again, c] = _finite(0.5 * (a + b) - here)  # the second order counts as noise of each event
+@dataclass(frozen=True)
+class _FlownAgain:
+    """Events ``again`` (n,) flown with each number moved by one sigma, and each landing by `EDGE_STEP_S`.
+
+    Derivatives by the landing before and the one before that, (2, r, 2), changes by each number, (q, r, 2), and their
+    second orders; r events, openings and landings.
+    """
+
+    model: ForwardModel
+    values: Values
+    again: Mask
+
+    def one_by_one(self, tones: list[Complex], kicks: Kicks) -> tuple[Array, Array, Array]:
+        """Each move a prediction of its own: a plate mode rings on from flight to flight."""
+        model, z = self.model, self.model.evidence.steps.plate.acceleration_mps2
+        base = model.predicted(self.values)
+        edges = np.zeros((2, int(self.again.sum()), 2))
+        for moved, rows in model.moved_landings(self.values, np.full(len(self.again), EDGE_STEP_S), self.again):
+            for back in (1, 2):
+                own = rows[back][self.again]
+                edges[back - 1, own] = edge_slope(self._events(moved) - self._events(base))[own]
+        moves: list[tuple[dict[str, Any], dict[str, Any]]] = [({"tones": z + by}, {"tones": z - by}) for by in tones]
+        moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in kicks]
+        sides = [
+            [self._events(model.predict(self.values, **x, near=base, wanted=self.again)) for x in pair]
+            for pair in moves
+        ]
+        ahead, behind = np.moveaxis(np.array(sides).reshape(len(moves), 2, -1, 2), 1, 0)
+        return edges, *_halves(ahead, behind, self._events(base))
+
+    def _events(self, p: Predicted) -> Array:
+        return np.stack([p.opening_s[self.again], p.landing_s[self.again]], axis=1)
+
+    def together(self, x: Inputs, moved: list[Complex]) -> tuple[Array, Array, Array]:
+        """All moves in one prediction, of copies of the few flights that the events lean on."""
+        ev, n = self.model.evidence, len(self.again)
+        few = self.again.copy()
+        for back in range(1, BEFORE + 1):
+            few[:-back] |= self.again[back:]
+        index = np.flatnonzero(few)
+        z = x.plate.acceleration_mps2
+        plates = [z, *moved, *(2.0 * z - y for y in moved), z, z, z]
+        shifts = np.zeros((len(plates), n))
+        for colour in range(3):
+            shifts[len(plates) - 3 + colour, colour::3] = EDGE_STEP_S
+        found = self.model.copies(x, plates, shifts, index, self.again)[:, self.again[index]]
+        base, q = found[0], len(moved)
+        at = np.flatnonzero(self.again)
+        edges = np.stack([found[1 + 2 * q + (at - back) % 3, np.arange(len(at))] - base for back in (1, 2)])
+        return edge_slope(edges), *_halves(found[1 : 1 + q], found[1 + q : 1 + 2 * q], base)
+
+
+def _halves(ahead: Array, behind: Array, base: Array) -> tuple[Array, Array]:
+    """First and second order of changes from predictions either way; the second counts as noise of each event."""
+    return _finite(0.5 * (ahead - behind)), _finite(0.5 * (ahead + behind) - base)
 
 
 def _earlier(x: Array, back: int) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -246,9 +246,9 @@ class _Problem:
     def slopes(
         self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], columns: Columns, table: Array
     ) -> tuple[Array, Array]:
-        """Derivatives (n, 2, d) of the openings and landings in ``table``, and their info (n, `slopes.INFO`)."""
+        """Derivatives (n, 3, d) of openings, landings and impact speeds in ``table``, and their info (n, `slopes.INFO`)."""
         n, d = len(table), slopes.TONES + 2 * tones.shape[1] + len(columns.place)
-        out, info = np.zeros((n, 2, d)), np.zeros((n, slopes.INFO))
+        out, info = np.zeros((n, 3, d)), np.zeros((n, slopes.INFO))
         slopes.slopes_ahead(
             self.events(wanted), self.steps(tones), self.rows, self.acting, self.kick, columns, table, out, info
         )
@@ -355,12 +355,12 @@ class Slopes:
     Parameters
     ----------
     landing, landing_before, kick
-        Of openings and landings by the landing before and the one before that, (n, 2) each, and by displacement and
-        velocity of a plate mode where the chain of flights began, (n, 2, 2); the second axis is opening, landing.
+        Of opening, landing and impact speed by the landing before and the one before that, (n, 3) each, and by
+        displacement and velocity of a plate mode where the chain of flights began, (n, 3, 2).
     tones
-        By the real and imaginary part of each tone of the event's step, (n, 2, k, 2), s per m/s^2.
+        By the real and imaginary part of each tone of the event's step, (n, 3, k, 2).
     parameters
-        By each parameter asked for, (n, 2, c).
+        By each parameter asked for, (n, 3, c).
     info
         What the second order is about, (n, `model.integrator.slopes.INFO`).
     """
@@ -379,8 +379,8 @@ def slopes_of(
     rows: Array,
     detection: Detection,
     found: Predicted,
-    places: NDArray[np.int64],
-    changes: Array,
+    places: Sequence[int] = (),
+    changes: Sequence[float] = (),
 ) -> Slopes:
     """Derivatives of a prediction without another flight: of all it depends on.
 
@@ -401,15 +401,16 @@ def slopes_of(
     columns = Columns(
         _for_kernel(np.asarray(places, dtype=np.int64)), _for_kernel(np.asarray(changes, dtype=np.float64))
     )
-    assert_table = np.empty((0, 0)) if found.table is None else found.table
-    out, info = problem.slopes(tones, measured.wanted, columns, _for_kernel(assert_table))
+    if found.table is None:
+        raise ValueError("the prediction was not made by one_ahead; wanted one with the kernel's table")
+    out, info = problem.slopes(tones, measured.wanted, columns, found.table)
     out[info[:, 0] == 0.0] = 0.0
     k, first = tones.shape[1], slopes.TONES
     return Slopes(
         out[..., slopes.LANDING],
         out[..., slopes.LANDING_BEFORE],
         out[..., slopes.KICK : slopes.KICK_RATE + 1],
-        out[..., first : first + 2 * k].reshape(len(out), 2, k, 2),
+        out[..., first : first + 2 * k].reshape(len(out), 3, k, 2),
         out[..., first + 2 * k :],
         info,
     )

@@ -110,15 +110,23 @@ def one_ahead(
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning, nodes = np.empty((steps.tones.shape[1] + 1, 6)), np.empty((0, 12))
+    lengths = np.array([step_length(steps.period[m], steps.tones[m]) for m in range(len(steps.period))])
+    om, ze, ratio = plate_mode(rows[0])
     for i in range(events.landing.shape[0]):
         p = rows[i if len(rows) > 1 else 0]
         m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
-        om, ze, ratio = plate_mode(p)
-        tones = steps.tones[m]
+        if len(rows) > 1:
+            om, ze, ratio = plate_mode(p)
+        if not (events.wanted[i] or bounces or ratio != 0.0):  # nothing leans on it but its landing
+            out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
+            last = Chain(landing, last.impact, 0.0, 0.0, True, 0)
+            continue
+        tones, length = steps.tones[m], lengths[m]
         if events.share[i] > 0.0:
             tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
+            length = step_length(steps.period[m], tones)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
-        law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed, turning, nodes)
+        law = Law(p, length, forced, rubbed, turning, nodes)
         out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
         passed, chained = 0, last.chained + 1
         if not events.linked[i]:

@@ -107,7 +107,7 @@ def _at_takeoff(
     ``at`` is the time of that landing, its impact speed, time and speed of the take-off, its kind, and the ball's dwell
     less the time since the landing; ``resting`` the plate with its mode's state at the landing.
     """
-    t, impact, off, v0, kind, more = at
+    t, impact, off, launched, kind, more = at
     p, c = law.p, len(columns.place)
     d = len(last.hit)
     om, ze, ratio = plate_mode(p)
@@ -129,7 +129,6 @@ def _at_takeoff(
         root = math.sqrt(1.0 + ratio)
         one = mode_at(off - t, Mode(1.0, 0.0, om / root, ze / root))
         two = mode_at(off - t, Mode(0.0, 1.0, om / root, ze / root))
-        x0, v0m, a0 = mode_at(0.0, under.mode)
         before, after = np.zeros((3, d)), np.zeros((3, d))
         rest_response(t, resting.tones, p, before)
         rest_response(off, resting.tones, p, after)
@@ -169,7 +168,7 @@ def _at_takeoff(
             out.off[d - c + i] = -(there - here_too) / columns.change[i] / rate
     else:
         out.off[LANDING] = 1.0
-        info[6] = abs(over / rate) if rate != 0.0 else 1.0
+        info[6] = abs(over / rate) if rate != 0.0 and launched == 0.0 else 1.0
     if kind == 1:
         e = rebound(impact, p)
         small = 1e-4
@@ -236,7 +235,7 @@ def slopes_ahead(
     out: Floats,
     info: Floats,
 ) -> None:
-    """Derivatives of openings and landings, ``out`` (n, 2, d), where `predict.one_ahead` has ``found`` (n, ...).
+    """Derivatives of openings, landings and impact speeds, ``out`` (n, 3, d), where `predict.one_ahead` has ``found`` (n, ...).
 
     ``info`` (n, `INFO`) tells where they can be used, and what their second order is about.
     """
@@ -251,7 +250,7 @@ def slopes_ahead(
     sound = True
     for i in range(n):
         p = rows[i if len(rows) > 1 else 0].copy()
-        m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
+        m, landing = events.step[i], events.landing[i]
         om, ze, ratio = plate_mode(p)
         tones = steps.tones[m]
         if events.share[i] > 0.0:
@@ -269,7 +268,9 @@ def slopes_ahead(
                 _begun(before, last, tones, om, ze, ratio, p, carried)
             sound = True
         resting = with_state(bare, last.q, last.qd)
-        if events.wanted[i] and events.linked[i] and found[i, 6] >= 0.0 and found[i, 5] == 0.0 and found[i, 12] == 0.0:
+        # after flights passed over a ball that has come to rest remembers nothing of them
+        direct = found[i, 5] == 0.0 or (found[i, 6] == 0.0 and not ringing)
+        if events.wanted[i] and events.linked[i] and found[i, 6] >= 0.0 and direct and found[i, 12] == 0.0:
             off, v0, kind = found[i, 0], found[i, 1], int(found[i, 6])
             start = (last.t, last.impact, off, v0, kind, 0.0)
             _at_takeoff(start, resting, law, carried, columns, moving, leaving, info[i])
@@ -278,11 +279,12 @@ def slopes_ahead(
             flying = with_state(bare, q, qd)
             lasts, _, opened = flight(off, v0, flying, law, events.gap_m[i])
             usable, net, v = flight_variations(off, v0, opened, flying, law, ringing, columns, room, elementary)
-            info[i, 0] = 1.0 if usable and sound and abs(off + lasts - found[i, 2]) < SAME_S else 0.0
+            same = abs(off + lasts - found[i, 2]) + abs(off + max(opened, 0.0) - found[i, 4]) < SAME_S
+            info[i, 0] = 1.0 if usable and sound and same else 0.0
             info[i, 3], info[i, 4], info[i, 5] = lasts, net, v
             _chained(elementary[2], leaving, out[i, 0])
             _chained(elementary[0], leaving, out[i, 1])
-            _chained(elementary[1], leaving, hits)
+            _chained(elementary[1], leaving, out[i, 2])
         if found[i, 11] == 0.0:
             last = Chain(landing, last.impact, last.q, last.qd, True, 0)
             carried.hit[:], carried.q[:], carried.qd[:] = 0.0, 0.0, 0.0
@@ -297,7 +299,7 @@ def slopes_ahead(
         lasts, _, opened = flight(begun, v0, flying, law, 0.0)
         usable, _, _ = flight_variations(begun, v0, opened, flying, law, ringing, columns, room, elementary)
         if found[i, 11] == AS_PREDICTED:
-            carried.hit[:] = hits
+            carried.hit[:] = out[i, 2]
         elif found[i, 11] == TWO_POINTS:
             usable = usable and abs(begun + lasts - landing) < SAME_S and elementary[0, LAUNCH] > 0.0
             _chained(elementary[0], leaving, hits)
