@@ -221,16 +221,26 @@ class _State:
         return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
     def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
-        """Finite differences of the bare residuals, one column a parameter."""
+        """Derivatives of the bare residuals, one column a parameter; the same point and parameter are asked once."""
+        world = self.fitter.world
+        point = self.point(x)
+        here = tuple(sorted((k, v) for k, v in point.items() if k in world.base or v != null_value_of(k)))
         for j in columns:
-            h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
-            moved = x.copy()
-            moved[j] += h
-            change = self.raw(moved) - raw
-            n = len(self.whitener.step)
-            change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
-            change[~np.isfinite(change)] = 0.0
-            bare[:, j] = change / h
+            up = bool(x[j] + RELATIVE_STEP <= self.high[j])
+            bare[:, j] = world.slope_memory.recall(
+                (here, self.keys[j], up),
+                lambda j=j, up=up: self._difference(x, raw, j, RELATIVE_STEP if up else -RELATIVE_STEP),
+            )
+
+    def _difference(self, x: Array, raw: Array, j: int, h: float) -> Array:
+        """Finite difference of the bare residuals by one coordinate."""
+        moved = x.copy()
+        moved[j] += h
+        change = self.raw(moved) - raw
+        n = len(self.whitener.step)
+        change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
+        change[~np.isfinite(change)] = 0.0
+        return np.asarray(change / h)
 
     def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""

@@ -33,7 +33,7 @@ Own = tuple[tuple[ParameterId, float], ...]
 
 TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
-MOST_KEPT = {"flights": 64, "plate": 512}  # results that are kept: of predictions, and of plate data and hooks
+MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kept: of predictions, plate data and hooks
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class ForwardModel:
 
     Attributes
     ----------
-    memory : Memory
-        Of what depends on the flights: whoever computes it keeps it here.
+    memory, slope_memory : Memory
+        Of what depends on the flights, and of its derivatives: whoever computes it keeps it here.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class ForwardModel:
             self._plate_memory = Memory(MOST_KEPT["plate"])
         else:
             self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
-        self.memory = Memory(MOST_KEPT["flights"])
+        self.memory, self.slope_memory = Memory(MOST_KEPT["flights"]), Memory(MOST_KEPT["slopes"])
         self._nothing = row({}, self.gravity)
         self.from_rest = (
             evidence.scored & ~evidence.measured.relaunched

@@ -293,14 +293,13 @@ def slopes_ahead(
         begun, v0, hit = found[i, 10], found[i, 7], found[i, 8]
         kind = 0 if begun > last.t else 1
         _at_takeoff((last.t, 0.0, begun, 0.0, kind, 1e9), resting, law, carried, columns, moving, leaving, own)
+        leaving.launch[:] = 0.0  # it is found from both ends of the flight
         q, qd = mode_under_ball(last.t, begun - last.t, resting, p)
         flying = with_state(bare, q, qd)
         nodes[0, 0] = 0.0
         lasts, _, opened = flight(begun, v0, flying, law, 0.0)
         usable, _, _ = flight_variations(begun, v0, opened, flying, law, ringing, columns, room, elementary)
-        if found[i, 11] == AS_PREDICTED:
-            carried.hit[:] = out[i, 2]
-        elif found[i, 11] == TWO_POINTS:
+        if found[i, 11] == TWO_POINTS:
             usable = usable and abs(begun + lasts - landing) < SAME_S and elementary[0, LAUNCH] > 0.0
             _chained(elementary[0], leaving, hits)
             for j in range(d):
@@ -309,7 +308,7 @@ def slopes_ahead(
         else:
             _chained(elementary[1], leaving, carried.hit)
         own_hit = elementary[1, LAUNCH] / elementary[0, LAUNCH] if usable and found[i, 11] == TWO_POINTS else 0.0
-        sound = usable or found[i, 11] == AS_PREDICTED
+        sound = usable and found[i, 11] != AS_PREDICTED  # weak impacts were passed there
         _after(landing - begun, hit, own_hit, flying, leaving, carried, p)
         q, qd = strike(flying.mode, landing - begun, hit, p)
         last = Chain(landing, hit, q, qd, True, 0)
