@@ -188,6 +188,19 @@ class ForwardModel:
 
     def inputs(self, values: Values, tones: NDArray[np.complex128] | None = None, rows: Array | None = None) -> Inputs:
         """What a prediction at ``values`` is made from, with other ``tones`` (m, k) or ``rows`` where given."""
+        if tones is None:
+            key = ("inputs", self._of_effects(values, calibrating_effects()))
+            plate, gap, delay = self._plate_memory.recall(key, lambda: self._calibrated(values, None))
+        else:
+            plate, gap, delay = self._calibrated(values, tones)
+        return Inputs(self.rows(values) if rows is None else rows, plate, gap, delay)
+
+    def _of_effects(self, values: Values, names: frozenset[str]) -> Own:
+        """Parameters of some effects among those that are set."""
+        return tuple(sorted(i for i in self.start(values).items() if i[0][0] in names))
+
+    def _calibrated(self, values: Values, tones: NDArray[np.complex128] | None) -> tuple[PlateSteps, Array, Array]:
+        """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
         ev = self.evidence
         step = ev.measured.step
         reading = self.per_step(values, "accelerometer_factor", 1.0)
@@ -199,7 +212,7 @@ class ForwardModel:
         if (swings := self.modulation_at(values)) is not None:
             plate = swings[0].modulated(plate, *swings[1:])
         gap, delay = (self.per_step(values, hook, 0.0)[step] for hook in ("gap_m", "contact_delay_s"))
-        return Inputs(self.rows(values) if rows is None else rows, plate, gap, delay)
+        return plate, gap, delay
 
     def predict(
         self,
@@ -336,6 +349,16 @@ class ForwardModel:
         p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
+        if np.any(p.mode_amplitudes):
+            plate = self._plate_residuals(values, p)
+        else:
+            key = ("plate residuals", self._of_effects(values, driving_effects()))
+            plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values, p))
+        return Residuals(opening, landing, plate, p)
+
+    def _plate_residuals(self, values: Values, p: Predicted) -> Array:
+        """Measured minus expected plate data at ``values``, (r,), scaled where what is expected is uncertain."""
+        ev = self.evidence
         predicted, inexact = self._expected(values), np.zeros(len(ev.plate))
         if self.ringing is not None:
             mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
@@ -346,8 +369,8 @@ class ForwardModel:
             swings_data, leaking = swings[0].expected(ev.plate, ev.steps.plate, *swings[1:])
             predicted, inexact = predicted + swings_data, np.hypot(inexact, leaking)
         inexact = np.hypot(inexact, power_uncertainty(ev.plate, predicted))
-        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact) * (ev.plate.value - predicted)
-        return Residuals(opening, landing, plate, p)
+        scale = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact)
+        return np.asarray(scale * (ev.plate.value - predicted))
 
     def uncertainty(self, values: Values) -> Uncertainty:
         """Uncertainty of the residuals at ``values``: that of edges and plate, carried through the prediction."""
@@ -383,3 +406,16 @@ def _followed() -> tuple[tuple[str, int, str], ...]:
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
     return frozenset(r.effect.name for r in registry() if r.hooks and r.hooks.keys() <= PLATE_ONLY_HOOKS)
+
+
+@functools.cache
+def calibrating_effects() -> frozenset[str]:
+    """Names of the effects that change the plate's motion or the circuit as measured."""
+    hooks = {"accelerometer_factor", "flight_gain", "modulation", "gap_m", "contact_delay_s"}
+    return frozenset(r.effect.name for r in registry() if r.hooks.keys() & hooks)
+
+
+@functools.cache
+def driving_effects() -> frozenset[str]:
+    """Names of the effects that change plate data without a flight."""
+    return frozenset(r.effect.name for r in registry() if r.hooks.keys() & (PLATE_HOOKS | {"modulation"}))

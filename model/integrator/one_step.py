@@ -44,23 +44,28 @@ def _nothing(hook: str) -> Array:
 
 
 def _active(rows: Array, hook: str) -> bool:
-    return bool(np.any(rows[..., _columns(hook)] != _nothing(hook)))
+    return bool((rows[..., _columns(hook)] != _nothing(hook)).any())
 
 
 def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
     """An array as the kernels take it, contiguous and writable: numba compiles each layout, and each right, anew."""
+    if values.flags.c_contiguous and values.flags.writeable:
+        return values
     return np.require(values, requirements=["C", "W"])
 
 
 def _tones(omega_radps: Array, acceleration_mps2: NDArray[np.complex128]) -> Array:
     """Tones (..., k) as the kernels take them, (..., k, 3)."""
-    return np.stack([omega_radps, acceleration_mps2.real, acceleration_mps2.imag], axis=-1)
+    out = np.empty((*acceleration_mps2.shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = omega_radps, acceleration_mps2.real, acceleration_mps2.imag
+    return out
 
 
 def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
     """One value, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
     one = np.asarray(value)
-    values = np.array(np.broadcast_to(one, n), dtype=one.dtype if one.dtype == np.bool_ else np.float64)
+    values = np.empty(n, dtype=one.dtype if one.dtype == np.bool_ else np.float64)
+    values[:] = one
     values.flags.writeable = False
     return values
 
