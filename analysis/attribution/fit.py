@@ -155,7 +155,8 @@ class Fitter:
         x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
-        state.fill(bare, x, best.raw, [j for j, k in enumerate(free) if not parameter_of(k).is_shape])
+        sizes = [j for j, k in enumerate(free) if not parameter_of(k).is_shape]
+        state.fill(bare, x, best.raw, sizes, kept=True)
         normal, gradient = state.normal(bare, best.raw, x, state.mask)
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
         return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
@@ -167,7 +168,7 @@ class Fitter:
         x = np.array([self.to_x(k, at[k]) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
         bare = np.zeros((len(best.raw), 1))
-        state.fill(bare, x, best.raw, (0,))
+        state.fill(bare, x, best.raw, (0,), kept=True)
         return bare[:, 0]
 
     def detectable(self, best: Fitted, key: ParameterId, nats: float) -> float:
@@ -220,17 +221,18 @@ class _State:
         """Negative log prior at ``x``, nats."""
         return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
-    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
-        """Derivatives of the bare residuals, one column a parameter; the same point and parameter are asked once."""
+    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int], *, kept: bool = False) -> None:
+        """Derivatives of the bare residuals, one column a parameter; ``kept`` where they will be asked for again."""
         world = self.fitter.world
-        point = self.point(x)
+        point = self.point(x) if kept else {}
         here = tuple(sorted((k, v) for k, v in point.items() if k in world.base or v != null_value_of(k)))
         for j in columns:
-            up = bool(x[j] + RELATIVE_STEP <= self.high[j])
-            bare[:, j] = world.slope_memory.recall(
-                (here, self.keys[j], up),
-                lambda j=j, up=up: self._difference(x, raw, j, RELATIVE_STEP if up else -RELATIVE_STEP),
-            )
+            h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
+            if kept:
+                key = (here, self.keys[j], h)
+                bare[:, j] = world.slope_memory.recall(key, lambda j=j, h=h: self._difference(x, raw, j, h))
+            else:
+                bare[:, j] = self._difference(x, raw, j, h)
 
     def _difference(self, x: Array, raw: Array, j: int, h: float) -> Array:
         """Finite difference of the bare residuals by one coordinate."""

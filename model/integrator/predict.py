@@ -110,14 +110,18 @@ def one_ahead(
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning, nodes = np.empty((steps.tones.shape[1] + 1, 6)), np.empty((0, 12))
-    lengths = np.array([step_length(steps.period[m], steps.tones[m]) for m in range(len(steps.period))])
+    lengths = np.empty(len(steps.period))
+    for j in range(len(lengths)):
+        lengths[j] = step_length(steps.period[j], steps.tones[j])
     om, ze, ratio = plate_mode(rows[0])
     for i in range(events.landing.shape[0]):
         p = rows[i if len(rows) > 1 else 0]
         m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
         if len(rows) > 1:
             om, ze, ratio = plate_mode(p)
-        if not (events.wanted[i] or bounces or ratio != 0.0):  # nothing leans on it but its landing
+        # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
+        needed = ratio != 0.0 or (bounces and np.any(events.wanted[i + 1 : i + 3]))
+        if not (events.wanted[i] or needed):  # nothing leans on it but its landing
             out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
             last = Chain(landing, last.impact, 0.0, 0.0, True, 0)
             continue
@@ -135,8 +139,6 @@ def one_ahead(
             last = Chain(last.t, last.impact, last.q + kick[0], last.qd + kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(i, events, last, bare, law, seen, out[i])
-        # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
-        needed = ratio != 0.0 or (bounces and np.any(events.wanted[i + 1 : i + 3]))
         out[i, 12] = passed
         if not (needed or (bounces and events.wanted[i])):
             last = Chain(landing, last.impact, last.q, last.qd, True, 0)

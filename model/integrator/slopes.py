@@ -248,16 +248,28 @@ def slopes_ahead(
     leaving = Leaving(np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d))
     elementary, moving, own, hits = np.zeros((3, d)), np.zeros((3, d)), np.zeros(INFO), np.zeros(d)
     sound = True
+    lengths = np.empty(len(steps.period))
+    for j in range(len(lengths)):
+        lengths[j] = step_length(steps.period[j], steps.tones[j])
+    p = rows[0].copy()
+    om, ze, ratio = plate_mode(p)
     for i in range(n):
-        p = rows[i if len(rows) > 1 else 0].copy()
         m, landing = events.step[i], events.landing[i]
-        om, ze, ratio = plate_mode(p)
-        tones = steps.tones[m]
+        out[i], info[i] = 0.0, 0.0
+        if len(rows) > 1:
+            p[:] = rows[i]
+            om, ze, ratio = plate_mode(p)
+        if not events.wanted[i] and found[i, 11] == 0.0:
+            last = Chain(landing, last.impact, last.q, last.qd, True, 0)
+            carried.hit[:] = 0.0
+            sound = True
+            continue
+        tones, length = steps.tones[m], lengths[m]
         if events.share[i] > 0.0:
             tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
+            length = step_length(steps.period[m], tones)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
-        law = Law(p, step_length(steps.period[m], tones), acting[0], acting[1], turning, nodes)
-        out[i], info[i] = 0.0, 0.0
+        law = Law(p, length, acting[0], acting[1], turning, nodes)
         ringing = ratio != 0.0
         if not events.linked[i]:
             before = last.t
