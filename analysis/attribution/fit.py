@@ -11,6 +11,7 @@ P. J. Green, J. R. Stat. Soc. B 46, 149 (1984): iteratively reweighted least squ
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -230,7 +231,7 @@ class _State:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             if kept:
                 key = (here, self.keys[j], h)
-                bare[:, j] = world.slope_memory.recall(key, lambda j=j, h=h: self._difference(x, raw, j, h))
+                bare[:, j] = world.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
             else:
                 bare[:, j] = self._difference(x, raw, j, h)
 

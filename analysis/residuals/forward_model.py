@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,8 @@ from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_un
 from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import Registered, effect, offsets, registry, row
-from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, Slopes, one_ahead, slopes_of
+from model.integrator.event_slopes import Slopes, slopes_of
+from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -231,21 +231,21 @@ class ForwardModel:
         that are compared only those ``wanted`` (n,) are predicted, where given.
         """
         x = self.inputs(values, tones, rows)
-        measured = self._measured(x, wanted)
+        measured = self.measured_at(x, wanted)
         if landing_shift_s is not None:
             measured = replace(measured, landing_s=measured.landing_s + landing_shift_s)
-        p = one_ahead(measured, x.plate, x.rows, self._detection(x), kick=kick, probe=self.ringing, mode=near)
+        p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=near)
         return replace(
             p, takeoff_s=p.takeoff_s + x.delay_s, landing_s=p.landing_s + x.delay_s, opening_s=p.opening_s + x.delay_s
         )
 
-    def _measured(self, x: Inputs, wanted: NDArray[np.bool_] | None = None) -> Measured:
+    def measured_at(self, x: Inputs, wanted: NDArray[np.bool_] | None = None) -> Measured:
         """The flights as they were, less the circuit's delay."""
         seen = self.evidence.measured
         of = seen.wanted if wanted is None else wanted & seen.wanted
         return replace(seen, opening_s=seen.opening_s - x.delay_s, landing_s=seen.landing_s - x.delay_s, wanted=of)
 
-    def _detection(self, x: Inputs) -> Detection:
+    def detection_at(self, x: Inputs) -> Detection:
         ev = self.evidence
         return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
 
@@ -254,41 +254,7 @@ class ForwardModel:
     ) -> tuple[Inputs, Slopes]:
         """Inputs of the prediction at ``values``, and its derivatives: see `model.integrator.one_step.slopes_of`."""
         x, found = self.inputs(values), self.predicted(values)
-        return x, slopes_of(self._measured(x), x.plate, x.rows, self._detection(x), found, places, changes)
-
-    def copies(
-        self,
-        x: Inputs,
-        tones: Sequence[NDArray[np.complex128]],
-        shift_s: Array,
-        events: NDArray[np.int64],
-        wanted: Mask,
-    ) -> Array:
-        """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
-
-        For plates without a mode: nothing rings on from flights that are left out. ``shift_s`` (q, n) is added to
-        landings; only events ``wanted`` (n,) are predicted.
-        """
-        q, e, seen, d = len(tones), len(events), self._measured(x, wanted), self._detection(x)
-        m = len(x.plate.period_s)
-        copy = np.repeat(np.arange(q), e)
-        follows = np.diff(events, prepend=-2) == 1
-
-        def each(values: Any) -> Any:
-            return np.tile(np.asarray(values)[events], q)
-
-        measured = Measured(
-            each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
-            each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
-            None if seen.beside is None else np.where(each(seen.beside) >= 0, each(seen.beside) + m * copy, -1),
-            None if seen.share is None else each(seen.share),
-        )  # fmt: skip
-        plate = PlateSteps(
-            np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived
-        )
-        rows = x.rows if x.rows.ndim == 1 else np.tile(x.rows[events], (q, 1))
-        p = one_ahead(measured, plate, rows, replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps)))
-        return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
+        return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found, places, changes)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, kept: what touches plate data only needs no new flight."""

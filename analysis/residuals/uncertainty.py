@@ -6,14 +6,16 @@ tangent take-offs), or that have no derivative, are flown anew with each number 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.residuals.plate_mode import INEXACT
-from model.integrator.one_step import Predicted, Slopes
+from model.integrator.event_slopes import Slopes
+from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
 
 if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel, Inputs, Values
@@ -159,7 +161,7 @@ class _FlownAgain:
 
     def together(self, x: Inputs, moved: list[Complex]) -> tuple[Array, Array, Array]:
         """All moves in one prediction, of copies of the few flights that the events lean on."""
-        ev, n = self.model.evidence, len(self.again)
+        n = len(self.again)
         few = self.again.copy()
         for back in range(1, BEFORE + 1):
             few[:-back] |= self.again[back:]
@@ -169,11 +171,46 @@ class _FlownAgain:
         shifts = np.zeros((len(plates), n))
         for colour in range(3):
             shifts[len(plates) - 3 + colour, colour::3] = EDGE_STEP_S
-        found = self.model.copies(x, plates, shifts, index, self.again)[:, self.again[index]]
+        found = _copies(self.model, x, plates, shifts, index, self.again)[:, self.again[index]]
         base, q = found[0], len(moved)
         at = np.flatnonzero(self.again)
         edges = np.stack([found[1 + 2 * q + (at - back) % 3, np.arange(len(at))] - base for back in (1, 2)])
         return edge_slope(edges), *_halves(found[1 : 1 + q], found[1 + q : 1 + 2 * q], base)
+
+
+def _copies(
+    model: ForwardModel,
+    x: Inputs,
+    tones: Sequence[NDArray[np.complex128]],
+    shift_s: Array,
+    events: NDArray[np.int64],
+    wanted: Mask,
+) -> Array:
+    """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
+
+    For plates without a mode: nothing rings on from flights that are left out. ``shift_s`` (q, n) is added to
+    landings; only events ``wanted`` (n,) are predicted.
+    """
+    q, e, seen, d = len(tones), len(events), model.measured_at(x, wanted), model.detection_at(x)
+    m = len(x.plate.period_s)
+    copy = np.repeat(np.arange(q), e)
+    follows = np.diff(events, prepend=-2) == 1
+
+    def each(values: Any) -> Any:
+        return np.tile(np.asarray(values)[events], q)
+
+    measured = Measured(
+        each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
+        each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
+        None if seen.beside is None else np.where(each(seen.beside) >= 0, each(seen.beside) + m * copy, -1),
+        None if seen.share is None else each(seen.share),
+    )  # fmt: skip
+    plate = PlateSteps(
+        np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived
+    )
+    rows = x.rows if x.rows.ndim == 1 else np.tile(x.rows[events], (q, 1))
+    p = one_ahead(measured, plate, rows, replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps)))
+    return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
 
 
 def _halves(ahead: Array, behind: Array, base: Array) -> tuple[Array, Array]:

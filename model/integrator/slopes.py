@@ -235,9 +235,9 @@ def slopes_ahead(
     out: Floats,
     info: Floats,
 ) -> None:
-    """Derivatives of openings, landings and impact speeds, ``out`` (n, 3, d), where `predict.one_ahead` has ``found`` (n, ...).
+    """Derivatives of openings, landings and impact speeds, ``out`` (n, 3, d).
 
-    ``info`` (n, `INFO`) tells where they can be used, and what their second order is about.
+    ``found`` (n, ...) is the table of `predict.one_ahead`; ``info`` (n, `INFO`) tells where they can be used, and what their second order is about.
     """
     n, k = len(events.landing), steps.tones.shape[1]
     d = out.shape[2]
