@@ -2,9 +2,9 @@
 
     python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 12] [--against PATH] [--folder KEPT]
 
-It prints the table of `docs/results/loop-speed.md`: of two trees the other one's figures stand first, and verdicts, names
-and values of both are compared. Each trial's recording is made once and given to both trees. Kernels are compiled before the clock starts, and threads
-count as they do for the operating system: seconds are those of all cores together.
+It prints the table of `docs/results/loop-speed.md`: of two trees the other one's figures stand first, and verdicts,
+names and values of both are compared. Each trial's recording is made once and given to both trees. Kernels are compiled
+before the clock starts, and threads count as they do for the operating system: seconds are those of all cores together.
 """
 
 from __future__ import annotations
@@ -144,10 +144,8 @@ def show(recordings: Sequence[Path], sides: Sequence[Sequence[dict[str, Any]]]) 
         print("| " + " | ".join(texts) + " |")
     for rows in sides:
         seconds = sorted(r["seconds"]["all"] for r in rows)
-        peak = max(r["peak_mb"] for r in rows)
-        print(
-            f"\n{len(seconds)} trials: median {median(seconds):.1f} s, longest {seconds[-1]:.1f} s, memory {peak:.0f} MB"
-        )
+        times = f"median {median(seconds):.1f} s, longest {seconds[-1]:.1f} s"
+        print(f"\n{len(seconds)} trials: {times}, memory {max(r['peak_mb'] for r in rows):.0f} MB")
 
 
 def _apart(one: dict[str, float], other: dict[str, float]) -> float:

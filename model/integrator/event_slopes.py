@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted
 from model.integrator.problem import Problem, columns_of, driven, for_kernel
-from model.integrator.slopes import KICK, KICK_RATE, LANDING, LANDING_BEFORE
+from model.integrator.takeoff_slopes import KICK, KICK_RATE, LANDING, LANDING_BEFORE
 from model.integrator.variation import TONES, Columns
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Slopes:
     parameters
         By each parameter asked for, (n, 3, c).
     info
-        What the second order is about, (n, `model.integrator.slopes.INFO`).
+        What the second order is about, (n, `model.integrator.takeoff_slopes.INFO`).
     """
 
     landing: Array

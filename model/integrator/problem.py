@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.effects.registry import null_row, registry
-from model.integrator import predict, slopes
+from model.integrator import predict, slopes, takeoff_slopes
 from model.integrator.records import Events, Probe, Steps, Visibility
 from model.integrator.variation import TONES, Columns
 
@@ -90,9 +90,9 @@ class Problem:
     def slopes(
         self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], columns: Columns, table: Array
     ) -> tuple[Array, Array]:
-        """Derivatives (n, 3, d) of openings, landings and impact speeds in ``table``, and their `slopes.INFO`."""
+        """Derivatives (n, 3, d) of openings, landings and impact speeds in ``table``, and `takeoff_slopes.INFO`."""
         n, d = len(table), TONES + 2 * tones.shape[1] + len(columns.place)
-        out, info = np.zeros((n, 3, d)), np.zeros((n, slopes.INFO))
+        out, info = np.zeros((n, 3, d)), np.zeros((n, takeoff_slopes.INFO))
         slopes.slopes_ahead(
             self.events(wanted), self.steps(tones), self.rows, self.acting, self.kick, columns, table, out, info
         )

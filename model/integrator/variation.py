@@ -28,6 +28,7 @@ TAKEOFF, LAUNCH, SHIFT, RATE, TONES = 0, 1, 2, 3, 4
 quadratures of every tone follow, and after them the parameters wanted."""
 MOST_NODES = 2000
 HEIGHT_M, SPEED_MPS, TIME_S = 1e-7, 1e-5, 1e-6  # differences of a hook
+HANGS_S = 1e-12  # a longer stand is one
 STEEP_MPS2 = 1e-6  # least change of acceleration at a standstill
 
 
@@ -41,9 +42,9 @@ class Columns(NamedTuple):
 class Room(NamedTuple):
     """Room for one flight's variations; e of them, in the order above.
 
-    ``height`` and ``speed`` are changes of the height and of the relative velocity at a fixed time, (e,); ``start`` and
-    ``now`` the plate's displacement, velocity and acceleration, (3, e); ``carried`` (2, e) what forces have added so
-    far, referred to the start of the segment; ``opening`` the change of the height at the opening, (e,).
+    ``height`` and ``speed`` are changes of the height and of the relative velocity at the start of a segment, (e,);
+    ``start`` and ``now`` the plate's displacement, velocity and acceleration, (3, e); ``carried`` (2, e) what forces
+    have added so far, referred to the start of the segment; ``opening`` and ``spare`` the changes at the opening, (e,).
     """
 
     height: Floats
@@ -52,24 +53,42 @@ class Room(NamedTuple):
     now: Floats
     carried: Floats
     opening: Floats
+    spare: Floats
+
+
+class Walk(NamedTuple):
+    """One flight's variations under way: its take-off, plate and law.
+
+    ``phi`` (2, 2) is the fundamental matrix since the segment began, ``pushes`` (c,) are changes of the acceleration by
+    a unit of each parameter.
+    """
+
+    t0: float
+    plate: Plate
+    law: Law
+    columns: Columns
+    room: Room
+    phi: Floats
+    pushes: Floats
 
 
 @compiled
 def room_for(tones: int, columns: int) -> Room:
     """Room for variations by ``tones`` tones and ``columns`` parameters."""
     e = TONES + 2 * tones + columns
-    return Room(np.zeros(e), np.zeros(e), np.zeros((3, e)), np.zeros((3, e)), np.zeros((2, e)), np.zeros(e))
+    wide = np.zeros((3, e)), np.zeros((3, e)), np.zeros((2, e))
+    return Room(np.zeros(e), np.zeros(e), wide[0], wide[1], wide[2], np.zeros(e), np.zeros(e))
 
 
 @compiled
-def plate_response(t: float, s: float, plate: Plate, ringing: bool, out: Floats) -> tuple[float, float]:
+def plate_response(t: float, s: float, plate: Plate, out: Floats) -> tuple[float, float]:
     """Fill ``out`` (3, e) with the plate's motion for a unit of each of its variations; its velocity and acceleration.
 
     ``t`` is the time and ``s`` that since the state of the mode.
     """
     tones, mode = plate
     velocity, acceleration = 0.0, 0.0
-    if ringing:
+    if mode.q != 0.0 or mode.qd != 0.0:
         for k in range(2):
             unit = Mode(1.0 - k, 1.0 * k, mode.omega, mode.damping)
             out[0, SHIFT + k], out[1, SHIFT + k], out[2, SHIFT + k] = mode_at(s, unit)
@@ -136,22 +155,12 @@ def _add_carried(phi: Floats, room: Room, height: Floats, speed: Floats) -> None
 
 
 @compiled
-def _carry(
-    weight: float,
-    place: tuple[float, float, float, float, float],
-    by: tuple[float, float, float, float],
-    phi: Floats,
-    pushes: Floats,
-    room: Room,
-    columns: Columns,
-    law: Law,
-) -> None:
+def _carry(tau: float, weight: float, by: tuple[float, float, float, float], walk: Walk) -> None:
     """Add one node of a quadrature to ``room.carried``: the forces' changes there, brought back to the start.
 
-    ``place`` is the time since the start of the segment, height, velocity, absolute velocity and direction;
-    ``pushes`` (c,) changes of the acceleration by each parameter.
+    ``tau`` is the time since the start of the segment, ``by`` the `partials` there.
     """
-    tau = place[0]
+    room, phi, pushes = walk.room, walk.phi, walk.pushes
     by_s, by_h, by_v, by_u = by
     det = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
     back_h, back_v = -weight * phi[0, 1] / det, weight * phi[0, 0] / det
@@ -190,41 +199,25 @@ def _pushes(s: float, h: float, v: float, u: float, direction: float, law: Law, 
 
 
 @compiled
-def _walk_part(
-    row: Floats,
-    ends: StepEnds,
-    z0: float,
-    z1: float,
-    t0: float,
-    began: float,
-    plate: Plate,
-    law: Law,
-    ringing: bool,
-    phi: Floats,
-    pushes: Floats,
-    room: Room,
-    columns: Columns,
-) -> None:
+def _walk_part(row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk) -> None:
     """One part of a step by Simpson's rule: `_carry` at both ends and in the middle, ``phi`` carried along."""
-    d = (z1 - z0) * row[1]
+    d, law = (z1 - z0) * row[1], walk.law
+    direction = row[8]
+    if not law.rubbed:  # friction would act against the motion of this part
+        direction = 1.0 if hermite5(0.5 * (z0 + z1), ends)[1] > 0.0 else -1.0
     by = (0.0, 0.0, 0.0, 0.0)
     for i in range(3):
         z = z0 + 0.5 * i * (z1 - z0)
         h, v = hermite5(z, ends)
         s = row[0] + z * row[1]
-        velocity, _ = plate_response(t0 + s, s, plate, ringing, room.now)
-        side = 0.5 * (z0 + z1)
-        direction = row[8]
-        if not law.rubbed:  # friction would act against the motion of this part
-            direction = 1.0 if hermite5(side, ends)[1] > 0.0 else -1.0
-        after = by
+        velocity, _ = plate_response(walk.t0 + s, s, walk.plate, walk.room.now)
+        before = by
         if row[9] == 0.0:
             by = partials(s, h, v, v + velocity, direction, law)
         if i > 0:
-            _turn(phi, 0.5 * d, 0.5 * (after[1] + by[1]), 0.5 * (after[2] + after[3] + by[2] + by[3]))
-        _pushes(s, h, v, v + velocity, direction, law, columns, pushes)
-        weight = d * (4.0 if i == 1 else 1.0) / 6.0
-        _carry(weight, (s - began, h, v, v + velocity, direction), by, phi, pushes, room, columns, law)
+            _turn(walk.phi, 0.5 * d, 0.5 * (before[1] + by[1]), 0.5 * (before[2] + before[3] + by[2] + by[3]))
+        _pushes(s, h, v, v + velocity, direction, law, walk.columns, walk.pushes)
+        _carry(s - began, d * (4.0 if i == 1 else 1.0) / 6.0, by, walk)
 
 
 @compiled
@@ -240,84 +233,99 @@ def _breaks(ends: StepEnds, until: float, opens: float, rubbed: bool) -> tuple[f
 
 
 @compiled
+def _opening(tau: float, opened: float, walk: Walk) -> None:
+    """Keep the change of the height at the opening, ``tau`` after the start of the segment."""
+    room = walk.room
+    plate_response(walk.t0 + opened, opened, walk.plate, room.now)
+    _coasting_variations(tau, room, room.opening, room.spare)
+    _add_carried(walk.phi, room, room.opening, room.spare)
+
+
+@compiled
+def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
+    """Carry the variations over one step, see `flight.note`; the velocity at the opening where it lies inside, else 0.
+
+    Where forces are constant, and no parameter is asked for, nothing has to be integrated.
+    """
+    ends = StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7])
+    until, opens = row[10], (opened - row[0]) / row[1] if opened > 0.0 else 2.0
+    if row[9] == 1.0 and len(walk.pushes) == 0:
+        if 0.0 < opens < until:
+            _opening(opened - began, opened, walk)
+            return hermite5(opens, ends)[1]
+        return 0.0
+    first, second = _breaks(ends, until, opens, walk.law.rubbed)
+    z, speed = 0.0, 0.0
+    for stop in (first, second, until):
+        if stop <= 1.0:
+            _walk_part(row, ends, z, stop, began, walk)
+            z = stop
+            if stop == opens:
+                _opening(opened - began, opened, walk)
+                speed = hermite5(opens, ends)[1]
+    return speed
+
+
+@compiled
+def _end(row: Floats, began: float, walk: Walk, height: Floats, speed: Floats) -> tuple[float, float, float]:
+    """Fill the changes at the end of a segment; the time since take-off, velocity and relative acceleration there."""
+    law, s = walk.law, row[0] + row[10] * row[1]
+    velocity, acceleration = plate_response(walk.t0 + s, s, walk.plate, walk.room.now)
+    _coasting_variations(s - began, walk.room, height, speed)
+    _add_carried(walk.phi, walk.room, height, speed)
+    h, v = hermite5(row[10], StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7]))
+    net = -law.p[-1] - acceleration
+    if law.forced or law.rubbed:
+        net += _effects(s, h, v, v + velocity, row[8], law.p, (law.forced, law.rubbed))
+    return s, v, net
+
+
+@compiled
 def flight_variations(
-    t0: float,
-    v0: float,
-    opened: float,
-    plate: Plate,
-    law: Law,
-    ringing: bool,
-    columns: Columns,
-    room: Room,
-    out: Floats,
+    t0: float, v0: float, opened: float, plate: Plate, law: Law, columns: Columns, room: Room, out: Floats
 ) -> tuple[bool, float, float]:
     """Derivatives of a flight whose steps stand in ``law.nodes``: of its end, impact speed and opening, ``out`` (3, e).
 
     The mode's state is varied at a fixed time, the take-off's time at a fixed motion of the plate. ``opened`` is the
     time from take-off to opening. Returns whether they can be used, and acceleration and velocity at the end.
     """
-    nodes, count, e = law.nodes, int(law.nodes[0, 0]), len(room.height)
+    nodes, count = law.nodes, int(law.nodes[0, 0])
     if count == 0 or count >= nodes.shape[0] or nodes[count, 11] != 1.0:
         return False, 0.0, 0.0
-    room.height[:] = 0.0
-    room.speed[:] = 0.0
+    room.height[:], room.speed[:], room.start[:], room.now[:] = 0.0, 0.0, 0.0, 0.0
     room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, 4], 1.0
-    room.start[:] = 0.0
-    room.now[:] = 0.0
-    phi, pushes = np.eye(2), np.zeros(len(columns.place))
-    height, speed = np.empty(e), np.empty(e)
-    opening_speed = 0.0
-    began, open_segment = nodes[1, 0], True
+    walk = Walk(t0, plate, law, columns, room, np.eye(2), np.zeros(len(columns.place)))
+    height, speed = np.empty(len(room.height)), np.empty(len(room.height))
+    opening_speed, began, begins = 0.0, 0.0, True
     for r in range(1, count + 1):
         row = nodes[r]
-        if open_segment:
-            began, open_segment = row[0], False
-            plate_response(t0 + began, began, plate, ringing, room.start)
-            phi[:] = np.eye(2)
+        if begins:
+            began = row[0]
+            plate_response(t0 + began, began, plate, room.start)
+            walk.phi[:] = np.eye(2)
             room.carried[:] = 0.0
-        ends = StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7])
-        until = row[10]
-        opens = (opened - row[0]) / row[1] if opened > 0.0 else 2.0
-        if row[9] == 0.0 or len(pushes) > 0:
-            first, second = _breaks(ends, until, opens, law.rubbed)
-            z = 0.0
-            for stop in (first, second, until):
-                if stop > 1.0:
-                    continue
-                _walk_part(row, ends, z, stop, t0, began, plate, law, ringing, phi, pushes, room, columns)
-                z = stop
-                if stop == opens:
-                    _coasting_variations(opened - began, room, height, speed)
-                    _add_carried(phi, room, height, speed)
-                    room.opening[:], opening_speed = height, hermite5(opens, ends)[1]
-        elif 0.0 < opens < until:
-            plate_response(t0 + opened, opened, plate, ringing, room.now)
-            _coasting_variations(opened - began, room, height, speed)
-            room.opening[:], opening_speed = height, hermite5(opens, ends)[1]
-        if row[11] == 0.0:
+        opening_speed += _walk_step(row, began, opened, walk)
+        begins = row[11] != 0.0
+        if not begins:
             continue
-        s = row[0] + until * row[1]
-        velocity, acceleration = plate_response(t0 + s, s, plate, ringing, room.now)
-        _coasting_variations(s - began, room, height, speed)
-        _add_carried(phi, room, height, speed)
-        h, v = hermite5(until, ends)
-        net = -law.p[-1] - acceleration
-        if law.forced or law.rubbed:
-            net += _effects(s, h, v, v + velocity, row[8], law.p, (law.forced, law.rubbed))
+        s, v, net = _end(row, began, walk, height, speed)
         if row[11] == 1.0:
-            if v >= 0.0:
-                return False, net, v
-            for i in range(e):
-                out[0, i] = -height[i] / v
-                out[1, i] = -(speed[i] + net * out[0, i])
-                out[2, i] = -room.opening[i] / opening_speed if opening_speed > 0.0 else 0.0
-            if not opening_speed > 0.0:
-                out[2, TAKEOFF] = 1.0
-            return True, net, v
+            return v < 0.0 and _landed(height, speed, v, net, opening_speed, room, out), net, v
         if abs(net) < STEEP_MPS2:
             return False, net, v
-        hangs = nodes[r + 1, 0] - s > 1e-12
-        for i in range(e):  # held on the rod: it leaves when the forces let it, with its height
-            room.height[i], room.speed[i] = height[i], 0.0 if hangs else speed[i] * nodes[r + 1, 4] / net
-        open_segment = True
+        room.height[:], room.speed[:] = height, 0.0  # held on the rod, it leaves when the forces let it
+        if nodes[r + 1, 0] - s <= HANGS_S:
+            room.speed[:] = speed * (nodes[r + 1, 4] / net)
     return False, 0.0, 0.0
+
+
+@compiled
+def _landed(height: Floats, speed: Floats, v: float, net: float, opening_speed: float, room: Room, out: Floats) -> bool:
+    """Derivatives ``out`` (3, e) at an impact at velocity ``v`` and relative acceleration ``net``."""
+    for i in range(len(height)):
+        out[0, i] = -height[i] / v
+        out[1, i] = -(speed[i] + net * out[0, i])
+        out[2, i] = -room.opening[i] / opening_speed if opening_speed > 0.0 else 0.0
+    if not opening_speed > 0.0:
+        out[2, TAKEOFF] = 1.0
+    return True
