@@ -14,7 +14,7 @@ from bench.profiles.edit import with_values
 from bench.profiles.find import load
 from bench.profiles.plan import planned, refusal
 from daq.setup.errors import InputError
-from rig.execution.run import RunSummary
+from rig.execution.operator import RunSummary
 from rig.profile import Profile, parse_profile
 from shakerbench.tables import Table
 

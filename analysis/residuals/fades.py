@@ -11,10 +11,16 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.flights.assemble import FlightFlag, Flights
 from daq.recording import Recording
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+LONGEST_S = 0.2  # of a flight or contact whose acceleration is integrated
+BESIDE_S = 4e-3  # time on both sides of an impact from which the motion in between is told
+LEAST_MPS2 = 1e-9  # so that the centre of nothing is its middle
+RINGING_S = 2.5e-3  # time after an impact in which the accelerometer shows more than the plate's motion
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,12 @@ class Fades:
         half_s = np.append(self.begin_s + 0.5 * self.length_s, np.inf)
         return np.asarray((step > 0) & (time_s < half_s[np.minimum(step, len(half_s) - 1)]))
 
+    def touch(self, opening_s: Array, landing_s: Array) -> NDArray[np.bool_]:
+        """Whether intervals (n,) meet a fade; one found in a drive may have begun by its length earlier."""
+        fades = self.length_s > 0.0
+        begin_s, end_s = (self.begin_s - self.length_s)[fades], (self.begin_s + self.length_s)[fades]
+        return np.searchsorted(begin_s, landing_s) > np.searchsorted(end_s, opening_s)
+
     def others(self, step: Ints, time_s: Array) -> tuple[Ints, Array]:
         """The other step of the fade in which each time lies, -1 for rest, and the share of its motion, (n,) each.
 
@@ -50,3 +62,60 @@ class Fades:
         other = np.where(step == into, into - 1, into)
         share = np.where(step == into, 1.0 - new, np.where(step == into - 1, new, 0.0))
         return other, np.where((share > 0.0) & (share < 1.0), share, 0.0)
+
+
+@dataclass(frozen=True)
+class Pushes:
+    """Integrals of the plate's acceleration plus gravity around fades, (n,).
+
+    Over each flight and over the contact before it, in m/s, and where the centre of the latter lies, as a part of the
+    contact; NaN where none touches a fade or where it cannot be told.
+    """
+
+    flight_mps: Array
+    contact_mps: Array
+    contact_centre: Array
+
+
+def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Ints) -> Pushes:
+    """Integrals of the accelerometer's reading for the flights in ``rows``.
+
+    Nothing need be known of how the plate gets from one motion to the next, but the accelerometer's zero must: no mean
+    of its readings tells it beside a ringing mode. Without a stated zero, or behind a capacitor, all are NaN.
+    """
+    takeoff_s, landing_s = flights.takeoff_s[rows], flights.landing_s[rows]
+    out = Pushes(*np.full((3, len(rows)), np.nan))
+    channel = recording.setup.channels.accelerometer
+    if channel.offset_v is None or channel.coupling == "ac":
+        return out
+    usable = (flights.flags[rows] & (FlightFlag.GAP | FlightFlag.CUT)) == 0
+    before_s = np.concatenate([[-np.inf], landing_s[:-1]])
+    for i in np.flatnonzero(usable & fades.touch(takeoff_s, landing_s) & (landing_s - takeoff_s < LONGEST_S)):
+        out.flight_mps[i] = np.mean(_push_mps2(recording, takeoff_s[i], landing_s[i])) * (landing_s[i] - takeoff_s[i])
+    for i in np.flatnonzero(usable & fades.touch(before_s, takeoff_s) & (takeoff_s - before_s < LONGEST_S)):
+        push = np.maximum(_after_impact_mps2(recording, before_s[i], takeoff_s[i]), 0.0) + LEAST_MPS2
+        if len(push):
+            out.contact_mps[i] = np.mean(push) * (takeoff_s[i] - before_s[i])
+            out.contact_centre[i] = np.average((np.arange(len(push)) + 0.5) / len(push), weights=push)
+    return out
+
+
+def _push_mps2(recording: Recording, begin_s: float, end_s: float) -> Array:
+    """The plate's acceleration plus gravity at the samples between two times, one at least."""
+    channel, g_mps2 = recording.setup.channels.accelerometer, recording.setup.g_mps2.value
+    zero_v = 0.0 if channel.offset_v is None else channel.offset_v.value
+    first = max(round(begin_s * recording.rate_hz), 0)
+    stop = min(max(round(end_s * recording.rate_hz), first + 1), recording.n_samples)
+    read_mps2 = (recording.read_v("accelerometer", first, stop) - zero_v) / channel.volts_per_mps2
+    return np.asarray(read_mps2 + (0.0 if channel.reads_gravity else g_mps2))
+
+
+def _after_impact_mps2(recording: Recording, impact_s: float, end_s: float) -> Array:
+    """The same from an impact on; while that rings, a cubic through the readings on both sides stands for them."""
+    begin_s, stop_s = impact_s - BESIDE_S, max(end_s, impact_s + RINGING_S + BESIDE_S)
+    read = _push_mps2(recording, begin_s, stop_s)
+    since_s = begin_s + (np.arange(len(read)) + 0.5) / recording.rate_hz - impact_s
+    rings = (since_s > -1.0 / recording.rate_hz) & (since_s < RINGING_S)
+    near = ~rings & (since_s < RINGING_S + BESIDE_S)
+    cubic = np.polynomial.Polynomial.fit(since_s[near], read[near], 3)
+    return np.asarray(np.where(rings, cubic(since_s), read)[(since_s > 0.0) & (since_s < max(end_s - impact_s, 0.0))])

@@ -6,7 +6,7 @@ These are measured numbers; no model enters. Several recordings stand in one tab
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from analysis.events.edge_jitter import with_jitter
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
-from analysis.residuals.fades import Fades
+from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from daq.recording import Recording, open_recording
@@ -39,7 +39,6 @@ SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative
 FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
 DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
-RINGING_S = 2.5e-3  # time after an impact in which a weak one may be masked
 
 
 @dataclass(frozen=True)
@@ -177,34 +176,16 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     setup = recording.setup
     fitted = [s for s in flights.plate.steps if s is not None]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
-    for i, s in enumerate(fitted):
-        rows[s.step] = i
-    m = len(fitted)
-    omega, z = np.ones((m, MAX_TONES)), np.zeros((m, MAX_TONES), complex)
-    spread = np.zeros((m, 2 * MAX_TONES, MAX_TONES), complex)
-    forcing = np.zeros((m, MAX_TONES), dtype=bool)
-    for i, s in enumerate(fitted):
-        tones = s.plate()
-        own = {round(x) for x in 1e6 * s.forcing().omega_radps}
-        order = np.argsort([round(x) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
-        k = len(order)
-        omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
-        forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
-        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k])
-    middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
-    steps = Steps(
-        np.zeros(m, dtype=np.int64),
-        np.array([s.step for s in fitted], dtype=np.int64),
-        np.array([s.gamma for s in fitted]),
-        np.array([s.ratio for s in fitted], dtype=np.int64),
-        middle / max(recording.n_samples, 1) - 0.5,
-        PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])),
-        spread,
-        forcing,
+    rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
+    steps = _steps(fitted, recording.n_samples)
+    fades = Fades.of(recording)
+    measured, scored, keep = _events(flights, rows, fades)
+    pushed = pushes(recording, flights, fades, np.flatnonzero(keep))
+    measured = replace(
+        measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
     )
-    measured, scored, keep = _events(flights, rows, Fades.of(recording))
     hints = _hints_hz(fitted)
-    lines = [_lines_radps(steps, i, hints) for i in range(m)]
+    lines = [_lines_radps(steps, i, hints) for i in range(len(steps))]
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     sigmas_open = with_jitter(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines)
@@ -230,6 +211,33 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         hints_hz=hints,
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+    )
+
+
+def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
+    """Table of the fitted steps of a recording of ``n_samples``."""
+    m = len(fitted)
+    omega, z = np.ones((m, MAX_TONES)), np.zeros((m, MAX_TONES), complex)
+    spread = np.zeros((m, 2 * MAX_TONES, MAX_TONES), complex)
+    forcing = np.zeros((m, MAX_TONES), dtype=bool)
+    for i, s in enumerate(fitted):
+        tones = s.plate()
+        own = {round(x) for x in 1e6 * s.forcing().omega_radps}
+        order = np.argsort([round(x) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
+        k = len(order)
+        omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
+        forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
+        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k])
+    middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
+    return Steps(
+        np.zeros(m, dtype=np.int64),
+        np.array([s.step for s in fitted], dtype=np.int64),
+        np.array([s.gamma for s in fitted]),
+        np.array([s.ratio for s in fitted], dtype=np.int64),
+        middle / max(n_samples, 1) - 0.5,
+        PlateSteps(omega, z, np.array([1.0 / s.frequency_hz for s in fitted])),
+        spread,
+        forcing,
     )
 
 
@@ -331,8 +339,8 @@ def _moved(measured: Measured, shift: int) -> NDArray[np.int64]:
     return np.where(beside >= 0, beside + shift, -1)
 
 
-def _share(measured: Measured) -> Array:
-    return np.zeros(len(measured.step)) if measured.share is None else measured.share
+def _or(nothing: float, values: Array | None, measured: Measured) -> Array:
+    return np.full(len(measured.step), nothing) if values is None else values
 
 
 def join(parts: Sequence[Observations]) -> Observations:
@@ -350,7 +358,10 @@ def join(parts: Sequence[Observations]) -> Observations:
         step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
         wanted=column(lambda p: p.measured.wanted),
         beside=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
-        share=np.concatenate([_share(p.measured) for p in parts]),
+        share=column(lambda p: _or(0.0, p.measured.share, p.measured)),
+        gained_mps=column(lambda p: _or(np.nan, p.measured.gained_mps, p.measured)),
+        pressed_mps=column(lambda p: _or(np.nan, p.measured.pressed_mps, p.measured)),
+        pressed_at=column(lambda p: _or(np.nan, p.measured.pressed_at, p.measured)),
     )
     table = Steps(
         recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),

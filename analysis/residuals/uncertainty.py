@@ -1,6 +1,7 @@
 """Uncertainty of predicted events: that of edges and of the plate's tones, carried through the prediction.
 
-Derivatives of the prediction carry it, without another flight. Events whose second order is not small (near grazes,
+Derivatives of the prediction carry it, without another flight; a plate mode, and what fades tell of it, is moved and
+flown. Events whose second order is not small (near grazes,
 tangent take-offs), or that have no derivative, are flown anew with each number moved by one standard deviation.
 """
 
@@ -62,24 +63,26 @@ def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
     """Uncertainty of the residuals of ``model`` at ``values``."""
     ev, base = model.evidence, model.predicted(values)
     tones, kicks = _tone_changes(model, values), model.kicks(values)
-    x, slopes = model.slopes(values)
-    plates = [model.inputs(values, ev.steps.plate.acceleration_mps2 + by).plate for by in tones]
-    linear = [by_tones(slopes, y.acceleration_mps2 - x.plate.acceleration_mps2, ev.measured.step) for y in plates]
-    linear += [slopes.kick @ np.array(kick) for kick in kicks]
-    changes = np.array(linear).reshape(-1, len(ev), 3)
-    bent, changes = second_order(slopes, changes), changes[..., :2].copy()
-    edges = np.stack([np.clip(by[:, :2], -STEEPEST, STEEPEST) for by in (slopes.landing, slopes.landing_before)])
     own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
     again = ev.measured.wanted & (base.kind >= 0)
-    again &= _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
-    if ev.measured.share is not None:
-        again |= ev.measured.wanted & (ev.measured.share > 0.0)
-    if again.any():
-        flown = _FlownAgain(model, values, again)
-        own_edges, own_changes, own_bent = (
-            flown.one_by_one(tones, kicks) if len(kicks) else flown.together(x, [y.acceleration_mps2 for y in plates])
-        )
-        edges[:, again], changes[:, again], bent[:, again] = own_edges, own_changes, own_bent
+    if kicks:  # a plate mode rings on from flight to flight, and with it what fades tell of it
+        shape = (len(tones) + len(kicks), len(ev), 2)
+        edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
+        if again.any():
+            found = _FlownAgain(model, values, again).one_by_one(tones, kicks)
+            edges[:, again], changes[:, again], bent[:, again] = found
+    else:
+        x, slopes = model.slopes(values)
+        moved = [model.inputs(values, ev.steps.plate.acceleration_mps2 + by).plate.acceleration_mps2 for by in tones]
+        linear = [by_tones(slopes, z - x.plate.acceleration_mps2, ev.measured.step) for z in moved]
+        every = np.array(linear).reshape(len(moved), len(ev), 3)
+        bent, changes = second_order(slopes, every), every[..., :2].copy()
+        edges = np.stack([np.clip(by[:, :2], -STEEPEST, STEEPEST) for by in (slopes.landing, slopes.landing_before)])
+        faded = np.zeros(len(ev), dtype=np.bool_) if ev.measured.share is None else ev.measured.share > 0.0
+        again &= faded | _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
+        if again.any():
+            found = _FlownAgain(model, values, again).together(x, moved)
+            edges[:, again], changes[:, again], bent[:, again] = found
     before = np.stack([_earlier(ev.landing_sigma_s, back) for back in (1, 2)])
     var = own**2 + np.sum(bent**2, axis=0) + np.sum((edges * before[..., None]) ** 2, axis=0)
     var[:, 1] += _finite(base.ambiguity_s) ** 2
@@ -199,11 +202,14 @@ def _copies(
     def each(values: Any) -> Any:
         return np.tile(np.asarray(values)[events], q)
 
+    def perhaps(values: Array | None) -> Array | None:
+        return None if values is None else np.asarray(each(values))
+
     measured = Measured(
         each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
         each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
         None if seen.beside is None else np.where(each(seen.beside) >= 0, each(seen.beside) + m * copy, -1),
-        None if seen.share is None else each(seen.share),
+        perhaps(seen.share), perhaps(seen.gained_mps), perhaps(seen.pressed_mps), perhaps(seen.pressed_at),
     )  # fmt: skip
     plate = PlateSteps(
         np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived

@@ -11,7 +11,9 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from rig.execution.run import RunSummary
+    from rig.backends.base import Backend
+    from rig.execution.operator import RunSummary
+    from rig.profile import Profile
 
 
 def command(
@@ -42,15 +44,13 @@ def command(
     was wrong.
     """
     import datetime
-    from contextlib import suppress
 
-    from bench.jobs.resume import continued
     from bench.jobs.run_ramp import make_backend, record
     from bench.live.beside import onlooking
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
     from bench.profiles.plan import planned, refusal
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn
     from daq.setup.calibration_age import calibration_warnings
     from daq.setup.errors import InputError
 
@@ -60,12 +60,7 @@ def command(
             inputs=[profile, scenario, replay, resume], overwrite=overwrite,
         )  # fmt: skip
         checked, text = load(profile)
-        extra = free_keys([str(readable(one)) for one in set_])
-        if step is not None and resume is None:
-            raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
-        if resume is not None:
-            checked, named = continued(checked, resume, step)
-            extra |= named
+        checked, extra = _resumed(checked, resume, step, free_keys([str(readable(one)) for one in set_]))
         _, _, faults = planned(checked)
         if faults:
             raise InputError(refusal(profile, faults))
@@ -81,6 +76,30 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(str(error), EXIT_FAILED)
+    _told(summary, backend, out, json)
+
+
+def _resumed(
+    profile: Profile, resume: Path | None, step: int | None, keys: dict[str, Any]
+) -> tuple[Profile, dict[str, Any]]:
+    """The profile and free keys of a run that goes on where a recording stopped, or unchanged. Raises `InputError`."""
+    from bench.jobs.resume import continued
+    from daq.setup.errors import InputError
+
+    if resume is None:
+        if step is not None:
+            raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
+        return profile, keys
+    profile, named = continued(profile, resume, step)
+    return profile, keys | named
+
+
+def _told(summary: RunSummary, backend: Backend, out: Path, json: str | None) -> None:
+    """Write the summary of a run for a machine, or print it in a sentence; exit 1 where it is not complete."""
+    from contextlib import suppress
+
+    from bench.terminal.console import EXIT_FAILED, fail, write_json
+
     kept = {"recording": out if summary.n_samples else None}
     write_json(kept | {"backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
     if json != "-":

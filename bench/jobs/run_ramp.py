@@ -17,8 +17,9 @@ from daq.setup.setup import Setup
 from rig.backends.base import Backend
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
+from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.priority import before_other_work
-from rig.execution.run import RunSummary, Status, StopRequest, run_ramp
+from rig.execution.run import run_ramp
 from rig.profile import Profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import largest_block

@@ -14,7 +14,7 @@ from rig.profile import Profile
 
 if TYPE_CHECKING:
     from bench.jobs.run_ramp import Onlooker
-    from rig.execution.run import Status
+    from rig.execution.operator import Status
 
 POLL_EVERY = 16  # blocks between two looks for a verdict
 LAST_WORD_S = 20.0  # for the verdict after the last step

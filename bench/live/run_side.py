@@ -17,7 +17,7 @@ from bench.live.board import Board, Message
 from daq.recorder.recorder_process import RecorderProcess
 from daq.setup.setup import Setup
 from rig.backends.base import Backend
-from rig.execution.run import RunSummary, Status, StopRequest
+from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.programme.sequencer import Stop
 
 EVERY_S = 0.05  # between two states of the run

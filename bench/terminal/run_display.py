@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
-    from rig.execution.run import Status
+    from rig.execution.operator import Status
 
 WIDTH = 80  # characters that the lines need
 ALIVE_CYCLES = 3.0  # since the ball last touched the plate or was heard to

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from rig.execution.run import StopRequest
+from rig.execution.operator import StopRequest
 from rig.programme.sequencer import Stop
 
 

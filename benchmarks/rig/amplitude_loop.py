@@ -23,7 +23,8 @@ from daq.lock_in import fit_tones
 from daq.recording import Recording, RecordingWriter, open_recording
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.amplitude_loop import target_acceleration
-from rig.execution.run import RunSummary, run_ramp
+from rig.execution.operator import RunSummary
+from rig.execution.run import run_ramp
 from rig.profile import ControlTable, Profile
 from rig.programme.sequencer import commanded, fades_of_changes
 from rig.sim.scenario import Scenario

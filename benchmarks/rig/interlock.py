@@ -22,7 +22,8 @@ from daq.files.tables import Block
 from daq.recording import RecordingWriter, open_recording
 from rig.backends.base import Backend
 from rig.backends.simulated import SimulatedBackend
-from rig.execution.run import Status, StopRequest, run_ramp
+from rig.execution.operator import Status, StopRequest
+from rig.execution.run import run_ramp
 from rig.fakes.faults import (
     AmplifierTrip,
     Clipping,

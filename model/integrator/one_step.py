@@ -61,6 +61,10 @@ class Measured:
     beside, share
         While the drive fades from step to step: row of the other step (-1: the plate at rest), and the share of its
         motion. None where no flight is flown in a fade.
+    gained_mps, pressed_mps, pressed_at
+        Integral of the plate's acceleration plus gravity in a fade, as the accelerometer shows it: over the flight, and
+        over the contact before it, whose centre is at the part ``pressed_at`` of the contact. NaN where the plate's
+        tones tell it; None where they always do.
     """
 
     opening_s: Array
@@ -71,6 +75,9 @@ class Measured:
     wanted: NDArray[np.bool_]
     beside: NDArray[np.int64] | None = None
     share: Array | None = None
+    gained_mps: Array | None = None
+    pressed_mps: Array | None = None
+    pressed_at: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -204,7 +211,7 @@ def one_ahead(
         What the contact circuit misses.
     kick
         Added to a plate mode's displacement (m) and velocity (m/s) wherever the chain of flights begins anew: how the
-        mode rang before is known no better.
+        mode rang before is known no better; a part of it where ``pressed_mps`` tells.
     probe
         How the plate's tones were measured; without one, all the time.
     mode

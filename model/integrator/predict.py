@@ -8,6 +8,7 @@ from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import (
     between_steps,
+    mode_at,
     mode_at_rest,
     mode_under_ball,
     project_mode,
@@ -30,11 +31,23 @@ from model.integrator.records import (
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
 OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
+FOLLOWED = 0.2  # part of a kick where the chain begins after a contact whose push was measured
 OUT_COLUMNS = 13
 """Of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as
 predicted; launch velocity and impact speed of the measured flight; by how much later the landing may be seen; start of
 the measured flight, and how its impact speed was found (`FROM_REST` ...); weak impacts passed."""
-FROM_REST, TWO_POINTS, AS_PREDICTED = 1.0, 2.0, 3.0
+FROM_REST, TWO_POINTS, AS_PREDICTED, MEASURED = 1.0, 2.0, 3.0, 4.0
+
+
+@compiled
+def _rested(s: float, pressed: tuple[float, float], last: Chain, bare: Plate, p: Floats) -> tuple[float, float]:
+    """State of the plate mode after a contact of s seconds; what was measured to press on it acts at once."""
+    push, part = pressed
+    if s <= 0.0 or np.isnan(push):
+        return mode_under_ball(last.t, s, with_state(bare, last.q, last.qd), p)
+    x, v, _ = mode_at(part * s, with_state(bare, last.q, last.qd).mode)
+    x, v, _ = mode_at((1.0 - part) * s, with_state(bare, x, v - plate_mode(p)[2] * push).mode)
+    return x, v
 
 
 @compiled
@@ -43,7 +56,7 @@ def begin_chain(i: int, events: Events, period: float, last: Chain, plate: Plate
     opening = events.opening[i]
     rested = opening - last.t
     if 0.0 <= rested < LONGEST_PERIODS * period:
-        q, qd = mode_under_ball(last.t, rested, with_state(plate, last.q, last.qd), p)
+        q, qd = _rested(rested, (events.pressed_mps[i], events.pressed_at[i]), last, plate, p)
     else:
         q, qd, _ = mode_at_rest(opening, plate.tones, p)
     return Chain(opening, last.impact, q, qd, False, 0)
@@ -73,12 +86,12 @@ def _measured(
     """Start, launch velocity and impact speed of the measured flight i itself, and the mode's state at the start."""
     out[11] = FROM_REST
     opening, landing, bounces, p = events.opening[i], events.landing[i], events.bounces[i], law.p
-    resting = with_state(bare, last.q, last.qd)
+    pressed = (events.pressed_mps[i] if events.linked[i] else np.nan, events.pressed_at[i])  # else it has acted
     direct, start, lasts, v0, hit = events.relaunched[i] and events.linked[i], last.t, -1.0, 0.0, 0.0
     if not (direct and bounces):  # without a bounce the ball leaves as if from rest, at once or soon after
-        q, qd = mode_under_ball(last.t, opening - last.t, resting, p)
+        q, qd = _rested(opening - last.t, pressed, last, bare, p)
         start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
-    q, qd = mode_under_ball(last.t, start - last.t, resting, p)
+    q, qd = _rested(start - last.t, pressed, last, bare, p)
     if not (events.relaunched[i] and bounces):
         lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
     if lasts < 0.0 or abs(start + lasts - landing) > OFF_PERIODS * period:
@@ -105,8 +118,8 @@ def one_ahead(
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
     ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity
-    wherever the chain of flights begins anew. A measured flight's own launch and impact are found where an elastic
-    impact or a plate mode needs them.
+    wherever the chain of flights begins anew, a part of it where the accelerometer followed the fade. A measured
+    flight's own launch and impact are found where an elastic impact or a plate mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning, nodes = np.empty((steps.tones.shape[1] + 1, 6)), np.empty((0, 12))
@@ -136,7 +149,8 @@ def one_ahead(
         if not events.linked[i]:
             chained = 0
             last = begin_chain(i, events, steps.period[m], last, bare, p)
-            last = Chain(last.t, last.impact, last.q + kick[0], last.qd + kick[1], False, 0)
+            loose = 1.0 if np.isnan(events.pressed_mps[i]) else FOLLOWED
+            last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(i, events, last, bare, law, seen, out[i])
         out[i, 12] = passed
@@ -145,10 +159,10 @@ def one_ahead(
             continue
         start, v0, hit, q, qd = _measured(i, events, steps.period[m], last, bare, law, passed, out[i])
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
-            hit, out[i, 11] = (
-                out[i, 3],
-                AS_PREDICTED,
-            )  # the flight as measured is several: only the prediction knows its last impact
+            hit, out[i, 11] = out[i, 3], AS_PREDICTED  # the flight as measured is several: only that knows its end
+        if not np.isnan(events.gained_mps[i]):
+            hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
+            out[i, 11] = MEASURED
         hit = max(hit, 0.0)
         out[i, 7], out[i, 8], out[i, 10] = v0, hit, start
         flying = with_state(bare, q, qd)

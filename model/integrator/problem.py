@@ -120,6 +120,9 @@ class Problem:
             _of_each(self.detection.weak_mps, n),
             for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
             for_kernel(np.zeros(n) if m.share is None else m.share),
+            for_kernel(np.full(n, np.nan) if m.gained_mps is None else m.gained_mps),
+            for_kernel(np.full(n, np.nan) if m.pressed_mps is None else m.pressed_mps),
+            for_kernel(np.full(n, np.nan) if m.pressed_at is None else m.pressed_at),
         )
 
 

@@ -132,6 +132,9 @@ class Events(NamedTuple):
     weak_mps: Floats
     beside: Integers
     share: Floats
+    gained_mps: Floats
+    pressed_mps: Floats
+    pressed_at: Floats
 
 
 class Steps(NamedTuple):

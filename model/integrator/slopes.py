@@ -1,7 +1,8 @@
 """Derivatives of what is predicted one event ahead: by earlier landings, the plate's tones and wanted parameters.
 
 They go along the chain of flights as the predictions do: from the landing before, by way of the impact speed and the
-state of a plate mode, to take-off, flight and landing. Where a prediction passes flights over, it has none.
+state of a plate mode, to take-off, flight and landing. Where a prediction passes flights over, it has none; what the
+accelerometer tells of a plate mode in a fade is not followed.
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ def _measured(
     _chained(by[1], leaving, carried.hit)
     _after(landing - begun, hit, own_hit, flying, leaving, carried, p)
     q, qd = strike(flying.mode, landing - begun, hit, p)
-    return Chain(landing, hit, q, qd, True, 0), usable and way != AS_PREDICTED  # there weak impacts were passed
+    return Chain(landing, hit, q, qd, True, 0), usable and way < AS_PREDICTED  # else its speed is not this flight's
 
 
 @compiled

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -23,6 +23,7 @@ from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.clock_log import ClockLog
 from rig.execution.interlock import Interlock
 from rig.execution.loss_account import LossAccount
+from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.plate_monitor import Motion, MotionWatch
 from rig.execution.tone_meter import MeterBlock, ToneMeter
 from rig.profile import Profile
@@ -34,65 +35,6 @@ METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of wind
 
 Recorder: TypeAlias = RecordingWriter | RecorderProcess
 """Where a run is recorded: here, or in a process of its own."""
-
-
-class StopRequest:
-    """What the operator asks of a run, by a signal, a page or a test; of several stops the strongest counts.
-
-    Attributes
-    ----------
-    wanted, why
-        The stop asked for, and the reason that the recording keeps.
-    pause
-        Whether to pause at the end of the present step.
-    notes
-        Texts to be kept with the sample at which they are read; the run empties the list.
-    """
-
-    def __init__(self) -> None:
-        self.wanted: Stop | None = None
-        self.why = ""
-        self.pause = False
-        self.notes: list[str] = []
-
-    def ask(self, how: Stop, why: str) -> None:
-        """Ask for a stop; a weaker request than the present one is ignored."""
-        if self.wanted is None or how > self.wanted:
-            self.wanted, self.why = how, why
-
-
-@dataclass(frozen=True)
-class Status:
-    """State of a run after a block.
-
-    ``achieved_gamma`` and its uncertainty are those of the last step held (NaN before). ``limits_in_use`` is the used
-    part of each limit, ``contact_age_cycles`` the time since the last contact or impact.
-    """
-
-    state: State
-    step: Step
-    n_steps: int
-    sample: int
-    n_samples: int
-    plate_mps2: float
-    limits_in_use: Mapping[str, float]
-    contact_age_cycles: float
-    achieved_gamma: float
-    achieved_gamma_uncertainty: float
-    lost_samples: int
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """Outcome of a run."""
-
-    how: Literal["complete", "stopped", "failed"]
-    why: str
-    n_samples: int
-    steps_driven: int
-    steps_planned: int
-    lost_samples: int
-    wall_s: float
 
 
 def run_ramp(

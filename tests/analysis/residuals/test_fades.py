@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 import shakerbench as sb
-from analysis.residuals.fades import Fades
+from analysis.flights.assemble import flights_of
+from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observations_from
+from daq.recording import open_recording
+from model.tones import STANDARD_GRAVITY_MPS2
 
 MODE = {"table_resonance": {"frequency_hz": 7.5, "damping": 0.04, "mass_ratio": 0.03}}
 
@@ -40,6 +43,50 @@ def test_a_mode_rings_on_from_flights_in_the_fade(tmp_path: Path) -> None:
     path = tmp_path / "ringing.h5"
     sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=5)
     observations = observations_from([path])
-    abrupt = replace(observations, measured=replace(observations.measured, beside=None, share=None))
+    unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
+    abrupt = replace(observations, measured=replace(unread, beside=None, share=None))
+    assert scatter_us(replace(observations, measured=unread)) < 8.0
+    assert scatter_us(abrupt) > 3.0 * scatter_us(replace(observations, measured=unread))
     assert scatter_us(observations) < 8.0
-    assert scatter_us(abrupt) > 3.0 * scatter_us(observations)
+
+
+def test_a_fade_found_too_long_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps found in a drive give fades of the wrong length; the accelerometer tells how the plate was struck there."""
+    values = {"ramp.gamma": [1.1, 2.3, 1.4, 2.0], "ramp.settle_cycles": 20, "ramp.hold_cycles": 12}
+    path = tmp_path / "ringing.h5"
+    sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=6)
+    exact = Fades.of
+    monkeypatch.setattr(
+        Fades, "of", lambda recording: replace(exact(recording), length_s=2.0 * exact(recording).length_s)
+    )
+    observations = observations_from([path])
+    unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
+    assert scatter_us(observations) < 6.0
+    assert scatter_us(replace(observations, measured=unread)) > 2.0 * scatter_us(observations)
+
+
+def test_the_accelerometer_tells_what_a_plate_gives_a_ball(tmp_path: Path) -> None:
+    """Acceleration plus gravity, integrated over a flight and over the contact before it, as the plate's tones have it;
+    an accelerometer whose offset is not stated tells nothing."""
+    values = {"ramp.gamma": [1.3, 1.4], "ramp.settle_cycles": 8, "ramp.hold_cycles": 12}
+    path = tmp_path / "ideal.h5"
+    sb.run(sb.load_profile("simulated").with_values(values), path, seed=7)
+    with open_recording(path) as recording:
+        flights = flights_of(recording)
+        hold = Fades(np.array([0.0]), np.array([recording.n_samples / recording.rate_hz]))
+        rows = np.flatnonzero((flights.flags == 0) & (flights.step == 1))
+        found = pushes(recording, flights, hold, rows)
+        channel = recording.setup.channels.accelerometer.model_copy(update={"offset_v": None})
+        channels = recording.setup.channels.model_copy(update={"accelerometer": channel})
+        recording.measure_with(recording.setup.model_copy(update={"channels": channels}))
+        assert np.isnan(pushes(recording, flights, hold, rows).flight_mps).all()
+    for i in np.flatnonzero(np.diff(rows) == 1) + 1:
+        opening, landing, before = (
+            flights.takeoff_s[rows[i]],
+            flights.landing_s[rows[i]],
+            flights.landing_s[rows[i - 1]],
+        )
+        for value, a, b in ((found.flight_mps[i], opening, landing), (found.contact_mps[i], before, opening)):
+            time_s = np.linspace(a, b, 400)
+            at = flights.plate.acceleration_mps2(time_s, np.full(400, flights.step[rows[i]]))
+            assert value == pytest.approx(np.trapezoid(at + STANDARD_GRAVITY_MPS2, time_s), abs=0.01)

@@ -26,7 +26,7 @@ from bench.profiles.find import load, shipped_folder
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, RingReader
 from daq.recording import open_recording
-from rig.execution.run import StopRequest
+from rig.execution.operator import StopRequest
 from rig.profile import parse_profile
 from rig.programme.sequencer import Stop
 

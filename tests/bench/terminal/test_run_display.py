@@ -10,7 +10,8 @@ from bench.profiles.find import load
 from bench.terminal.run_display import health_line, limits_line, run_display, step_line
 from daq.recording import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
-from rig.execution.run import Status, run_ramp
+from rig.execution.operator import Status
+from rig.execution.run import run_ramp
 from rig.fakes.faults import Fault, FaultyBackend, LooseCable, LostFrames
 from rig.programme.sequencer import State
 from rig.sim.scenario import Scenario

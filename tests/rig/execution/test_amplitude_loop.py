@@ -14,7 +14,8 @@ from bench.profiles.find import load
 from daq.recording import Recording, RecordingWriter, open_recording
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.amplitude_loop import achieved_gamma, target_acceleration
-from rig.execution.run import RunSummary, run_ramp
+from rig.execution.operator import RunSummary
+from rig.execution.run import run_ramp
 from rig.execution.tone_meter import Amplitudes, MeterBlock, ToneMeter
 from rig.profile import ControlTable, Profile
 from rig.programme.sequencer import commanded, fades_of_changes

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq.recording import RecordingWriter, open_recording
-from rig.execution.run import StopRequest, run_ramp
+from rig.execution.operator import StopRequest
+from rig.execution.run import run_ramp
 from rig.fakes.faults import FaultyBackend, LostFrames
 from rig.programme.ramp import plan
 from rig.programme.sequencer import State, Stop, commanded, fades_of_changes, fades_of_steps
