@@ -13,5 +13,5 @@ def run_in(tree: Path, script: str, arguments: Sequence[str]) -> None:
     """Run a benchmark's file on the packages of ``tree``; raises CalledProcessError where it fails."""
     print(f"before, {tree}:", flush=True)
     environment = os.environ | {"PYTHONPATH": str(tree.resolve())}
-    subprocess.run([sys.executable, script, *arguments], check=True, env=environment)
+    subprocess.run([sys.executable, "-P", script, *arguments], check=True, env=environment)
     print("now:", flush=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any, cast
 
 import numba
@@ -19,7 +20,7 @@ from numba.core.caching import NullCache
 from numba.extending import is_jitted
 
 from kernels import folder
-from kernels.fingerprint import fingerprint
+from kernels.fingerprint import fingerprint, fingerprint_of_closure
 
 DIGEST_BYTES = 32
 _CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
@@ -40,6 +41,9 @@ def njit(**options: Any) -> Any:
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
+        if isinstance(function, FunctionType) and function.__closure__:
+            # the machine code of two of one name must not share a symbol
+            function.__qualname__ = f"{function.__qualname__}_{fingerprint_of_closure(function)[:12]}"
         dispatcher = numba.njit(**{**options, "cache": False})(function)
         if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
             cast(Any, dispatcher)._cache = KernelCache(dispatcher)

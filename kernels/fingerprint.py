@@ -9,10 +9,13 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
+import inspect
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
+from numba.core.extending import _Intrinsic
 from numba.extending import is_jitted
 
 Parts = list[object]
@@ -23,6 +26,13 @@ def fingerprint(dispatcher: Any) -> str:
     """The hash of a compiled function and of all that it reaches, as hexadecimal digits."""
     parts: Parts = []
     _kernel(dispatcher, parts, {})
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def fingerprint_of_closure(function: FunctionType) -> str:
+    """The hash of a function and of what a factory has given it: two of one name differ."""
+    parts: Parts = []
+    _function(function, parts, {})
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -73,6 +83,9 @@ def _value(value: Any, parts: Parts, seen: dict[int, int]) -> None:
     """Add a value that numba may compile in."""
     if is_jitted(value):
         _kernel(value, parts, seen)
+    elif isinstance(value, _Intrinsic):  # writes machine code itself: all of its file may have a part in that
+        file = Path(inspect.getfile(value._defn))
+        parts.append(("intrinsic", value._name, hashlib.sha256(file.read_bytes()).hexdigest()))
     elif isinstance(value, enum.Enum):
         parts.append((type(value).__qualname__, value.name, value.value))
     elif isinstance(value, type) and issubclass(value, enum.Enum):

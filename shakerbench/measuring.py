@@ -21,7 +21,7 @@ from analysis.plate.motion import PlateMotion
 from analysis.report.gamma import gamma_scale
 from bench.commands.compare import as_json as comparison_json
 from bench.jobs.drop_test import Request, check_request
-from bench.jobs.drop_test import run as run_drop
+from bench.jobs.drop_test import measure as measure_drop
 from bench.profiles.find import load_measuring
 from bench.profiles.improved import write_improved
 from bench.terminal.comparison import sentences
@@ -366,5 +366,4 @@ def drop(
     paths = tuple(Path(p) for p in ([files] if isinstance(files, str | Path) else files))
     request = Request(paths, fps, scale_m, heights_m=tuple(heights_m), gravity_mps2=g_mps2, seed=seed)
     check_request(request)
-    outcome = run_drop(request, None)
-    return outcome.payload | {"in_words": outcome.sentences}
+    return measure_drop(request).outcome.payload

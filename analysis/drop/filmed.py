@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 _FAR_FROM_G = (0.7, 1.4)
 _SAME_G = 5e-3  # relative, that nobody's scale or frame rate is better than
 _SCALE_FLOOR = 1e-3  # relative uncertainty of any scale: lenses are not even along the fall
-_TALLEST_FALL_M, _LARGEST_BALL_M = 4.0, 0.5  # beyond which a film was played slower than it was taken
+_TALLEST_FALL_M, _LARGEST_BALL_M = 2.5, 0.3  # beyond which a film was played slower than it was taken
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,12 @@ def of_camera(names: Sequence[str], fit: CameraFit, units: Units, rng: np.random
         "flights": _flights(fit, candidate, frame_s, scale, timed),
     }
     words = _in_words(payload, units, len(names))
+    if units.assumed_rate and units.frame_s is not None:
+        size = f", a ball {1e3 * scale * units.ball:.0f} mm high," if units.ball else ""
+        words.append(
+            f"The {1.0 / units.frame_s:.4g} frames a second are those at which the film plays. If that fall{size} or "
+            "the speeds look too large, it was filmed faster: say --fps; restitution and friction stay as they are."
+        )
     declared = [] if verdict.doubts else _declared(candidate, fit, frame_s, scale, timed, names)
     return Outcome(payload, words, declared)
 

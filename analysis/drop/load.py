@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.film.flights import Clip
+from analysis.drop.film.flights import Clip, near_impacts
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
@@ -21,15 +23,19 @@ from analysis.drop.read.tables import read_grids
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file
+from analysis.drop.times.wav import is_wav
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 _OTHER_SOUND = {".mp3", ".m4a", ".aac", ".ogg", ".flac", ".wma", ".opus", ".caf", ".amr", ".aiff", ".aif"}
 _OTHER_SOUND_STARTS = (b"ID3", b"OggS", b"fLaC", b"\xff\xfb", b"\xff\xf3", b"\xff\xf1", b"#!AMR", b"caff", b"FORM")
 
 
 _IGNORE_REACH_S = 0.02
+_BY_HAND = 3.0  # strength of an impact that a person added: worth some events that were only heard
+_SAME_S = 1e-9
 _LONGEST_STEP_S = 5.0
 _ROUNDED_FRAMES = 0.1
 
@@ -59,15 +65,31 @@ class Path2D:
     not_read: tuple[str, ...] = ()
 
 
+class Known:
+    """What was worked out already: onsets and tracks, which are slow and which no correction of an impact moves."""
+
+    def __init__(self) -> None:
+        self._made: dict[object, Any] = {}
+
+    def made(self, path: Path, what: object, make: Callable[[], T]) -> T:
+        """What ``make`` gives for a file as it is now; made once. ``what`` it depends on besides the file."""
+        state = path.stat()
+        key = (path, state.st_size, state.st_mtime_ns, what)
+        if key not in self._made:
+            self._made[key] = make()
+        found: T = self._made[key]
+        return found
+
+
 def load(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Drop | Path2D:
     """The drop in a file; the first where there are several. Raises what `load_all` raises."""
     return load_all(path, progress, corrections)[0]
 
 
 def load_all(
-    path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING
+    path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING, known: Known | None = None
 ) -> list[Drop] | list[Path2D]:
-    """Every drop in one file, less what ``corrections`` leave out.
+    """Every drop in one file, as ``corrections`` leave it.
 
     Raises
     ------
@@ -76,13 +98,14 @@ def load_all(
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
+    known = known or Known()
     if path.is_dir():
-        return [_film(path, progress, corrections)]
+        return [_film(path, progress, corrections, known)]
     head = _head(path)
     if not head:
         raise InputError(f"{path}: the file is empty")
-    if head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE":
-        onsets, rate_hz = onsets_of_file(path, progress)
+    if is_wav(path):
+        onsets, rate_hz = known.made(path, "onsets", lambda: onsets_of_file(path, progress))
         return _drops(path, onsets, 1.0 / rate_hz, corrections, sound=True)
     if path.suffix.lower() in _OTHER_SOUND or head[8:11] == b"M4A" or head.startswith(_OTHER_SOUND_STARTS):
         raise InputError(
@@ -90,22 +113,50 @@ def load_all(
             "for instance with: ffmpeg -i FILE drop.wav"
         )
     if head.startswith(b"\x89HDF"):
-        times, uncertainty = contact_onsets(path)
+        times, uncertainty = known.made(path, "contact", lambda: contact_onsets(path))
         return _drops(path, Onsets(times, np.ones(len(times)), np.full(len(times), np.nan)), uncertainty, corrections)
     if path.suffix.lower() in FILMS or head[:4] == b"RIFF" or head[4:8] == b"ftyp":
-        return [_film(path, progress, corrections)]
+        return [_film(path, progress, corrections, known)]
     if path.suffix.lower() == ".wav":
         raise InputError(f"{path}: damaged: a WAV file starts with RIFF, this one does not; export it again")
     return _table(path, corrections)
+
+
+def events_in(path: Path, corrections: Corrections, known: Known) -> Array:
+    """Every event of a sound, a contact circuit or a table of times, as corrected, whether a ball's or not; else none.
+
+    Raises
+    ------
+    InputError
+        Nothing in the file can be read.
+    """
+    if is_wav(path):
+        times = known.made(path, "onsets", lambda: onsets_of_file(path))[0].times_s
+    elif path.is_file() and _head(path).startswith(b"\x89HDF"):
+        times = known.made(path, "contact", lambda: contact_onsets(path))[0]
+    elif path.is_file() and path.suffix.lower() not in FILMS:
+        found = [item for _, item in read_tables(read_grids(path), str(path)).found]
+        times = found[0] if len(found) == 1 and not isinstance(found[0], Points) else np.empty(0)
+    else:
+        return np.empty(0)
+    return np.sort(np.concatenate([times[corrections.keeps(times, _IGNORE_REACH_S)], corrections.add_s]))
 
 
 def _drops(
     path: Path, events: Onsets, uncertainty_s: float, corrections: Corrections, sound: bool = False
 ) -> list[Drop]:
     kept = corrections.keeps(events.times_s, _IGNORE_REACH_S)
-    found = drops_of(events.times_s[kept], str(path), uncertainty_s, events.strength[kept], events.loudness[kept])
+    added = np.array(corrections.add_s)
+    times = np.concatenate([events.times_s[kept], added])
+    strength = np.concatenate([events.strength[kept], np.full(len(added), _BY_HAND)])
+    loudness = np.concatenate([events.loudness[kept], np.full(len(added), np.nan)])
+    found = drops_of(times, str(path), uncertainty_s, strength, loudness)
     names = [path.name] if len(found) == 1 else [f"{path.name} ({k} of {len(found)})" for k in range(1, len(found) + 1)]
-    return [Drop(name, bounces, file=path, sound=sound) for name, bounces in zip(names, found, strict=True)]
+    used = np.concatenate([bounces.impacts_s for bounces in found])
+    unused = [when for when in corrections.add_s if np.abs(used - when).min() > _SAME_S]
+    said = tuple(f"{path.name}: no flight of the ball begins or ends at the impact added at {w:.4f} s" for w in unused)
+    drops = [Drop(name, bounces, file=path, sound=sound) for name, bounces in zip(names, found, strict=True)]
+    return [replace(drops[0], remarks=said, events_s=np.sort(times)), *drops[1:]]
 
 
 def _head(path: Path) -> bytes:
@@ -113,17 +164,53 @@ def _head(path: Path) -> bytes:
         return file.read(16)
 
 
-def _film(path: Path, progress: Progress | None, corrections: Corrections) -> Path2D:
-    tracked = track_film(path, progress, corrections)
-    track = tracked.track
-    clip = Clip(path.name, track.clock, track.height, track.acceleration, track.x, tracked.watched)
+def _film(path: Path, progress: Progress | None, corrections: Corrections, known: Known) -> Path2D:
+    """The ball's path in a film; a time to be left out is an impact's, or else a frame's, which is not followed."""
+
+    def tracked_without(ignore_s: tuple[float, ...]) -> Tracked:
+        own = replace(corrections, ignore_s=ignore_s, add_s=())
+        return known.made(path, own, lambda: track_film(path, progress, own))
+
+    try:
+        tracked = tracked_without(())
+        frames = _frames_meant(_clip_of(path, tracked), tracked.fps, corrections)
+    except InputError:
+        if not corrections.ignore_s:
+            raise
+        frames = corrections.ignore_s
+    if frames:
+        tracked = tracked_without(frames)
     frame_s = 1.0 / tracked.fps if tracked.fps else None
+    clip = _corrected(_clip_of(path, tracked), frame_s, corrections)
     return Path2D(clip, frame_s, metres=False, tracked=tracked, remarks=tracked.remarks)
+
+
+def _clip_of(path: Path, tracked: Tracked) -> Clip:
+    track = tracked.track
+    return Clip(path.name, track.clock + tracked.first, track.height, track.acceleration, track.x, tracked.watched)
+
+
+def _frames_meant(clip: Clip, fps: float | None, corrections: Corrections) -> tuple[float, ...]:
+    """The ignored times that are of frames, not of impacts."""
+    meant = near_impacts(clip, np.array(corrections.ignore_s) * (fps or 1.0))
+    return tuple(t for t, own in zip(corrections.ignore_s, meant, strict=True) if not own)
+
+
+def _corrected(clip: Clip, frame_s: float | None, corrections: Corrections) -> Clip:
+    """The clip with what a person said about its impacts."""
+    step = frame_s or 1.0
+    gone, added = (tuple(t / step for t in times) for times in (corrections.ignore_s, corrections.add_s))
+    return replace(clip, no_impact=gone, impact=added)
 
 
 def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
     """Every drop of a table; one that is refused is named, and the others are read."""
     contents = read_tables(read_grids(path), str(path))
+    if corrections.add_s and len(contents.found) > 1:
+        raise InputError(
+            f"{path}: holds {len(contents.found)} drops, each with times of its own, so an impact to be added could "
+            "belong to any; give each drop a file"
+        )
     drops: list[Drop] = []
     paths: list[Path2D] = []
     not_read = list(contents.not_read)
@@ -152,7 +239,7 @@ def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
 def _in_milliseconds(error: InputError, times: Array) -> InputError:
     """The error with a hint, where the numbers would be seconds too long for any flight."""
     if len(times) > 1 and float(np.median(np.diff(np.sort(times)))) > _LONGEST_STEP_S:
-        return InputError(f"{error}. Are these milliseconds? Then say so in the heading: time (ms)")
+        return InputError(f"{error}. Are these milliseconds or microseconds? Then say so in the heading: time (ms)")
     return error
 
 
@@ -165,13 +252,23 @@ def _without(words: str, path: Path) -> str:
 
 def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
     frame_s = _frame_s(found.clock) if found.in_seconds else 1.0
+    clip, remarks = _clip(found, name, replace(corrections, ignore_s=()), frame_s)
+    if corrections.ignore_s:
+        frames = _frames_meant(clip, 1.0 / frame_s, corrections)
+        clip, remarks = _clip(found, name, replace(corrections, ignore_s=frames), frame_s)
+    stated_s = frame_s if found.in_seconds else None
+    return Path2D(_corrected(clip, stated_s, corrections), stated_s, found.metres, remarks=remarks)
+
+
+def _clip(found: Points, name: str, corrections: Corrections, frame_s: float) -> tuple[Clip, tuple[str, ...]]:
+    """The ball among the points that are left, and what was noticed."""
     kept = corrections.keeps(found.clock, 0.6 * frame_s)
     if corrections.region is not None:
         left, top, right, bottom = corrections.region
         kept &= (found.x >= left) & (found.x <= right) & (found.y >= top) & (found.y <= bottom)
     track = ball_of(found.clock[kept], found.x[kept], found.y[kept], name, corrections.axis_deg)
     clip = Clip(name, _in_frames(track.clock, frame_s), track.height, track.acceleration * frame_s**2)
-    return Path2D(clip, frame_s if found.in_seconds else None, found.metres, remarks=track.remarks)
+    return clip, track.remarks
 
 
 def _frame_s(clock: Array) -> float:

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
-from analysis.explore.explanations import CLIP_SIGMAS, Explanation, Weighed, slopes_of
+from analysis.attribution.second_order import slopes_of
+from analysis.explore.explanations import CLIP_SIGMAS, Explanation, Weighed
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
@@ -29,6 +30,7 @@ from daq.setup.setup import Setup
 Array = NDArray[np.float64]
 
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
+ENDLESS = 1e3  # times every step on offer: more rig time than there is
 OTHER_ORBIT = 0.05  # difference of mean flight times, relative, that tells two orbits at one gamma apart
 
 
@@ -71,6 +73,8 @@ class Block:
         Expected information, and rig time.
     separates
         The two explanations told apart best, by names.
+    sharpening
+        Part of the information that is about parameters asked for.
     """
 
     option: Option
@@ -78,6 +82,7 @@ class Block:
     nats: float
     seconds: float
     separates: tuple[tuple[str, ...], tuple[str, ...]]
+    sharpening: float = 0.0
 
     @property
     def gammas(self) -> tuple[float, ...]:
@@ -182,6 +187,31 @@ def sharpened(total: Array, known: Weighed, wanted: Sequence[ParameterId]) -> fl
     return float(0.5 * np.sum(np.log(a / b))) if places else 0.0
 
 
+def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[float, tuple[ParameterId, ...]]:
+    """How sharp a parameter of the most probable explanation can become, and what limits it.
+
+    Returns
+    -------
+    float
+        Its least deviation after any number of steps, over its deviation now.
+    tuple
+        Calibrations, each of which would at least halve that deviation, were it known exactly.
+    """
+    some = [i for i, k in enumerate(known.keys) if i < known.shared or k in known.explanations[0].free]
+    own = [known.keys[i] for i in some].index(key)
+    before = known.information[np.ix_(some, some)] + 1e-9 * np.eye(len(some))
+    every = np.sum([pool.products.sum(axis=0)[np.ix_(some, some)] for pool in pools], axis=0)
+    now, then = np.linalg.inv(before), np.linalg.inv(before + ENDLESS * every)
+    given = then[own, own] - then[own] ** 2 / np.diag(then)  # variance, were the other known
+    free = known.explanations[0].free
+    limiting = [
+        known.keys[i]
+        for i, v in zip(some, given, strict=True)
+        if known.keys[i] not in free and 4.0 * v < then[own, own]
+    ]
+    return float(np.sqrt(then[own, own] / now[own, own])), tuple(limiting)
+
+
 def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[ParameterId], steps: int) -> Block | None:
     """The block of most nats a second: of each option the best steps one by one, then the best option.
 
@@ -211,7 +241,8 @@ def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[Parameter
         total = pool.products[list(places)].sum(axis=0)
         nats, seconds = worth(total), pool.option.seconds(places)
         if nats > 0.0 and (best is None or nats / seconds > best.nats / best.seconds):
-            best = Block(pool.option, places, nats, seconds, _separated(total, known, some, probability))
+            about = _separated(total, known, some, probability)
+            best = Block(pool.option, places, nats, seconds, about, sharpened(total, known, wanted) / nats)
     return best
 
 

@@ -21,15 +21,12 @@ from analysis.attribution.candidates import Candidate, candidates_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.attribution.second_order import gradient_and_information, slopes_of
 from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
-from analysis.residuals.noise_model import robust_weight
-from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]
 
-STEP = 0.01  # finite difference of a coordinate
 CLIP_SIGMAS = 6.0  # of a whitened difference: a flight that becomes another one counts as so much
-ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
 IMPROBABLE = 1e-4  # explanations of less probability are left out
 
 
@@ -99,13 +96,10 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     shared = tuple(dict.fromkeys((*fitter.priors, *best.free)))
     keys = (*shared, *dict.fromkeys(k for own in sizes for k in own))
     raw, slopes = slopes_of(world, fitter, best.whitener, at, keys)
-    z = best.whitener.white_all(raw)
-    jacobian = best.whitener.white_slopes(slopes, raw)
-    weight = robust_weight(z, best.whitener.odds)
-    information = (jacobian * weight[:, None]).T @ jacobian
-    information[np.diag_indices(len(shared))] += _prior_widths(fitter, shared, frozenset(best.free))
-    gradient = -(jacobian * weight[:, None]).T @ z
-    gradient[: len(shared)] = 0.0  # the best set is fitted: what is left of its gradient is the fit's own precision
+    gradient, information = gradient_and_information(best.whitener, raw, slopes)
+    stiffness = _prior_widths(fitter, shared, frozenset(best.free))
+    information[np.diag_indices(len(shared))] += stiffness
+    gradient[: len(shared)] -= stiffness * [_off_prior(fitter, key, at) for key in shared]
     logs, found = [0.0], [Explanation(best.names, best.free, best.fitted.values, 0.0)]
     for candidate, own in zip(library, sizes, strict=True):
         rows = np.array([len(shared) + keys[len(shared) :].index(k) for k in own], dtype=np.int64)
@@ -121,24 +115,6 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
             logs.append(0.0)
             found.append(Explanation(rival.names, rival.free, rival.fitted.values, 0.0))
     return Weighed(_normalised(found, np.array(logs)), keys, len(shared), information)
-
-
-def slopes_of(
-    world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, keys: Sequence[ParameterId]
-) -> tuple[Array, Array]:
-    """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K)."""
-    base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
-    raw = whitener.stacked(world.residuals(base))
-    out = np.zeros((len(raw), len(keys)))
-    events = len(whitener.step)
-    for j, key in enumerate(keys):
-        x = fitter.to_x(key, base[key])
-        low, high = fitter.bounds(key, released=True)
-        h = STEP if x + STEP <= high or x - STEP < low else -STEP
-        change = whitener.stacked(world.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
-        change[:events][np.abs(change[:events]) > ANOTHER_EVENT_S] = 0.0
-        out[:, j] = change / h
-    return raw, out
 
 
 def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
@@ -161,17 +137,28 @@ def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId], released: frozens
     return out
 
 
+def _off_prior(fitter: Fitter, key: ParameterId, at: Values) -> float:
+    """Distance of a calibration from the mean of its prior, in coordinates; 0 for what has none."""
+    prior = fitter.priors.get(key)
+    return 0.0 if prior is None else float(fitter.to_x(key, at[key]) - fitter.to_x(key, prior.mean))
+
+
 def _evidence(
     information: Array, gradient: Array, shared: NDArray[np.int64], own: NDArray[np.int64]
 ) -> tuple[float, Array, Array]:
-    """Log evidence of freeing ``own`` over not freeing it, and mean and deviation of its coordinates."""
+    """Log evidence of freeing ``own`` over not freeing it, and mean and deviation of its coordinates.
+
+    A fit leaves a gradient of its own precision; the shared coordinates follow it first, else a candidate that they
+    nearly replace would seem to explain it.
+    """
     inner = information[np.ix_(shared, shared)]
     cross = information[np.ix_(shared, own)]
-    profiled = information[np.ix_(own, own)] - cross.T @ np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+    follow = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+    profiled, score = information[np.ix_(own, own)] - cross.T @ follow, gradient[own] - follow.T @ gradient[shared]
     precision = 0.5 * (profiled + profiled.T) + np.eye(len(own))  # a normal prior of one unit: the size that matters
     covariance = np.linalg.inv(precision)
-    mean = covariance @ gradient[own]
-    log = 0.5 * float(gradient[own] @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
+    mean = covariance @ score
+    log = 0.5 * float(score @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
     return log, mean, np.sqrt(np.diag(covariance))
 
 

@@ -12,13 +12,17 @@ from analysis.attribution.chance import Place
 from analysis.attribution.priors import coordinate_of, parameter_of, scale_of
 from analysis.joint.population import Prior, Quadratic
 from analysis.joint.summary import Option, Point, RunSummary
+from analysis.joint.systematics import PLACES
 
 Array = NDArray[np.float64]
+
+LEAST_SIGMA = 1e-3  # of a systematic error's prior: narrower, it is none
 
 
 @dataclass(frozen=True)
 class Aligned:
-    """All runs in the same coordinates: each run's own parameters first (q), then shared ones, then candidates.
+    """All runs in the same coordinates: each run's own parameters first (q), then shared ones, systematic errors that
+    all runs share, and candidates.
 
     Attributes
     ----------
@@ -49,7 +53,7 @@ class Aligned:
     @property
     def named(self) -> int:
         """Number of coordinates before the candidates'."""
-        return len(self.point.own) + len(self.point.shared)
+        return len(self.point.own) + len(self.point.shared) + len(PLACES)
 
     def places_of(self, option: Option) -> NDArray[np.int64]:
         """Columns of a candidate."""
@@ -73,14 +77,17 @@ def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[s
             counts[option] = counts.get(option, 0) + 1
     options = tuple(o for o, n in counts.items() if 2 * n >= len(summaries))
     own, shared = point.own, tuple(sorted(point.shared))
-    columns = (*((k, ()) for k in (*own, *shared)), *dict.fromkeys(s for o in options for s in o.sizes))
+    columns = (*((k, ()) for k in (*own, *shared)), *PLACES, *dict.fromkeys(s for o in options for s in o.sizes))
     mean, precision = np.zeros(len(columns)), np.zeros(len(columns))
     width = np.array([_width(key, point) for key in own])
     for i, key in enumerate(own):
         mean[i] = coordinate_of(key, point.priors[key].mean)
         precision[i] = 0.0 if key[0] in released else width[i] ** -2.0
-    bounds = [_bounds(key) for key, _ in columns]
-    runs = tuple(_on(run, columns, len(own) + len(shared)) for run in summaries)
+    first, named = len(own) + len(shared), len(own) + len(shared) + len(PLACES)
+    sigma = np.max([run.systematic_sigma for run in summaries], axis=0)
+    precision[first:named] = np.maximum(sigma, LEAST_SIGMA) ** -2.0
+    bounds = [(-np.inf, np.inf) if place in PLACES else _bounds(place[0]) for place in columns]
+    runs = tuple(_on(run, columns, named) for run in summaries)
     low, high = np.array(bounds).reshape(-1, 2).T
     return Aligned(point, columns, options, runs, Prior(mean, precision), width, low, high)
 

@@ -6,9 +6,10 @@ all others.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +90,6 @@ class Candidates:
         depth
             Number of effects named before.
         """
-        seed = hashlib.sha256(np.round(self.found.x, 9).tobytes()).digest()
-        noise = self._space(self.found.x).by_noise(np.random.default_rng(np.frombuffer(seed, dtype="<u4")))
         out: dict[tuple[str, ...], Tested] = {}
         for option in self.world.options:
             rows = self.world.places_of(option)
@@ -104,10 +103,7 @@ class Candidates:
                 continue
             losses = left_out_losses(self.world, self.found, free)
             held_out = LogScoreDifference.of(self.before, losses, self.every)
-            by_runs = self._space(x).by_steps(
-                self.every.astype(np.float64), np.arange(len(self.every)), np.random.default_rng(len(self.every))
-            )
-            p = max((1.0 + int(np.sum(draws >= gain))) / (DRAWS + 1.0) for draws in (noise, by_runs))
+            p = self._p(gain, x)
             one = Tested(option, x[rows], gain, losses, held_out, p, self._refusal(held_out, p, depth))
             key = (*option.names, *(f"{k[0]}.{k[1]}" for k, _ in option.sizes))
             if key not in out or losses.sum() < out[key].losses.sum():
@@ -123,6 +119,43 @@ class Candidates:
         costs = [self.limits.tie_nats * len(t.option.sizes) for t in close]
         best = close[penalised_best(passing[0].losses, [t.losses for t in close], costs, self.every)]
         return best, tuple(t for t in found if t is best or self._tied(best, t))
+
+    def judged_again(self, first: Tested, gain: float, gains: Array, depth: int) -> Tested:
+        """A candidate with its gains as runs linearised at its value have them, too.
+
+        Runs linearised where it is nothing weigh down what its own signal throws off, and so promise too little of it;
+        linearised at its value they promise too much. The mean of both is the difference of the log likelihoods
+        themselves, to third order (trapezoid rule).
+
+        Parameters
+        ----------
+        first
+            As `tested` had it.
+        gain, gains
+            In the fit of all runs, and of each run left out, (R,), linearised at its value.
+        depth
+            Number of effects named before.
+        """
+        x = self.found.x.copy()
+        x[self.world.places_of(first.option)] = first.sizes
+        both = 0.5 * (self.before - first.losses + gains)
+        held_out = LogScoreDifference.of(both, np.zeros_like(both), self.every)
+        mean = 0.5 * (first.gain + gain)
+        p = self._p(mean, x)
+        return replace(first, gain=mean, held_out=held_out, p=p, refusal=self._refusal(held_out, p, depth))
+
+    @functools.cached_property
+    def _noise(self) -> Array:
+        """Best gains of normal noise, (draws,)."""
+        seed = hashlib.sha256(np.round(self.found.x, 9).tobytes()).digest()
+        return self._space(self.found.x).by_noise(np.random.default_rng(np.frombuffer(seed, dtype="<u4")))
+
+    def _p(self, gain: float, x: Array) -> float:
+        """Probability that chance lets the best of all candidates gain so much; runs' scores are taken at ``x``."""
+        by_runs = self._space(x).by_steps(
+            self.every.astype(np.float64), np.arange(len(self.every)), np.random.default_rng(len(self.every))
+        )
+        return max((1.0 + int(np.sum(draws >= gain))) / (DRAWS + 1.0) for draws in (self._noise, by_runs))
 
     def _tied(self, best: Tested, other: Tested) -> bool:
         lead = LogScoreDifference.of(other.losses, best.losses, self.every)
@@ -145,8 +178,7 @@ class Candidates:
         return ""
 
     def _loss(self, x: Array) -> float:
-        away = x - self.world.prior.mean
-        return sum(run.loss_at(x) for run in self.found.runs) + 0.5 * float(self.world.prior.precision @ away**2)
+        return loss_of(self.world, self.found, x)
 
     def _space(self, x: Array) -> ScoreSpace:
         """Scores of each run at ``x``, less what calibrations follow, in units of their deviation."""
@@ -161,6 +193,12 @@ class Candidates:
         kept = tuple(group for g in groups if (group := tuple(j for j in g if self._shown[j])))
         information = self._scale[:, None] * self._information * self._scale
         return ScoreSpace(parts * self._scale, 0.5 * (information + information.T), kept, self._signs)
+
+
+def loss_of(world: Aligned, found: Population, x: Array) -> float:
+    """Loss of all runs and of the priors at a point, nats."""
+    away = x - world.prior.mean
+    return sum(run.loss_at(x) for run in found.runs) + 0.5 * float(world.prior.precision @ away**2)
 
 
 def bounded_fit(runs: Sequence[Quadratic], start: Array, world: Aligned, free: Places) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, priors_of, scale_of, value_at
 from analysis.joint.alignment import Aligned, aligned
-from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses
+from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses, loss_of
 from analysis.joint.outcome import outcome_of
 from analysis.joint.population import Population, alone, fit_population
 from analysis.joint.result import Candidate, JointVerdict
@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 LEAST_RUNS = 3  # fewer tell nothing of how runs differ
+LEADING_P = 0.05  # chance of so large a gain below which a refused candidate is worth a pass of its own
 MOST_PASSES = 4  # for one set of named effects
 SETTLED_SIGMAS = 0.3  # move of a shared parameter below which a set has converged
 LEAST_WIDTH = 1e-3  # of a parameter that differs, in its scale
@@ -170,9 +171,10 @@ class _Search:
             candidates = Candidates(state.world, state.found, self.limits)
             tested = candidates.tested(depth)
             first = first or tested
-            chosen, tied = candidates.chosen([t for t in tested if t.option.names not in self.dropped])
+            judged = self._judged_again(state, candidates, tested, depth)
+            chosen, tied = candidates.chosen([t for t in judged if t.option.names not in self.dropped])
             if chosen is None:
-                self.rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best(tested)}")
+                self.rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best(judged)}")
                 break
             self.rounds.append(
                 f"round {depth + 1}: {' + '.join(chosen.option.names)} gains {chosen.held_out.gain:.0f} +- "
@@ -220,6 +222,19 @@ class _Search:
         names = tuple(n for n in dict.fromkeys(k[0] for k in free))
         return self._without_idle(self._converged(self._at(_moved(state.point, free), (names,))))
 
+    def _judged_again(self, state: _State, candidates: Candidates, tested: list[Tested], depth: int) -> list[Tested]:
+        """All candidates, the first of them judged by runs linearised at its value, where it leads but is refused."""
+        if not tested or not tested[0].refusal or tested[0].p > LEADING_P or tested[0].option.names in self.dropped:
+            return tested
+        there = self._with(state, tested[0])
+        without = _without(there, frozenset(key for key, _ in tested[0].option.sizes))
+        if without is None:
+            return tested
+        gain = loss_of(there.world, there.found, without.x) - loss_of(there.world, there.found, there.found.x)
+        gains = left_out_losses(there.world, without, without.free)
+        gains = gains - left_out_losses(there.world, there.found, there.found.free)
+        return [candidates.judged_again(tested[0], gain, gains, depth), *tested[1:]]
+
     def _with(self, state: _State, chosen: Tested) -> _State:
         """The state with one more effect, at the values that the linear fit gives."""
         values: dict[ParameterId, float] = {}
@@ -243,18 +258,12 @@ class _Search:
 
     def _without_idle(self, state: _State) -> _State:
         """Step back: the named effect that runs left out do not need is dropped, the least needed first."""
-        q, shared = len(state.point.own), sorted(state.point.shared)
         full = left_out_losses(state.world, state.found, state.found.free)
         gains = {}
         for names in state.named:
-            rows = np.array([q + i for i, k in enumerate(shared) if k[0] in names], dtype=np.int64)
-            if len(rows) == 0:
-                continue  # a calibration, released
-            sizes = state.found.x.copy()
-            sizes[rows] = [coordinate_of(shared[i - q], null_value_of(shared[i - q])) for i in rows]
-            free = np.setdiff1d(state.found.free, rows)
-            without = dataclasses.replace(state.found, x=sizes)
-            gains[names] = float((left_out_losses(state.world, without, free) - full).sum())
+            without = _without(state, frozenset(k for k in state.point.shared if k[0] in names))
+            if without is not None:
+                gains[names] = float((left_out_losses(state.world, without, without.free) - full).sum())
         least = min(gains, key=lambda n: gains[n], default=None)
         if least is None or gains[least] > self.limits.first_effect_nats:
             return state
@@ -285,6 +294,18 @@ class _Search:
 def _within_bounds(world: Aligned, found: Population) -> Population:
     """The fit with shared parameters inside what is possible."""
     return dataclasses.replace(found, x=bounded_fit(found.runs, found.x, world, found.free))
+
+
+def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:
+    """The fit with shared parameters at what does nothing; None where none of them is shared (a calibration)."""
+    shared = sorted(state.point.shared)
+    places = {len(state.point.own) + i: k for i, k in enumerate(shared) if k in keys}
+    if not places:
+        return None
+    x, rows = state.found.x.copy(), np.array(list(places), dtype=np.int64)
+    x[rows] = [coordinate_of(k, null_value_of(k)) for k in places.values()]
+    free = np.setdiff1d(state.found.free, rows)
+    return dataclasses.replace(state.found, x=bounded_fit(state.found.runs, x, state.world, free), free=free)
 
 
 def _moved(point: Point, values: dict[ParameterId, float]) -> Point:

@@ -13,8 +13,9 @@ from analysis.attribution.priors import parameter_of, value_at
 from analysis.joint.alignment import Aligned
 from analysis.joint.constancy import Constancy, constancy
 from analysis.joint.population import Population, alone
-from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
+from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, Systematic
 from analysis.joint.summary import RunSummary
+from analysis.joint.systematics import NAMES, PLACES, UNIT_S
 from analysis.loop.verdict import Verdict
 from analysis.residuals.forward_model import ParameterId
 from analysis.thresholds import Thresholds
@@ -50,13 +51,22 @@ def outcome_of(
     course
         ``candidates``, ``rounds``, ``passes`` and ``dated`` of the result.
     """
-    columns = world.columns[: world.named]
+    columns = world.columns[: world.named - len(PLACES)]
     level = limits.best_of_all_p / max(len(columns), 1)
     parameters = tuple(_over_runs(world, found, i, key, days, level) for i, (key, _) in enumerate(columns))
     runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
+    shared = tuple(_systematic(world, found, name, len(columns) + i) for i, name in enumerate(NAMES))
     told = {"candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
     verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
-    return JointVerdict(verdict, names, ties, tuple(sorted(parameters, key=lambda x: x.kind != "effect")), runs, **told)
+    first = tuple(sorted(parameters, key=lambda x: x.kind != "effect"))
+    return JointVerdict(verdict, names, ties, first, shared, runs, **told)
+
+
+def _systematic(world: Aligned, found: Population, name: str, place: int) -> Systematic:
+    """A shared systematic error, in microseconds."""
+    us = 1e6 * UNIT_S
+    prior = float(world.prior.precision[place] ** -0.5)
+    return Systematic(name, us * float(found.x[place]), us * found.sigma(place), us * prior)
 
 
 def _over_runs(world: Aligned, found: Population, place: int, key: ParameterId, days: Array, level: float) -> OverRuns:

@@ -74,6 +74,26 @@ class OverRuns:
 
 
 @dataclass(frozen=True)
+class Systematic:
+    """A systematic error of the contact's edges that all runs share, fitted beside everything else.
+
+    Attributes
+    ----------
+    name
+        What is late.
+    value_us, sigma_us
+        By how much, and how well that is known.
+    prior_us
+        Standard deviation of its prior about zero.
+    """
+
+    name: str
+    value_us: float
+    sigma_us: float
+    prior_us: float
+
+
+@dataclass(frozen=True)
 class Candidate:
     """A candidate beside the declared model: gain of all runs, gain on runs left out, and its probability by chance."""
 
@@ -98,6 +118,8 @@ class JointVerdict:
         Sets that the runs do not distinguish from it, the one named first.
     parameters
         Named effects and calibrations over the runs.
+    systematics
+        Errors of the contact's edges that all runs share.
     runs
     candidates
         Of the first round, the best first.
@@ -113,6 +135,7 @@ class JointVerdict:
     names: tuple[str, ...]
     ties: tuple[tuple[str, ...], ...]
     parameters: tuple[OverRuns, ...]
+    systematics: tuple[Systematic, ...]
     runs: tuple[RunOutcome, ...]
     candidates: tuple[Candidate, ...]
     rounds: tuple[str, ...]

@@ -19,12 +19,12 @@ from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of
-from analysis.explore.explanations import slopes_of
+from analysis.attribution.second_order import gradient_and_information, slopes_at
 from analysis.joint.population import Quadratic
+from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 from analysis.residuals.lack_of_fit import goodness_of_fit
-from analysis.residuals.noise_model import robust_weight
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.whitening import Whitener
@@ -83,11 +83,14 @@ class RunSummary:
     recording, started
         Its name, and when it was begun (ISO 8601; empty where that is not known).
     columns
-        What the quadratic's coordinates stand for: the run's own, the shared ones, then sizes of candidates.
+        What the quadratic's coordinates stand for: the run's own, the shared ones, systematic errors that all runs
+        share, then sizes of candidates.
     options
         The candidates.
     quadratic
         Log likelihood about the run's own fit.
+    systematic_sigma
+        Widths of the priors of shared systematic errors, see `analysis.joint.systematics.Systematics`.
     flights, steps
         How many.
     ratio, p_lack_of_fit, plate_rms_z
@@ -105,6 +108,7 @@ class RunSummary:
     columns: tuple[Place, ...]
     options: tuple[Option, ...]
     quadratic: Quadratic
+    systematic_sigma: tuple[float, ...]
     flights: int
     steps: int
     ratio: float
@@ -127,10 +131,11 @@ class RunSummary:
         k = len(row["columns"])
         arrays = {name: _unpacked(row[name]) for name in ("origin", "gradient", "information")}
         quadratic = Quadratic(arrays["origin"], arrays["gradient"], arrays["information"].reshape(k, k))
-        flat = {k: v for k, v in row.items() if k not in (*arrays, "columns", "options", "failed")}
+        tuples = {k: tuple(row[k]) for k in ("failed", "systematic_sigma")}
+        flat = {k: v for k, v in row.items() if k not in (*arrays, "columns", "options")} | tuples
         options = tuple(Option(tuple(names), tuple(map(_place, sizes))) for names, sizes in row["options"])
         columns = tuple(map(_place, row["columns"]))
-        return cls(columns=columns, options=options, quadratic=quadratic, failed=tuple(row["failed"]), **flat)
+        return cls(columns=columns, options=options, quadratic=quadratic, **flat)
 
 
 def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None = None) -> RunSummary:
@@ -164,16 +169,17 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
     fitter = Fitter(world, point.priors, np.ones(len(seen.steps), dtype=np.bool_))
     fitted = Refits(fitter).converged((), Whitener.of(world, {}), (), {})
     options = _options(world, fitted)
-    named = tuple((key, ()) for key in (*point.own, *sorted(point.shared)))
+    named = (*((key, ()) for key in (*point.own, *sorted(point.shared))), *PLACES)
     columns = (*named, *dict.fromkeys(place for option in options for place in option.sizes))
     values = fitted.fitted.values
+    quadratic, systematic_sigma = _to_second_order(world, fitter, fitted, columns)
     left = goodness_of_fit(world, values, limits)
     rows, left_out = scored_rows(world, values, np.ones(len(seen.steps), dtype=np.bool_))
     after, floors = held_out_errors(world, values, rows, left_out), noise_floors_us(world, values, rows)
     return RunSummary(
-        str(path), started, columns, options, _linearised(world, fitter, fitted, columns, len(named)),
-        len(seen), len(seen.steps), left.ratio, left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us),
-        float(floors[0]), tuple(x.test for x in failed_tests(False, left, after, floors, limits)),
+        str(path), started, columns, options, quadratic, systematic_sigma, len(seen), len(seen.steps), left.ratio,
+        left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us), float(floors[0]),
+        tuple(x.test for x in failed_tests(False, left, after, floors, limits)),
         bool(fitted.whitener.lost),
     )  # fmt: skip
 
@@ -208,25 +214,20 @@ def _options(world: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
     return tuple(out.values())
 
 
-def _linearised(
-    world: ForwardModel, fitter: Fitter, fitted: Hypothesis, columns: Sequence[Place], named: int
-) -> Quadratic:
-    """The run's log likelihood to second order; the origin is in coordinates of the parameters."""
+def _to_second_order(
+    world: ForwardModel, fitter: Fitter, fitted: Hypothesis, columns: Sequence[Place]
+) -> tuple[Quadratic, tuple[float, ...]]:
+    """The run's log likelihood about its own fit, origin in coordinates; and the priors of shared systematic errors."""
     at, whitener = {**world.base, **fitted.fitted.values}, fitted.whitener
-    raw, slopes = slopes_of(world, fitter, whitener, at, [key for key, _ in columns[:named]])
-    out = np.zeros((len(raw), len(columns)))
-    out[:, :named] = slopes
-    settings = dict.fromkeys(shapes for _, shapes in columns[named:])
-    for shapes in settings:
-        rows = [j for j in range(named, len(columns)) if columns[j][1] == shapes]
-        point = {**at, **dict(shapes)}
-        out[:, rows] = slopes_of(world, fitter, whitener, point, [columns[j][0] for j in rows])[1]
-    z, jacobian = whitener.white_all(raw), whitener.white_slopes(out, raw)
-    weighted = jacobian * robust_weight(z, whitener.odds)[:, None]
-    origin = [coordinate_of(key, at.get(key, null_value_of(key))) for key, _ in columns]
-    origin[named:] = [0.0] * (len(columns) - named)
-    information = weighted.T @ jacobian
-    return Quadratic(np.array(origin), -(weighted.T @ z), 0.5 * (information + information.T))
+    errors = Systematics.of(world, whitener, at)
+    ours = np.array([place in PLACES for place in columns])
+    raw, slopes = slopes_at(world, fitter, whitener, at, [p for p in columns if p not in PLACES])
+    both = np.empty((len(raw), len(columns)))
+    both[:, ours], both[:, ~ours] = errors.slopes, slopes
+    origin = np.zeros(len(columns))
+    for i, (key, _) in enumerate(columns[: int(np.flatnonzero(ours)[0])]):
+        origin[i] = coordinate_of(key, at.get(key, null_value_of(key)))
+    return Quadratic(origin, *gradient_and_information(whitener, raw, both)), errors.sigma
 
 
 def _packed(x: Array) -> str:

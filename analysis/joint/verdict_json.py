@@ -19,6 +19,7 @@ def as_json(found: JointVerdict) -> dict[str, Any]:
         "dated": found.dated,
         "passes": found.passes,
         "parameters": [_parameter(x) for x in found.parameters],
+        "systematics": [_row(asdict(x)) for x in found.systematics],
         "runs": [_row(asdict(run)) for run in found.runs],
         "candidates": [_row(asdict(x)) for x in found.candidates],
         "rounds": list(found.rounds),

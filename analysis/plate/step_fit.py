@@ -15,6 +15,7 @@ from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import with_frequency_uncertainty
 from analysis.plate.motion import SlowMotion, StepPlate, Windows
+from analysis.plate.rounding import converter_step, with_rounding
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, StepState
 from analysis.plate.windows import WINDOW_CYCLES
 from daq.loaded_tones import LoadedTones
@@ -28,6 +29,7 @@ Complexes = npt.NDArray[np.complex128]
 
 MIN_WINDOWS = 4  # windows needed to measure a slow modulation
 MODULATION_ERROR = 0.5  # relative error of the modulation's power: windows need not cover a step
+STEP_SAMPLES = 4096  # in which a converter's step is looked for
 PEAK_POINTS = 361  # points of a period at which the peak acceleration is looked for
 
 
@@ -69,6 +71,8 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     noise_mps2 = min((float(c.noise[0]) for c in state.chunks), default=volts.rms) * abs(factor)
     acceleration = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
     acceleration = with_frequency_uncertainty(acceleration, state.mains, factor)
+    some_v = recording.read_v("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
+    acceleration = with_rounding(acceleration, converter_step(some_v) * abs(factor), noise_mps2)
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
     gamma = gamma_of(unmasked, multiples, setup, state.ratio)

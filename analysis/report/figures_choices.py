@@ -53,6 +53,6 @@ def draw_choices(blocks: Sequence[ChosenSteps], standard_s: float, figure: Figur
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel("rig time, s")
     ax.set_ylabel("gamma over that of take-off")
-    ax.legend(frameon=False, fontsize=8, loc="upper right")
+    ax.legend(frameon=False, fontsize=8, ncol=4, loc="lower left", bbox_to_anchor=(0.0, 1.05), borderaxespad=0.0)
     words.axis("off")
     words.text(0.0, 1.0, "\n".join(wrapped), fontsize=7.5, va="top", transform=words.transAxes, parse_math=False)

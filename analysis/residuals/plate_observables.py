@@ -235,7 +235,7 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
         weight = setup.g_mps2.value if channel.reads_gravity else 0.0
         rows.append((OFFSET, i, s.acceleration.offset - weight, max(sigma, 1e-4), 0.0, asked, first))
     apart = s.frequency_hz / setup.forcing.frequency_hz - 1.0
-    if abs(apart) < CLOCK_LIMIT and s.frequency_uncertainty_hz > 0:
+    if abs(apart) < CLOCK_LIMIT and 0 < s.frequency_uncertainty_hz < np.inf:
         rows.append(
             (CLOCK, i, apart, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first)
         )

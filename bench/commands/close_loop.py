@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,9 +26,7 @@ def command(
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The verdict for a machine; - prints it."),
     report: Path | None = typer.Option(None, "--report", metavar="FOLDER", help="Write the report with its pictures."),
     improved: Path | None = typer.Option(None, "--improved", metavar="PROFILE", help="Write the improved profile."),
-    next_run: Path | None = typer.Option(
-        None, "--next-run", metavar="PROFILE", help="Write the best next run's profile."
-    ),
+    next_run: Path | None = typer.Option(None, "--next-run", metavar="PROFILE", help="Write the best next profile."),
     until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What that rig hides."),
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
@@ -55,60 +53,68 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from analysis.loop.close_loop import fit_loop
-    from bench.jobs.adaptive_runs import until_clear as repeat
-    from bench.jobs.joint_runs import holds_summaries, judge_runs
-    from bench.jobs.keep_term import place_for
-    from bench.outputs import JSON, PROFILE, REPORT, ROWS, File, Folder, check_outputs
-    from bench.profiles.find import load_measuring
+    from bench.jobs.joint_runs import judge_runs
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
-    from bench.terminal.loop_display import keep, show
-    from bench.terminal.progress import progress_bar
     from daq.setup.errors import InputError
 
-    quiet = json == "-"
-    say: Callable[[str], None] = _nothing if quiet else typer.echo
-    text: str | None = None
-    failure = ""
+    wanted = _Wanted(json, report, improved, next_run, keep_term, overwrite)
+    failure, complete = "", True
     try:
-        check_outputs(
-            File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
-            File("--next-run", next_run, PROFILE), File("--summaries", summaries, ROWS, continues=holds_summaries),
-            inputs=[*recordings, profile, scenario], overwrite=overwrite,
-        )  # fmt: skip
-        kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
-        single = {
-            "--improved": improved, "--next-run": next_run, "--until-clear": until_clear, "--keep-term": keep_term,
-        }  # fmt: skip
-        _check_mode(single, summaries, runs_differ=runs_differ)
-        _check_recordings(recordings)
+        again = (scenario, seed) if until_clear else None
+        kept_as = _check(recordings, profile, summaries, wanted, again, runs_differ=runs_differ)
         if runs_differ:
-            if not judge_runs(recordings, profile, summaries, json, report):
-                raise SystemExit(EXIT_FAILED)
-            return
-        if until_clear:
-            loop, fitted, recordings, failure = repeat(recordings, scenario, seed, say=say, quiet=quiet)
+            complete = judge_runs(recordings, profile, summaries, json, report)
         else:
-            setup, text = (None, None) if profile is None else load_measuring(profile)
-            with progress_bar(quiet) as bar:
-                loop, fitted = fit_loop(recordings, setup=setup, progress=bar)
+            writers, failure = _closed(recordings, profile, wanted, again)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; name a file that can be read", EXIT_USAGE)
-    if not quiet:
-        show(loop)
-    writers = _Writers(loop, fitted, recordings, text, say)
-    if kept_as is not None:
-        steps: list[Output] = [("kept term", lambda: writers.keep_term(kept_as, profile, improved, quiet=quiet))]
-        improved = None
-    else:
-        steps = []
-    complete = keep([*steps, *writers.outputs(json, report, improved, next_run)])
+    if not runs_differ:
+        complete = writers.write(wanted, kept_as, profile)
     if failure:
         fail(failure, EXIT_FAILED)
     if not complete:
         raise SystemExit(EXIT_FAILED)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What is to be written, and where."""
+
+    json: str | None
+    report: Path | None
+    improved: Path | None
+    next_run: Path | None
+    keep_term: str | None
+    overwrite: bool
+
+    @property
+    def quiet(self) -> bool:
+        """Whether standard output belongs to the JSON."""
+        return self.json == "-"
+
+
+def _closed(
+    recordings: list[Path], profile: Path | None, wanted: _Wanted, again: tuple[Path | None, int] | None
+) -> tuple[_Writers, str]:
+    """The loop closed on all recordings as one run, and why a run that was to follow could not be made.
+
+    ``again`` is what the simulated rig hides, and the seed of further runs on it.
+    """
+    from analysis.loop.close_loop import fit_loop
+    from bench.jobs.adaptive_runs import until_clear
+    from bench.profiles.find import load_measuring
+    from bench.terminal.progress import progress_bar
+
+    say: Callable[[str], None] = _nothing if wanted.quiet else typer.echo
+    if again is not None:
+        loop, fitted, made, failure = until_clear(recordings, *again, say=say, quiet=wanted.quiet)
+        return _Writers(loop, fitted, made, None, say), failure
+    setup, text = (None, None) if profile is None else load_measuring(profile)
+    with progress_bar(wanted.quiet) as bar:
+        loop, fitted = fit_loop(recordings, setup=setup, progress=bar)
+    return _Writers(loop, fitted, recordings, text, say), ""
 
 
 @dataclass
@@ -128,18 +134,25 @@ class _Writers:
         """The first recording."""
         return self.recordings[0]
 
-    def outputs(
-        self, json: str | None, report: Path | None, improved: Path | None, next_run: Path | None
-    ) -> list[Output]:
-        """Name and function of everything that is to be written, in order."""
-        out: list[Output] = [("list of next runs", self.rank), ("verdict as JSON", lambda: self.verdict(json))]
-        if report is not None:
-            out.append(("report", lambda: self.report(report, quiet=json == "-")))
+    def write(self, wanted: _Wanted, kept_as: Path | None, profile: Path | None) -> bool:
+        """Show the verdict and write what is wanted, a discovered term to ``kept_as``; whether all could be written."""
+        from bench.terminal.loop_display import keep, show
+
+        if not wanted.quiet:
+            show(self.loop)
+        steps: list[Output] = []
+        improved = wanted.improved
+        if kept_as is not None:
+            steps.append(("kept term", lambda: self.keep_term(kept_as, profile, wanted.improved, quiet=wanted.quiet)))
+            improved = None
+        steps += [("list of next runs", self.rank), ("verdict as JSON", lambda: self.verdict(wanted.json))]
+        if (report := wanted.report) is not None:
+            steps.append(("report", lambda: self.report(report, quiet=wanted.quiet)))
         if improved is not None:
-            out.append(("improved profile", lambda: self.improved(improved)))
-        if next_run is not None:
-            out.append(("next run's profile", lambda: self.next_run(next_run)))
-        return out
+            steps.append(("improved profile", lambda: self.improved(improved)))
+        if (next_run := wanted.next_run) is not None:
+            steps.append(("next run's profile", lambda: self.next_run(next_run)))
+        return keep(steps)
 
     def keep_term(self, path: Path, profile: Path | None, improved: Path | None, *, quiet: bool) -> None:
         from analysis.report.kept import kept_in_words
@@ -187,10 +200,34 @@ class _Writers:
             self.say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
 
 
-def _check_mode(single: Mapping[str, object], summaries: Path | None, *, runs_differ: bool) -> None:
-    """Refuse options that do not go together."""
+def _check(
+    recordings: list[Path],
+    profile: Path | None,
+    summaries: Path | None,
+    wanted: _Wanted,
+    again: tuple[Path | None, int] | None,
+    *,
+    runs_differ: bool,
+) -> Path | None:
+    """Refuse outputs that are in the way, options that do not go together, and recordings that are not there.
+
+    Returns the file of a term that is to be kept.
+    """
+    from bench.jobs.joint_runs import holds_summaries
+    from bench.jobs.keep_term import place_for
+    from bench.outputs import JSON, PROFILE, REPORT, ROWS, File, Folder, check_outputs
     from daq.setup.errors import InputError
 
+    check_outputs(
+        File("--json", wanted.json, JSON), Folder("--report", wanted.report, REPORT),
+        File("--improved", wanted.improved, PROFILE), File("--next-run", wanted.next_run, PROFILE),
+        File("--summaries", summaries, ROWS, continues=holds_summaries),
+        inputs=[*recordings, profile, again[0] if again else None], overwrite=wanted.overwrite,
+    )  # fmt: skip
+    kept_as = None if wanted.keep_term is None else place_for(wanted.keep_term, overwrite=wanted.overwrite)
+    single = {
+        "--improved": wanted.improved, "--next-run": wanted.next_run, "--until-clear": again, "--keep-term": kept_as,
+    }  # fmt: skip
     if summaries is not None and not runs_differ:
         raise InputError("--summaries: is kept of runs that differ only; give --runs-differ as well, or leave it out")
     given = [option for option, value in single.items() if value]
@@ -199,6 +236,8 @@ def _check_mode(single: Mapping[str, object], summaries: Path | None, *, runs_di
             f"{', '.join(given)}: belongs to a single run or to runs alike, and --runs-differ was given; leave out one "
             "of them"
         )
+    _check_recordings(recordings)
+    return kept_as
 
 
 def _check_recordings(recordings: list[Path]) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import glob
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_or_leave
-from bench.terminal.console import EXIT_USAGE, fail, write_json
+from bench.terminal.console import EXIT_USAGE, fail, print_lines, write_json
+
+if TYPE_CHECKING:
+    from bench.jobs.drop_test import Request
 
 Files = Annotated[list[Path], typer.Argument(help="Films, folders of frames, tables, WAV files or recordings.")]
 Fps = Annotated[float | None, typer.Option(help="Frames per second at which it was filmed (default: the file's own).")]
@@ -26,6 +29,7 @@ Diameter = Annotated[float | None, typer.Option(help="The ball's diameter, m.")]
 From = Annotated[float | None, typer.Option("--from", help="Leave out what is before this time of the file, s.")]
 Until = Annotated[float | None, typer.Option("--until", help="Leave out what is after this time of the file, s.")]
 Ignore = Annotated[list[float] | None, typer.Option(help="Leave out the event or frame nearest to this time, s.")]
+Add = Annotated[list[float] | None, typer.Option(help="Add an impact at this time, s.")]
 Region = Annotated[str | None, typer.Option(help="Part of the picture to look at: LEFT,TOP,RIGHT,BOTTOM in pixels.")]
 Axis = Annotated[float | None, typer.Option(help="Direction of the fall in the picture: degrees right of down.")]
 Json = Annotated[str | None, typer.Option("--json", help="Write the result as JSON here; - prints it.")]
@@ -35,6 +39,8 @@ Into = Annotated[Path | None, typer.Option(help="Write the result into this rig 
 Stale = Annotated[
     str, typer.Option(help="Effects declared before that this result does not measure: ask, keep or remove.")
 ]
+Page = Annotated[bool, typer.Option("--page", help="Open the desk's page, where impacts are moved, added and removed.")]
+Port = Annotated[int | None, typer.Option(min=0, max=65535, help="Of the page; by default a free one.")]
 Seed = Annotated[int, typer.Option(help="Seed of the bootstrap.")]
 
 
@@ -54,6 +60,7 @@ def command(
     from_s: From = None,
     until_s: Until = None,
     ignore: Ignore = None,
+    add: Add = None,
     region: Region = None,
     axis: Axis = None,
     json_target: Json = None,
@@ -62,6 +69,8 @@ def command(
     into: Into = None,
     stale: Stale = "ask",
     seed: Seed = 1,
+    page: Page = False,
+    port: Port = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Drop tests by camera, sound or contact: restitution, friction, drag, and what the data cannot tell.
@@ -69,39 +78,54 @@ def command(
     Several files of one ball are fitted together. Example: bench drop drop.avi --fps 1000 --scale 0.0002 --json -
     """
     from analysis.drop.options.corrections import Corrections
-    from bench.jobs.drop_test import Request, check_request, declare_into, parse_region, run
+    from bench.jobs.drop_test import Request, check_request, parse_region
 
     made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track", "sound"))
     check_or_leave(
-        File("--json", json_target, JSON), Folder("--out", out if pictures else None, made), Edited("--into", into),
-        inputs=files, overwrite=overwrite,
+        File("--json", json_target, JSON), Folder("--out", out if pictures and not page else None, made),
+        Edited("--into", into), inputs=files, overwrite=overwrite,
     )  # fmt: skip
     try:
-        corrections = Corrections(from_s, until_s, tuple(ignore or ()), parse_region(region), axis)
+        by_hand = Corrections(from_s, until_s, tuple(ignore or ()), tuple(add or ()), parse_region(region), axis)
         request = Request(
-            files=tuple(files),
-            fps=fps,
-            scale_m=scale,
-            ball_size_m=ball_size,
-            scale_uncertainty=scale_uncertainty,
-            fps_uncertainty=fps_uncertainty,
-            heights_m=tuple(drop_height or ()),
-            height_uncertainty_m=height_uncertainty,
-            use_height=use_height,
-            gravity_mps2=gravity,
-            mass_kg=mass,
-            diameter_m=diameter,
-            corrections=corrections,
-            seed=seed,
-        )
+            tuple(files), fps, scale, ball_size, scale_uncertainty, fps_uncertainty, tuple(drop_height or ()),
+            height_uncertainty, use_height, gravity, mass, diameter, (by_hand,), seed,
+        )  # fmt: skip
         check_request(request)
-        if stale not in ("ask", "keep", "remove"):
-            fail(f"--stale {stale}: expected ask, keep or remove", EXIT_USAGE)
-        outcome = run(request, out if pictures else None, _bar)
-        refused = declare_into(into, outcome, stale, _asked) if into is not None else None
+        if page:
+            _serve(request, json_target, into, port)
+        else:
+            _measure(request, json_target, out if pictures else None, into, stale)
     except ValueError as error:
         fail(str(error), EXIT_USAGE)
-    outcome.payload["in_words"] = outcome.sentences
+
+
+def _serve(request: Request, json_target: str | None, into: Path | None, port: int | None) -> None:
+    """The desk's page of this drop test, until Ctrl-C."""
+    from bench.drops.serving import serve_page
+
+    if into is not None or json_target == "-":
+        fail("--page: the page writes JSON into the file of --json; --into and --json - go without it", EXIT_USAGE)
+
+    def say(url: str) -> None:
+        print_lines(f"open {url} in a browser; Ctrl-C ends the page")
+        sys.stdout.flush()
+
+    serve_page(request, None if json_target is None else Path(json_target), port, say)
+
+
+def _measure(request: Request, json_target: str | None, out: Path | None, into: Path | None, stale: str) -> None:
+    """The drop test itself: sentences, JSON, pictures, profile."""
+    from bench.jobs.declare_drop import declare_into
+    from bench.jobs.drop_test import draw, measure
+
+    if stale not in ("ask", "keep", "remove"):
+        fail(f"--stale {stale}: expected ask, keep or remove", EXIT_USAGE)
+    done = measure(request, _bar)
+    outcome = done.outcome
+    if out is not None:
+        draw(done, out)
+    refused = declare_into(into, outcome, stale, _asked) if into is not None else None
     write_json(outcome.payload, json_target)
     if json_target != "-":
         for sentence in outcome.sentences:

@@ -34,7 +34,7 @@ def command(
     Every block is planned, limited and recorded as by bench ramp; Ctrl-C ramps down and keeps what was recorded. Given
     again with the same folder, it goes on there.
 
-    Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.002
+    Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.005
 
     Exits 0 when an aim was reached or the budget is spent, 1 when a block failed or was stopped, 2 when the call was
     wrong.
@@ -66,6 +66,8 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
+    except KeyboardInterrupt:
+        fail(f"interrupted; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
     write_json(as_json(found, aims.budget_s), json)
     say(f"{found.why}; {len(found.blocks)} blocks, {found.rig_s:.1f} s of rig time")
     if found.failed or not complete:

@@ -26,7 +26,9 @@ def command(
     adaptive: bool = typer.Option(False, "--adaptive", help="More gammas where something happens."),
     narrowest: float | None = typer.Option(None, help="Narrowest window of gamma listed; 1e-6, bouncing 1e-3."),
     grid: list[str] = typer.Option([], help="name.parameter=from:to:count: one more axis of a diagram."),
+    keep: int = typer.Option(64, min=1, help="Flight times kept of each point of a diagram."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
+    device: str | None = typer.Option(None, help="cuda: fly a diagram on a graphics processor."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
     json_to: str | None = typer.Option(None, "--json", help="File for the answer as JSON; - is standard output."),
@@ -46,33 +48,10 @@ def command(
 
     bench predict --profile better.toml
 
-    bench predict --gamma-range 0.5 4 --steps 10000 --grid restitution.e0=0:0.9:100 --workers 2 --out map.h5
+    bench predict --gamma-range 0.5 4 --grid restitution.e0=0:0.9:100 --keep 1 --workers 2 --out map.h5 --figure map.png
     """
+    given = dict(locals())
     from bench.predict.answer import run
     from bench.predict.request import Request
 
-    run(
-        Request(
-            ratio=c,
-            gamma=gamma,
-            gamma_peak=gamma_peak,
-            gamma_range=gamma_range,
-            bifurcations=bifurcations,
-            effects=tuple(effect),
-            frequency_hz=frequency_hz,
-            sweep=sweep,
-            phase_deg=phase_deg,
-            steps=steps,
-            adaptive=adaptive,
-            grid=tuple(grid),
-            narrowest=narrowest,
-            workers=workers,
-            cluster=cluster,
-            paper_figure=paper_figure,
-            json_to=json_to,
-            out=out,
-            figure=figure,
-            profile=profile,
-            overwrite=overwrite,
-        )
-    )
+    run(Request(ratio=given.pop("c"), effects=tuple(given.pop("effect")), grid=tuple(given.pop("grid")), **given))

@@ -1,12 +1,11 @@
-"""One drop test: files read, fitted and judged; pictures drawn; the result written into a profile."""
+"""One drop test: files read, fitted and judged; pictures drawn."""
 
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,9 @@ from daq.setup.errors import InputError
 from daq.setup.setup import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
+    from analysis.drop.curves import FitPlot
     from analysis.drop.filmed import Units
-    from analysis.drop.load import Path2D
+    from analysis.drop.load import Known, Path2D
     from analysis.drop.options.progress import Progress
     from analysis.drop.outcome import Outcome
     from analysis.drop.times.one_ahead import Drop
@@ -30,7 +30,7 @@ Height = tuple[float, float]
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked for; the options of `bench drop` by their names."""
+    """What was asked for: the options of `bench drop` by their names; ``corrections`` of all files, or of each."""
 
     files: tuple[Path, ...]
     fps: float | None = None
@@ -44,7 +44,7 @@ class Request:
     gravity_mps2: float = STANDARD_GRAVITY_MPS2
     mass_kg: float | None = None
     diameter_m: float | None = None
-    corrections: Corrections = NOTHING
+    corrections: tuple[Corrections, ...] = (NOTHING,)
     seed: int = 1
 
     @property
@@ -54,6 +54,11 @@ class Request:
             return [None] * len(self.files)
         heights = self.heights_m * (len(self.files) if len(self.heights_m) == 1 else 1)
         return [(height, self.height_uncertainty_m) for height in heights]
+
+    @property
+    def corrected(self) -> tuple[Corrections, ...]:
+        """Corrections of each file."""
+        return self.corrections * (len(self.files) if len(self.corrections) == 1 else 1)
 
     @property
     def drag_limits(self) -> tuple[float, float]:
@@ -66,7 +71,11 @@ class Request:
 
     def as_json(self) -> dict[str, Any]:
         """All options, for the record."""
-        return {k: list(map(str, v)) if k == "files" else v for k, v in dataclasses.asdict(self).items()}
+        told = dataclasses.asdict(self)
+        return told | {
+            "files": list(map(str, self.files)),
+            "corrections": [dataclasses.asdict(one) for one in self.corrected],
+        }
 
 
 def check_request(request: Request) -> None:
@@ -96,9 +105,9 @@ def check_request(request: Request) -> None:
         raise InputError(
             f"--drop-height: {len(request.heights_m)} heights for {len(request.files)} files; give one, or one each"
         )
-    part = request.corrections
-    if part.from_s is not None and part.until_s is not None and part.from_s >= part.until_s:
-        raise InputError(f"--from {part.from_s} --until {part.until_s}: nothing is left between them")
+    for part in request.corrections:
+        if part.from_s is not None and part.until_s is not None and part.from_s >= part.until_s:
+            raise InputError(f"--from {part.from_s} --until {part.until_s}: nothing is left between them")
     _refuse_twice(request.files)
 
 
@@ -130,8 +139,32 @@ def _refuse_twice(files: Sequence[Path]) -> None:
         seen[key] = path
 
 
-def run(request: Request, out: Path | None, progress: Progress | None = None) -> Outcome:
-    """Read, fit and judge; draw pictures into ``out`` where there is one.
+@dataclass
+class DropTest:
+    """A drop test: what was asked for and read, what came out, and what a figure of it shows.
+
+    Attributes
+    ----------
+    request : Request
+    items : list of (file number, Drop or Path2D)
+        What was read.
+    outcome : Outcome
+        The result; `draw` adds to its sentences.
+    plot : FitPlot
+        Data and models.
+    fitted_impacts_s : list of (item, time, bounced)
+        Impacts of films and paths in each file's own time, and whether a flight was measured on both sides.
+    """
+
+    request: Request
+    items: list[tuple[int, Drop | Path2D]]
+    outcome: Outcome
+    plot: FitPlot
+    fitted_impacts_s: list[tuple[int, float, bool]] = field(default_factory=list)
+
+
+def measure(request: Request, progress: Progress | None = None, known: Known | None = None) -> DropTest:
+    """Read, fit and judge; ``known`` keeps what is slow and does not depend on corrections by hand.
 
     Raises
     ------
@@ -142,26 +175,49 @@ def run(request: Request, out: Path | None, progress: Progress | None = None) ->
     from analysis.drop.times.one_ahead import Drop
 
     loaded = [
-        (item, height)
-        for path, height in zip(request.files, request.stated, strict=True)
-        for item in load_all(path, progress, request.corrections)
+        (number, item)
+        for number, (path, part) in enumerate(zip(request.files, request.corrected, strict=True))
+        for item in load_all(path, progress, part, known)
     ]
-    times = [item for item, _ in loaded if isinstance(item, Drop)]
-    paths = [item for item, _ in loaded if not isinstance(item, Drop)]
-    stated = [height for _, height in loaded]
+    times = [item for _, item in loaded if isinstance(item, Drop)]
+    paths = [item for _, item in loaded if not isinstance(item, Drop)]
+    stated = [request.stated[number] for number, _ in loaded]
     if times and paths:
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
-    outcome = _from_times(times, stated, request, out) if times else _from_paths(paths, stated, request, out)
-    not_read = [words for item, _ in loaded for words in item.not_read]
-    outcome.payload["not_read"] = not_read
-    outcome.sentences += not_read
-    outcome.payload["options"] = request.as_json()
-    return outcome
+    done = DropTest(
+        request, loaded, *(_from_times(times, stated, request) if times else _from_paths(paths, stated, request))
+    )
+    not_read = [words for _, item in loaded for words in item.not_read]
+    done.outcome.payload["not_read"] = not_read
+    done.outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read
+    done.outcome.payload["options"] = request.as_json()
+    done.outcome.payload["in_words"] = done.outcome.sentences
+    return done
 
 
-def _from_times(drops: list[Drop], stated: list[Height | None], request: Request, out: Path | None) -> Outcome:
+def draw(done: DropTest, out: Path) -> None:
+    """Check pictures of sounds and films, and the fit with its residuals, into the folder ``out``; each is said."""
+    from analysis.drop.figures import draw_fit, draw_sound, draw_track
+    from analysis.drop.times.one_ahead import Drop
+
+    said = done.outcome.sentences
+    for number, path in enumerate(done.request.files):
+        own = [item for n, item in done.items if n == number]
+        drops = [item for item in own if isinstance(item, Drop) and item.sound]
+        if drops:
+            said.append(f"check picture: {draw_sound(path, drops, _target(out, path.name, 'sound'))}")
+        for item in own:
+            if not isinstance(item, Drop) and item.tracked is not None:
+                drawn = draw_track(item.tracked, item.clip.name, _target(out, item.clip.name, "track"))
+                said.append(f"check picture: {drawn}")
+    names = [item.name if isinstance(item, Drop) else item.clip.name for _, item in done.items]
+    title = names[0] if len(names) == 1 else f"{len(names)} drops ({names[0]} ...)"
+    said.append(f"picture: {draw_fit(done.plot, title, _target(out, names[0], 'residuals'))}")
+
+
+def _from_times(drops: list[Drop], stated: list[Height | None], request: Request) -> tuple[Outcome, FitPlot]:
     """Impact times: the models, judged on held-out bounces."""
-    from analysis.drop.figures import draw_sound, draw_times
+    from analysis.drop.curves import times_plot
     from analysis.drop.outcome import of_times
     from analysis.drop.times.model_selection import judge
 
@@ -172,45 +228,35 @@ def _from_times(drops: list[Drop], stated: list[Height | None], request: Request
         blind = verdict
         drops = [replace(drop, height_m=height) for drop, height in zip(drops, stated, strict=True)]
         verdict = judge(drops, g, rng, request.drag_limits)
-    outcome = of_times(drops, verdict, g, stated, rng, blind)
-    if out is not None:
-        for path in request.files:
-            own = [drop for drop in drops if drop.file == path]
-            if own and own[0].sound:
-                drawn = draw_sound(path, own, _target(out, path.name, "sound"))
-                outcome.sentences.append(f"check picture: {drawn}")
-        drawn = draw_times(drops, verdict, g, _target(out, drops[0].name, "residuals"))
-        outcome.sentences.append(f"picture: {drawn}")
-    return outcome
+    return of_times(drops, verdict, g, stated, rng, blind), times_plot(drops, verdict, g)
 
 
-def _from_paths(paths: list[Path2D], stated: list[Height | None], request: Request, out: Path | None) -> Outcome:
-    """Films and tracked positions: flights, restitution, the models."""
-    from analysis.drop.figures import draw_camera, draw_track
+def _from_paths(
+    paths: list[Path2D], stated: list[Height | None], request: Request
+) -> tuple[Outcome, FitPlot, list[tuple[int, float, bool]]]:
+    """Films and tracked positions: flights, restitution, the models; and the impacts in each file's own time."""
+    from analysis.drop.curves import camera_plot
     from analysis.drop.film.camera_fit import fit_camera
     from analysis.drop.filmed import of_camera
 
     if request.use_height == "data":
         raise InputError("--use-height data: a film or a path measures the height itself; say --use-height check")
     units = _units(paths, request)
-    names = [item.clip.name for item in paths]
     rng = np.random.default_rng(request.seed)
     fit = fit_camera([item.clip for item in paths], rng)
-    outcome = of_camera(names, fit, units, rng)
+    outcome = of_camera([item.clip.name for item in paths], fit, units, rng)
     for item in paths:
-        outcome.sentences += item.remarks
         if item.tracked is not None:
-            outcome.payload.setdefault("lost_frames", []).append(item.tracked.lost.tolist())
+            outcome.payload.setdefault("lost_frames", []).append((item.tracked.lost + item.tracked.first).tolist())
     _check_height(outcome, stated)
-    if out is not None:
-        for item in paths:
-            if item.tracked is not None:
-                drawn = draw_track(item.tracked, item.clip.name, _target(out, item.clip.name, "track"))
-                outcome.sentences.append(f"check picture: {drawn}")
-        shape = next(r.shape for r in fit.candidates if r.model.name == outcome.payload["best"])
-        drawn = draw_camera(fit, shape, ", ".join(names[:3]), _target(out, names[0], "residuals"), units.frame_s)
-        outcome.sentences.append(f"picture: {drawn}")
-    return outcome
+    shape = next(r.shape for r in fit.candidates if r.model.name == outcome.payload["best"])
+    seen = fit.impacts[shape]
+    step = [item.frame_s or 1.0 for item in paths]
+    impacts = [
+        (int(clip), float(frame) * step[int(clip)], bool(both))
+        for clip, frame, both in zip(seen.clip, seen.frame, seen.bounced, strict=True)
+    ]
+    return outcome, camera_plot(fit, shape, [item.frame_s for item in paths]), impacts
 
 
 def _units(paths: list[Path2D], request: Request) -> Units:
@@ -254,55 +300,3 @@ def _check_height(outcome: Outcome, stated: list[Height | None]) -> None:
 def _target(out: Path, name: str, what: str) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     return out / f"{Path(name).stem}-{what}.png"
-
-
-def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str], bool | None]) -> str | None:
-    """Write what was measured into a profile that still reads afterwards; returns why nothing was written.
-
-    Parameters
-    ----------
-    profile
-        The file.
-    outcome
-        What was measured; nothing that is unexplained, or compatible with zero, is in it.
-    stale
-        "keep" or "remove" effects that are declared and that this result was measured without; "ask" about them.
-    ask
-        Puts a question; None where nobody can answer.
-
-    Raises
-    ------
-    InputError
-        The profile cannot be read, or would be none any more.
-    """
-    from bench.profiles.edit import declare, withdraw
-    from daq.files.whole_file import write_whole
-    from rig.profile import parse_profile
-
-    if not outcome.measured:
-        reasons = "; ".join(outcome.payload["unexplained_because"]) or "every value is compatible with zero"
-        return f"{profile}: nothing was written into it: {reasons}"
-    try:
-        text = profile.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{profile}: cannot be read ({error.strerror})") from error
-    before = parse_profile(text, str(profile)).declared
-    effects = sorted({item.effect for item in outcome.measured})
-    left = [name for name in ("coulomb_friction", "quadratic_drag") if name in before and name not in effects]
-    if left and stale == "ask":
-        names = " and ".join(left)
-        answer = ask(f"{profile} declares {names}; the restitution was measured without. Remove it?")
-        if answer is None:
-            return (
-                f"{profile}: nothing was written into it: it declares {names}, and the restitution found here was "
-                "measured without; say --stale remove or --stale keep"
-            )
-        stale = "remove" if answer else "keep"
-    edited = declare(text, outcome.measured, datetime.date.today(), str(profile))
-    if left and stale == "remove":
-        edited = withdraw(edited, left, str(profile))
-        outcome.sentences.append(f"{profile}: removed {', '.join(left)}")
-    parse_profile(edited, str(profile))
-    write_whole(profile, edited)
-    outcome.sentences.append(f"{profile}: declared {', '.join(effects)}")
-    return None

@@ -25,12 +25,14 @@ from rig.programme.sequencer import stop_fade_samples
 if TYPE_CHECKING:
     from analysis.attribution.fit import Fitter
     from analysis.attribution.hypothesis import Hypothesis
-    from analysis.explore.choice import Option
+    from analysis.explore.choice import Block, Option, Pool
+    from analysis.explore.explanations import Weighed
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel, ParameterId
 
 GAMMAS = 10  # offered for each forcing
 FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
+LEAST_STEPS = 2  # held, of a block that is gone on with
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time
 
 
@@ -112,7 +114,8 @@ def explore(
     text
         The profile (TOML).
     folder
-        For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven.
+        For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven, also those that a person
+        has put there. One that was stopped too early to tell anything is left out.
     aims
         When to stop.
     drive
@@ -128,7 +131,11 @@ def explore(
         For a profile that cannot be driven, or recordings that cannot be read.
     """
     options = offers(text, aims)
-    made = sorted(folder.glob("block-*.h5"))
+    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
+    made = [path for path in there if _tells(path)]
+    if left_out := [path.name for path in there if path not in made]:
+        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
+    number = max((int(path.stem[6:]) for path in there), default=0)
     blocks = [_as_driven(path) for path in made]
 
     def ended(why: str, loop: ClosedLoop | None, *, failed: bool = False) -> Explored:
@@ -138,13 +145,14 @@ def explore(
         loop, chosen, why = _next(text, made, blocks, options, aims)
         if chosen is None:
             return ended(why, loop)
-        say(f"\nblock {len(made) + 1}: {chosen.reason}")
+        number += 1
+        say(f"\nblock {number}: {chosen.reason}")
         answer = chosen if ask is None else ask(chosen)
         if answer is None:
             return ended("a person stopped it", loop)
-        path = folder / f"block-{len(made) + 1:02d}.h5"
-        if failure := drive(answer, path, len(made)):
-            return ended(f"block {len(made) + 1}: {failure}", loop, failed=True)
+        path = folder / f"block-{number:02d}.h5"
+        if failure := drive(answer, path, number - 1):
+            return ended(f"block {number}: {failure}", loop, failed=True)
         made.append(path)
         blocks.append(answer)
 
@@ -156,6 +164,13 @@ def with_gammas(block: Chosen, gammas: Sequence[float]) -> Chosen:
     if faults := planned(profile)[2]:
         raise InputError(refusal("these gammas", faults))
     return Chosen(text, run_seconds(profile), f"gamma {', '.join(f'{g:g}' for g in gammas)}: chosen by a person")
+
+
+def _tells(path: Path) -> bool:
+    """Whether enough steps of a block were held to their end."""
+    with open_recording(path) as opened:
+        held = [row for row in opened.steps if int(row["first_sample"] + row["n_samples"]) <= opened.n_samples]
+        return len(held) >= LEAST_STEPS
 
 
 def _as_driven(path: Path) -> Chosen:
@@ -245,7 +260,7 @@ def _next(
     text: str, made: Sequence[Path], blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
 ) -> tuple[ClosedLoop | None, Chosen | None, str]:
     """Verdict so far, and the next block; or why there is none."""
-    from analysis.explore.choice import Pool, best_block, bistable
+    from analysis.explore.choice import Pool, best_block
     from analysis.explore.explanations import weighed
 
     if not made:
@@ -256,23 +271,32 @@ def _next(
         return loop, None, why
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
+    if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
+        return loop, None, why
     block = best_block(pools, known, wanted, aims.steps)
-    if block is None or block.nats < LEAST_NATS:
-        if loop is not None and loop.verdict == "nothing_missing":
-            return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+    if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
+        chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
+    elif loop is not None and loop.verdict == "nothing_missing":
+        return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+    else:
         visited = [(p.forcing.ratio, g) for p in map(_profile_of, blocks) for g in p.ramp.gammas()]
         chosen = _spread(text, options, visited, aims, "no known explanation is left to be tested")
-    else:
-        a, b = (" + ".join(names) or "the declared model" for names in block.separates)
-        words = f"{block.nats:.1f} nats in {block.seconds:.1f} s of rig time, above all about {a} or {b}"
-        twice = bistable(pools, block)
-        if twice:
-            side = "below" if block.option.rising else "above"
-            words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
-        chosen = _chosen(text, block.option, block.gammas, aims, words)
     if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
         return loop, None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return loop, chosen, ""
+
+
+def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
+    """Why a block was chosen."""
+    from analysis.explore.choice import bistable
+
+    a, b = (" + ".join(names) or "the declared model" for names in block.separates)
+    about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {', '.join(map('.'.join, wanted))}"
+    words = f"{block.nats:.2g} nats in {block.seconds:.1f} s of rig time, above all {about}"
+    if twice := bistable(pools, block):
+        side = "below" if block.option.rising else "above"
+        words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
+    return words
 
 
 def _profile_of(block: Chosen) -> Profile:
@@ -305,10 +329,8 @@ def _judged(
 
 def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
     """Why the aims are reached, or an empty text."""
-    if loop.verdict == "explained" and len(loop.ties) < 2:
-        loose = {key: sigma for key, sigma in aims.until.items() if key in best.free and best.fitted.sigma(key) > sigma}
-        if not loose:
-            return f"{' + '.join(loop.names)} alone explains everything"
+    if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
+        return f"{' + '.join(loop.names)} alone explains everything"
     if loop.verdict == "nothing_missing":
         from analysis.attribution.priors import parameter_of
 
@@ -319,6 +341,29 @@ def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
         ]
         if not above:
             return "nothing is missing, down to the sizes asked for"
+    return ""
+
+
+def _loose(best: Hypothesis, aims: Aims) -> list[ParameterId]:
+    """Parameters that are not yet as sharp as asked for."""
+    return [key for key, sigma in aims.until.items() if key in best.free and best.fitted.sigma(key) > sigma]
+
+
+def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: Sequence[Pool], known: Weighed) -> str:
+    """Why no step would make the parameters as sharp as asked for, or an empty text."""
+    from analysis.explore.choice import limits_of
+
+    if loop.verdict != "explained" or len(loop.ties) > 1:
+        return ""
+    for key in _loose(best, aims):
+        share, limiting = limits_of(pools, known, key)
+        sigma = best.fitted.sigma(key)
+        if share * sigma > aims.until[key] and limiting:
+            first = " or ".join(f"{name}.{q}" for name, q in limiting)
+            return (
+                f"{' + '.join(loop.names)} alone explains everything; {'.'.join(key)} is known to {sigma:.2g}, and no "
+                f"number of steps would bring it below {share * sigma:.2g}: calibrate {first} better, or ask for less"
+            )
     return ""
 
 

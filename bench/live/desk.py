@@ -15,10 +15,10 @@ from typing import Any
 
 from bench.live.board import Board, Message
 from bench.live.decimate import MinMax, PlateHeight
-from bench.live.hub import Browser, Hub
 from bench.live.starting import run_check, run_profile
 from bench.live.watch import Watch
 from bench.profiles.find import find_profile, load, scenario_names, shipped_names
+from bench.web.hub import Browser, Hub
 from daq.setup.errors import InputError
 from rig.profile import Profile
 

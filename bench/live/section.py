@@ -11,8 +11,8 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from bench.live.desk import Desk
-from bench.live.hub import Browser
 from bench.web.html import Html
+from bench.web.hub import Browser
 from bench.web.page import page
 from bench.web.section import Place, Section
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.live.board import Board
+from bench.web.packages import require_packages
 from daq.setup.errors import InputError
 from rig.profile import Profile
 
-SECTIONS = ("bench.live.section", "bench.runs.section")
+SECTIONS = ("bench.live.section", "bench.runs.section", "bench.drops.section")
 START_S = 60.0
 LINGER_S = 3.0  # in which browsers get the last word of a run
-MISSING = 'the page needs packages that are not installed ({}); run: pip install "shakerbench[live]"'
 
 
 def sections() -> tuple[str, ...]:
@@ -27,9 +27,7 @@ def sections() -> tuple[str, ...]:
     InputError
         Where the packages of the page are not installed.
     """
-    missing = [name for name in ("starlette", "uvicorn", "websockets") if importlib.util.find_spec(name) is None]
-    if missing:
-        raise InputError(MISSING.format(", ".join(missing)))
+    require_packages()
     return tuple(name for name in SECTIONS if importlib.util.find_spec(name.rpartition(".")[0]) is not None)
 
 

@@ -43,6 +43,8 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     ensemble.check(job)
     if request.json_to is not None and not request.adaptive:
         _check_json(job.size, job)
+    if request.figure is not None and len(job.axes) > 1:
+        raise InputError("--figure shows a diagram over gamma, or a map over gamma and one --grid; give --out alone")
     if request.out is None and request.figure is None and request.json_to is None:
         raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
     if request.overwrite and request.out is not None:
@@ -59,10 +61,8 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
         rows = _flown(job, request)
     if request.json_to is not None:
         write_json(_rows_json(rows, job), request.json_to)
-    if request.figure is not None:
-        if request.grid:
-            raise InputError("--figure shows a diagram over gamma alone; with --grid give --out")
-        from bench.predict.figures import diagram_picture
+    if request.figure is not None and not job.axes:
+        from bench.predict.figures import diagram_picture  # matplotlib is slow to import
 
         diagram_picture(rows.sorted(), forcing, request, request.figure)
 
@@ -82,6 +82,7 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
         axes=tuple(_axis(text) for text in request.grid),
         frequency_hz=request.frequency_hz,
         sweep=request.sweep is not None,
+        keep=request.keep,
         g_mps2=request.g_mps2,
     )
 
@@ -105,8 +106,15 @@ def _axis(text: str) -> ensemble.Axis:
 def _flown(job: ensemble.Job, request: Request) -> Rows:
     with tempfile.TemporaryDirectory() as folder:
         path = request.out or Path(folder) / "diagram.h5"
-        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=Progress("points"))
-        if request.figure is None and request.json_to is None:
+        ensemble.run(
+            job, path, workers=request.workers, cluster=request.cluster, device=request.device,
+            progress=Progress("points"),
+        )  # fmt: skip
+        if request.figure is not None and job.axes:
+            from bench.predict.map_picture import map_picture  # matplotlib is slow to import
+
+            map_picture(path, job, request.figure)
+        if (request.figure is None or job.axes) and request.json_to is None:
             return empty_rows(np.empty(0), 0)
         return ensemble.load(path)[0]
 

@@ -32,6 +32,11 @@ def warn(message: str) -> None:
     sys.stderr.write(f"warning: {message}\n")
 
 
+def json_text(payload: Any) -> str:
+    """JSON as the commands write it."""
+    return json.dumps(payload, indent=1, allow_nan=False, default=_plain) + "\n"
+
+
 def write_json(payload: Any, target: str | Path | None) -> None:
     """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None.
 
@@ -39,7 +44,7 @@ def write_json(payload: Any, target: str | Path | None) -> None:
     """
     if target is None:
         return
-    text = json.dumps(payload, indent=1, allow_nan=False, default=_plain) + "\n"
+    text = json_text(payload)
     if target == "-":
         sys.stdout.write(text)
         return

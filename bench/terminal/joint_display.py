@@ -27,6 +27,12 @@ def show(found: JointVerdict) -> None:
         if x.kind == "effect" or any(map(math.isfinite, x.sigmas)):
             table.add_row(*_row(x))
     out.print(table)
+    for error in found.systematics:
+        if error.sigma_us < 0.9 * error.prior_us:
+            out.print(
+                f"  {error.name} in all runs: {error.value_us:.1f} +- {error.sigma_us:.1f} us "
+                f"(beforehand 0 +- {error.prior_us:.1f})", soft_wrap=True,
+            )  # fmt: skip
     runs = Table(
         "run", "started" if found.dated else "number", "flights", "rms of residuals", "landing (us)", "floor (us)"
     )

@@ -116,10 +116,13 @@ def single_drops(count: int, seed: int, heard: bool, echo: float = 0.03, speech:
     for k in range(count):
         rng = np.random.default_rng([seed, k])
         truth = _random_truth(cam, CAUSES[k % 4], rng)
-        events, strength, impacts, due = _heard(cam, truth, rng, echo, speech) if heard else _tabled(cam, truth, rng)
+        if heard:
+            events, strength, loudness, impacts, due = _heard(cam, truth, rng, echo, speech)
+        else:
+            events, strength, loudness, impacts, due = _tabled(cam, truth, rng)
         tally["due"] += int(due.sum())
         try:
-            drop = Drop("x", bounces_of(events, f"drop {k}", strength=strength))
+            drop = Drop("x", bounces_of(events, f"drop {k}", strength=strength, loudness=loudness))
         except InputError:
             matrix[CAUSES[k % 4], "refused"] += 1
             continue
@@ -143,7 +146,7 @@ def _random_truth(cam: ModuleType, cause: str, rng: np.random.Generator) -> Any:
 
 def _heard(
     cam: ModuleType, truth: Any, rng: np.random.Generator, echo: float = 0.03, speech: float | None = None
-) -> tuple[Array, Array | None, Array, Array]:
+) -> tuple[Array, Array | None, Array | None, Array, Array]:
     """Events in a microphone recording, with noise, hum, talk, clicks and unheard impacts."""
     room = cam.Room(
         rate_hz=float(rng.choice([16000, 22050, 44100, 48000, 96000])),
@@ -161,11 +164,13 @@ def _heard(
     samples, impacts, loud = cam.sound(truth, room, rng)
     apart = np.diff(impacts, prepend=impacts[0] - 1.0) > 0.03
     due = apart & (loud > 8.0 * np.hypot(room.noise, room.speech))
-    times, strength, _ = sound_onsets(samples, room.rate_hz, "x")
-    return times, strength, impacts, due
+    times, strength, loudness = sound_onsets(samples, room.rate_hz, "x")
+    return times, strength, loudness, impacts, due
 
 
-def _tabled(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Array, Array | None, Array, Array]:
+def _tabled(
+    cam: ModuleType, truth: Any, rng: np.random.Generator
+) -> tuple[Array, Array | None, Array | None, Array, Array]:
     """Events as a phone lists them: impacts with jitter, one perhaps missing, one perhaps false, none under 0.1 s."""
     _, impacts = cam.path(truth, np.array([20.0]), 1e-4, settle_mps=0.05, rng=rng)
     impacts = impacts[np.diff(impacts, append=impacts[-1]) > 0.1]
@@ -173,7 +178,7 @@ def _tabled(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Arra
     due[rng.integers(1, len(impacts))] = rng.random() < 0.5
     events = impacts + 10 ** rng.uniform(-5, -3) * rng.standard_normal(len(impacts))
     false = rng.uniform(impacts[0] - 1.0, impacts[-1], int(rng.integers(0, 2)))
-    return np.concatenate([events[due], false]), None, impacts, due
+    return np.concatenate([events[due], false]), None, None, impacts, due
 
 
 def _count(

@@ -24,10 +24,10 @@ from benchmarks.model.every_flight import every_flight
 from model.flight import friction
 from model.flight.first_landing import first_landing, take_off_phases, turning_points
 from model.flight.records import FrictionRestitution
-from model.orbits.attractor import AT_REST, Ball
+from model.orbits.attractor import AT_REST, FEW_FLIGHTS, Ball
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
-from model.surveys.diagram import MOST_FLIGHTS, diagram
+from model.surveys.diagram import diagram
 from model.tones import Forcing
 
 GRIDS = {1: np.linspace(0.55, 6, 2000), 2: np.linspace(0.25, 6, 2000), 3: np.linspace(0.12, 6, 2000)}
@@ -68,7 +68,7 @@ def own(n: int) -> tuple[float, float, int]:
         every_s += gammas.size * (TRANSIENT + KEPT) / rate_alone(ball, gammas, n)
         diagram(ball, gammas[-3:])
         diagram_s += best_of(n, lambda b=ball, g=gammas: diagram(b, g))
-        flown += flown_until_closed(ball, gammas, MOST_FLIGHTS)
+        flown += flown_until_closed(ball, gammas, FEW_FLIGHTS)
     return every_s, diagram_s, flown
 
 

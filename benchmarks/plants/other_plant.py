@@ -357,14 +357,18 @@ def profile_of(run: Run) -> str:
     )  # fmt: skip
 
 
-def write(run: Run, folder: Path) -> Path:
-    """Write ``recording.csv``, ``profile.toml`` and the sealed ``truth.json``; returns the CSV's path."""
+def write(run: Run, folder: Path, ending: str = ".csv") -> Path:
+    """Write ``recording.csv`` (or ``.npz``), ``profile.toml`` and the sealed ``truth.json``; the table's path."""
     folder.mkdir(parents=True, exist_ok=True)
     data = simulate(run)
     names = ("time_s", "continuity_v", "accelerometer_v", "drive_v")
-    path = folder / "recording.csv"
-    table = np.column_stack([data[name] for name in names])
-    np.savetxt(path, table, fmt=("%.6f", "%.4f", "%.5f", "%.5f"), delimiter=",", header=",".join(names), comments="")
+    path = folder / f"recording{ending}"
+    if ending == ".npz":
+        np.savez(path, **{name: data[name] for name in names})
+    else:
+        table = np.column_stack([data[name] for name in names])
+        layout = ("%.6f", "%.4f", "%.5f", "%.5f")
+        np.savetxt(path, table, fmt=layout, delimiter=",", header=",".join(names), comments="")
     (folder / "profile.toml").write_text(profile_of(run), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(asdict(run), indent=1), encoding="utf-8")
     return path

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 STRONG_BELOW, WEAK_ABOVE = 0.35, 1.6  # sizes are drawn from the medium to the strong one, and about the weak one
 DECLARED = ("coulomb_friction", "restitution", "viscous_damping")
+CONTACTS: dict[str, dict[str, float]] = {
+    "jittered": {"jitter_s": 2e-5},
+    "read once a sample": {"jitter_s": 0.0},
+    "read once a sample, RC behind": {"jitter_s": 0.0, "contact_rc_s": 1e-4},
+}
+"""Contact circuits: edges that jitter, a comparator with the converter's clock, and one with a low-pass behind it."""
 
 
 @dataclass(frozen=True)
@@ -124,15 +130,18 @@ def _other(job: Job, folder: Path) -> Path:
     under = conditions(job)
     usual = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}[under["c"]]
     gammas = rng.permutation(np.round(np.linspace(*usual, under.pop("steps")), 4))
+    contact = CONTACTS.get(under.pop("contact", ""), {})
     hidden: dict[str, float] = {}
     for effect in job.effects:
         hidden |= _drawn(plant.SIZES[effect], effect, job.kind, rng)
-    sealed = plant.Run(
-        **under, gammas=tuple(gammas.tolist()), seed=job.seed, hidden=hidden, spikes=bool(rng.random() < 0.5),
-        closure_s=float(rng.choice((1e-4, 5e-4))), jitter_s=float(rng.choice((5e-6, 2e-5))),
-        frequency_hz=float(rng.choice((22.31, 25.37, 31.73))), reads_gravity=bool(rng.random() < 0.5),
-    )  # fmt: skip
-    raw = plant.write(sealed, folder)
+    sensors = {
+        "spikes": bool(rng.random() < 0.5), "closure_s": float(rng.choice((1e-4, 5e-4))),
+        "jitter_s": float(rng.choice((5e-6, 2e-5))), "frequency_hz": float(rng.choice((22.31, 25.37, 31.73))),
+        "reads_gravity": bool(rng.random() < 0.5),
+    }  # fmt: skip
+    gamma = tuple(gammas.tolist())
+    sealed = plant.Run(**under, **{**sensors, **contact}, gammas=gamma, seed=job.seed, hidden=hidden)
+    raw = plant.write(sealed, folder, ".npz" if job.varied else ".csv")
     profile = folder / "profile.toml"
     if job.kind == "declared":
         _declare(profile, hidden)
@@ -145,7 +154,7 @@ def _other(job: Job, folder: Path) -> Path:
 
 
 def conditions(job: Job) -> dict[str, Any]:
-    """The recording's c and number of steps; where they vary, also cycles a step, rate and accelerometer noise."""
+    """The recording's c and number of steps; where they vary, also its length, rate, noise, contact and converters."""
     if not job.varied:
         return {"c": job.c, "steps": 22}
     rng = np.random.default_rng((job.seed, 1))
@@ -155,6 +164,8 @@ def conditions(job: Job) -> dict[str, Any]:
         "cycles": int(rng.choice((14, 20, 40))),
         "rate_hz": float(rng.choice((20e3, 50e3, 100e3, 200e3), p=(0.4, 0.3, 0.2, 0.1))),
         "accelerometer_noise_g": float(rng.choice((0.01, 0.03, 0.1))),
+        "contact": str(rng.choice(list(CONTACTS))),
+        "bits": int(rng.choice((12, 16))),
     }
 
 

@@ -10,37 +10,28 @@ from model.effects.base import Effect, Parameter, Row
 
 COARSE = (0.05, 0.12, 0.2, 0.3, 0.45)
 
+
+def _mu(way: str) -> Parameter:
+    """Friction on the ``way`` up or down."""
+    return Parameter(
+        f"mu_{way}",
+        "g",
+        0.0,
+        3.0,
+        0.02,
+        start_grid=(0.1, 0.3),
+        coarse_grid=COARSE,
+        coarse_step=0.03,
+        calibrated_by={"drop test": 1e-2},
+        carries_term="friction",
+        meaning=f"friction over weight, moving {way}",
+    )
+
+
 EFFECT = Effect(
     name="coulomb_friction",
     summary="dry friction of the rod, the same at any speed",
-    parameters=(
-        Parameter(
-            "mu_up",
-            "g",
-            0.0,
-            3.0,
-            0.02,
-            start_grid=(0.1, 0.3),
-            coarse_grid=COARSE,
-            coarse_step=0.03,
-            calibrated_by={"drop test": 1e-2},
-            carries_term="friction",
-            meaning="friction over weight, moving up",
-        ),
-        Parameter(
-            "mu_down",
-            "g",
-            0.0,
-            3.0,
-            0.02,
-            start_grid=(0.1, 0.3),
-            coarse_grid=COARSE,
-            coarse_step=0.03,
-            calibrated_by={"drop test": 1e-2},
-            carries_term="friction",
-            meaning="friction over weight, moving down",
-        ),
-    ),
+    parameters=(_mu("up"), _mu("down")),
     confused_with={
         "stribeck_friction": "slow and fast passages: high gamma",
         "viscous_damping": "gamma far into the irregular range",

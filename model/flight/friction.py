@@ -12,7 +12,9 @@ import math
 
 import numpy as np
 
+from kernels.lanes import nearest
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
+from model.flight.chatter import tail_of_chatter
 from model.flight.ideal import RESTS
 from model.flight.numerics import Floats, compiled, inlined
 from model.flight.records import EdgeTables, FrictionRestitution, Segment
@@ -52,7 +54,7 @@ def rise(tones: Floats, gamma: float, up: Floats, n_up: int, segment: Segment) -
         x = standstill(tones, gamma, segment, 0.0, phi0, phi0 + last, min(phi0 + v0 / -a0, phi0 + last), False)
         return x - phi0, x
     lo = fold(phi0 + sure, up[0])
-    turns = TWO_PI * np.rint((phi0 + sure - lo) / TWO_PI)
+    turns = TWO_PI * nearest((phi0 + sure - lo) / TWO_PI)
     i = branch_of(up, n_up, lo)
     while True:
         hi = up[i + 1]
@@ -211,6 +213,19 @@ def land_with_friction(
 def rebound(law: FrictionRestitution, speed: float) -> float:
     """Speed after an impact at ``speed``: ``e0 - e1 speed`` of it, at least none and at most all."""
     return speed * min(max(law.e0 - law.e1 * speed, 0.0), 1.0)
+
+
+@compiled
+def rebound_or_rest(
+    tones: Floats, gamma: float, law: FrictionRestitution, phi: float, speed: float
+) -> tuple[float, float]:
+    """Speed after an impact, and 0; where a chatter begins that can be summed, 0 and the time to its end."""
+    v = rebound(law, speed)
+    if v > 0.0:
+        tail = tail_of_chatter(tones, gamma, law, phi, v)
+        if tail >= 0.0:
+            return 0.0, tail
+    return v, 0.0
 
 
 @compiled

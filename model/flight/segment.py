@@ -35,7 +35,9 @@ from model.flight.numerics import (
     S15,
     S17,
     Floats,
+    Number,
     compiled,
+    inlined,
     sincos,
 )
 from model.flight.records import Segment
@@ -45,20 +47,26 @@ SHORT = 0.125  # over shorter times the height is computed as tau^2 times a seri
 ROUNDING = 32 * 2.2e-16  # bound on the relative rounding of a height
 
 
-@compiled
-def shape(tones: Floats, phi: float) -> tuple[float, float, float]:
+@inlined
+def shape(tones: Floats, phi: Number) -> tuple[Number, Number, Number]:
     """``s(phi)``, ``s'(phi)`` and ``q(phi) = -s''(phi)``."""
-    s = 0.0
-    slope = 0.0
-    q = 0.0
+    s = slope = q = 0.0 * phi
     for j in range(tones.shape[0]):
         n = tones[j, 0]
         sine, cosine = sincos(n * phi + tones[j, 2])
-        sine *= tones[j, 1]
-        s += sine
-        slope += tones[j, 1] * n * cosine
-        q += n * n * sine
+        sine = tones[j, 1] * sine
+        s = s + sine
+        slope = slope + tones[j, 1] * n * cosine
+        q = q + n * n * sine
     return s, slope, q
+
+
+@inlined
+def height(gamma: Number, segment: Segment, s: Number, slope: Number, tau: Number) -> tuple[Number, Number]:
+    """``h`` and ``h'`` where the plate's ``s`` and ``s'`` are given, ``tau`` after the start of ``segment``."""
+    _, s0, slope0, _, v0, h0, level = segment
+    h = h0 + gamma * (s0 + slope0 * tau - s) + tau * (v0 - 0.5 * level * tau)
+    return h, gamma * (slope0 - slope) + v0 - level * tau
 
 
 @compiled
@@ -110,10 +118,9 @@ def motion(tones: Floats, gamma: float, segment: Segment, phi: float, tau: float
     """``h, h', h''`` at the phase ``phi`` (any turn), ``tau`` after the start of ``segment``."""
     if tau < SHORT:
         return _motion_short(tones, gamma, segment, tau)
-    _, s0, slope0, _, v0, h0, level = segment
     s, slope, q = shape(tones, phi)
-    h = h0 + gamma * (s0 + slope0 * tau - s) + tau * (v0 - 0.5 * level * tau)
-    return h, gamma * (slope0 - slope) + v0 - level * tau, gamma * q - level
+    h, h1 = height(gamma, segment, s, slope, tau)
+    return h, h1, gamma * q - segment.pull
 
 
 @compiled

@@ -5,11 +5,12 @@ from __future__ import annotations
 from model.integrator.records import StepEnds, compiled, inlined
 
 MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
+Coefficients = tuple[float, float, float, float, float, float]
 CLOSE = 1e-13  # part of a step to which a root is found
 
 
 @inlined
-def _coefficients(ends: StepEnds) -> tuple[float, float, float, float, float, float]:
+def _coefficients(ends: StepEnds) -> Coefficients:
     """Coefficients of the quintic in the part z of the step."""
     d, h0, v0, a0, h1, v1, a1 = ends
     c0, c1, c2 = h0, v0 * d, 0.5 * a0 * d * d
@@ -37,6 +38,27 @@ def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
     c0, c1, c2, c3, c4, c5 = _coefficients(ends)
     c0 -= level
     positive = c0 + lo * (c1 + lo * (c2 + lo * (c3 + lo * (c4 + lo * c5)))) > 0.0
+    return _root((c0, c1, c2, c3, c4, c5), lo, hi, positive)
+
+
+@compiled
+def standstill(ends: StepEnds, hi: float) -> float:
+    """Where in [0, hi] the quintic's velocity vanishes; the velocities at 0 and hi differ in sign."""
+    _, c1, c2, c3, c4, c5 = _coefficients(ends)
+    return _root((c1, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 0.0), 0.0, hi, ends.v0 > 0.0)
+
+
+@compiled
+def slowest(ends: StepEnds) -> float:
+    """Where in [0, 1] the quintic's acceleration vanishes; the accelerations at the ends differ in sign."""
+    _, _, c2, c3, c4, c5 = _coefficients(ends)
+    return _root((2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5, 0.0, 0.0), 0.0, 1.0, ends.a0 > 0.0)
+
+
+@compiled
+def _root(polynomial: Coefficients, lo: float, hi: float, positive: bool) -> float:
+    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton, or bisection."""
+    c0, c1, c2, c3, c4, c5 = polynomial
     z = 0.5 * (lo + hi)
     for _ in range(MOST_STEPS):
         f = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
@@ -46,50 +68,6 @@ def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
         else:
             hi = z
         on = z - f / slope if slope != 0.0 else lo
-        if not lo < on < hi:
-            on = 0.5 * (lo + hi)
-        if abs(on - z) < CLOSE:
-            return on
-        z = on
-    return z
-
-
-@compiled
-def standstill(ends: StepEnds, hi: float) -> float:
-    """Where in [0, hi] the quintic's velocity vanishes; the velocities at 0 and hi differ in sign."""
-    _, c1, c2, c3, c4, c5 = _coefficients(ends)
-    lo = 0.0
-    z = 0.5 * hi
-    for _ in range(MOST_STEPS):
-        v = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))
-        slope = 2.0 * c2 + z * (6.0 * c3 + z * (12.0 * c4 + z * 20.0 * c5))
-        if (v > 0.0) == (ends.v0 > 0.0):
-            lo = z
-        else:
-            hi = z
-        on = z - v / slope if slope != 0.0 else lo
-        if not lo < on < hi:
-            on = 0.5 * (lo + hi)
-        if abs(on - z) < CLOSE:
-            return on
-        z = on
-    return z
-
-
-@compiled
-def slowest(ends: StepEnds) -> float:
-    """Where in [0, 1] the quintic's acceleration vanishes; the accelerations at the ends differ in sign."""
-    _, _, c2, c3, c4, c5 = _coefficients(ends)
-    lo, hi = 0.0, 1.0
-    z = 0.5
-    for _ in range(MOST_STEPS):
-        a = 2.0 * c2 + z * (6.0 * c3 + z * (12.0 * c4 + z * 20.0 * c5))
-        slope = 6.0 * c3 + z * (24.0 * c4 + z * 60.0 * c5)
-        if (a > 0.0) == (ends.a0 > 0.0):
-            lo = z
-        else:
-            hi = z
-        on = z - a / slope if slope != 0.0 else lo
         if not lo < on < hi:
             on = 0.5 * (lo + hi)
         if abs(on - z) < CLOSE:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.flight.branches import TWO_PI
+from model.orbits.cycles import repeating
 
 MAX_FLIGHTS = 4096
 FEW_FLIGHTS = 256  # tried first: most orbits have arrived by then
@@ -206,11 +207,11 @@ def _locked(ball: Ball, gamma: float, path: Path) -> LockedCycle | None:
     """The stable cycle to which the path tends, if it tends to one."""
     phase, speed = path.phase, path.speed
     for n in range(1, min(LONGEST_LOCKED, phase.size // 4) + 1):
+        if not repeating(phase, speed, phase.size, n, NEAR):
+            continue
         middle = phase.size // 2
         apart = _apart(phase[-1 - n], phase[-1]) + abs(speed[-1] - speed[-1 - n])
         earlier = _apart(phase[middle - n], phase[middle]) + abs(speed[middle] - speed[middle - n])
-        if apart > NEAR:
-            continue
         cycle = ball.close(gamma, path.last, n) if apart <= max(earlier, ARRIVED) else None
         cycle = cycle or _just_doubled(ball, gamma, path.last, n)
         if cycle is None or not abs(cycle.multiplier) < 1.0:

@@ -30,6 +30,7 @@ PERIOD = 2  # forcing periods of the cycle
 CODE = 3  # hash of the cycle's symbols, from its lowest threshold on
 ENTRY = 4  # hash of the way into the cycle; 0 when it begins at once
 CODE_SIZE = 5
+REPEATS = 8  # flights at least that must repeat themselves before a locked cycle is looked for
 
 
 class Flown(NamedTuple):
@@ -99,6 +100,18 @@ def lowest_start(threshold: Integers, first: int, stop: int) -> int:
 def nearest_turn(angle: float) -> float:
     """``angle`` less whole turns, in [-pi, pi]."""
     return angle - TWO_PI * round(angle / TWO_PI)
+
+
+@compiled
+def repeating(phase: Floats, speed: Floats, count: int, n: int, near: float) -> bool:
+    """Whether each of the last flights lies within ``near`` of the one ``n`` before it, in phase and speed."""
+    shown = max(n, REPEATS)
+    if count < shown + n:
+        return False
+    for k in range(count - shown, count):
+        if abs(nearest_turn(phase[k] - phase[k - n])) + abs(speed[k] - speed[k - n]) > near:
+            return False
+    return True
 
 
 def itinerary_codes_of(from_rest: Callable[..., Any]) -> Callable[..., None]:

@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from model.flight.branches import TWO_PI, branch_of, fold
-from model.flight.chatter import tail_of_chatter
 from model.flight.friction import (
     edge_tables,
     hang,
@@ -21,35 +20,41 @@ from model.flight.friction import (
     next_segment,
     next_take_off,
     rebound,
+    rebound_or_rest,
 )
 from model.flight.ideal import RESTS
 from model.flight.numerics import Floats, compiled
 from model.flight.records import EdgeTables, FrictionRestitution
 from model.flight.segment import motion
-from model.orbits.cycles import CHATTERS, SMALL, Flown, itinerary_codes_of, locked_family_of
+from model.orbits.cycles import CHATTERS, SMALL, Flown, Integers, itinerary_codes_of, locked_family_of
 
 Tangent = tuple[float, float, float, float]  # d landing/d phase, d landing/d v, d rebound/d phase, d rebound/d v
 MOST_SEGMENTS = 1000  # of a flight whose tangent is asked for
 
 
 @compiled
-def _rebound_or_rest(
-    tones: Floats, gamma: float, law: FrictionRestitution, phi: float, speed: float
-) -> tuple[float, float]:
-    """Speed after an impact, and 0; where a chatter begins that can be summed, 0 and the time to its end."""
-    v = rebound(law, speed)
-    if v > 0.0:
-        tail = tail_of_chatter(tones, gamma, law, phi, v)
-        if tail >= 0.0:
-            return 0.0, tail
-    return v, 0.0
-
-
-@compiled
 def fly_until_closed(
     tones: Floats, gamma: float, tables: EdgeTables, law: FrictionRestitution, phi: float, v: float, flown: Flown
 ) -> tuple[int, int, int, float, float]:
+    """`fly_with_notes` with notes of its own."""
+    notes = np.zeros((2, tables.n_up), dtype=np.int64)
+    return fly_with_notes(tones, gamma, tables, law, phi, v, flown, notes)
+
+
+@compiled
+def fly_with_notes(
+    tones: Floats,
+    gamma: float,
+    tables: EdgeTables,
+    law: FrictionRestitution,
+    phi: float,
+    v: float,
+    flown: Flown,
+    notes: Integers,
+) -> tuple[int, int, int, float, float]:
     """Fly from the plate at ``phi`` with rebound speed ``v`` until a threshold repeats or the arrays are full.
+
+    ``notes`` (2, windows or more) is filled with the flight that left each threshold, and its turn.
 
     Returns
     -------
@@ -59,8 +64,8 @@ def fly_until_closed(
     """
     tau, phase, speed, symbol, threshold, mark = flown
     up, n_up = tables.up, tables.n_up
-    seen = np.full(n_up, -1, dtype=np.int64)
-    seen_turn = np.zeros(n_up, dtype=np.int64)
+    for window in range(n_up):
+        notes[0, window] = -1
     turn = 0
     for k in range(tau.shape[0] + 1):
         at = fold(phi, up[0])
@@ -70,10 +75,10 @@ def fly_until_closed(
         if reset:
             if branch == 2 * n_up - 1:
                 turn += 1
-            if seen[window] >= 0:
-                return seen[window], k, turn - seen_turn[window], at, v
-            seen[window] = k
-            seen_turn[window] = turn
+            if notes[0, window] >= 0:
+                return notes[0, window], k, turn - notes[1, window], at, v
+            notes[0, window] = k
+            notes[1, window] = turn
             branch = 2 * window
         if k == tau.shape[0]:
             break
@@ -87,7 +92,7 @@ def fly_until_closed(
         symbol[k] = 2 * n_up * turns + branch_of(up, n_up, phi)
         mark[k] = SMALL if branch % 2 == 1 and symbol[k] == branch else 0
         turn += turns
-        v, tail = _rebound_or_rest(tones, gamma, law, phi, speed[k])
+        v, tail = rebound_or_rest(tones, gamma, law, phi, speed[k])
         if tail > 0.0:
             mark[k] |= CHATTERS
             phi += tail

@@ -111,14 +111,16 @@ def close_cycle(
     phi = fold(guess, edge[0])
     turn = 0
     multiplier = 0.0
+    last = math.inf
     for _ in range(60):
         ok, landing, turn, multiplier = map_cycle(tones, gamma, edge, n_windows, phi, phases, taus)
         if not ok:
             return False, phi, turn, multiplier
         miss = landing - phi
         step = miss / (1.0 - multiplier)
-        if abs(step) <= 1e-14 or miss == 0.0:
+        if abs(step) <= 1e-14 or (abs(step) < 1e-11 and abs(step) >= 0.25 * last):  # exact, or all but rounding gone
             return True, phi, turn, multiplier
+        last = abs(step)
         new = fold(phi + max(min(step, 0.1), -0.1), edge[0])
         if not math.isfinite(new) or branch_of(edge, n_windows, new) % 2 == 1:
             return False, phi, turn, multiplier

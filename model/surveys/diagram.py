@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.flight import first_landing
 from model.flight.precision import check_gamma, lengthened
-from model.orbits.attractor import AT_REST, Attractor, Ball, attractor, sweep
-from model.orbits.cycles import FLIGHTS, PERIOD, RESETS, room_for
+from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
+from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.surveys import cycle_batch
 from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row
-MOST_FLIGHTS = 256  # before a row is left to `model.orbits.attractor`
+FEW_ROWS = 1000  # flown one at a time: the kernels in lanes take half a minute to compile, once
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
 HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
 
@@ -101,25 +101,36 @@ def exact_rows(
     laws: Floats | None,
     ball_at: Callable[[int], Ball],
     keep: int,
+    device: str | None = None,
 ) -> Rows:
-    """Rows by the compiled kernels, ``laws`` (m, 4); those that do not close by the attractor of ``ball_at(row)``."""
+    """Rows of exact balls, ``laws`` (m, 4): few one at a time, many in lanes; what those leave open as `attractor`."""
     lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
+    if gammas.size < FEW_ROWS and device is None:
+        for i, gamma in enumerate(gammas):
+            put(rows, i, attractor(ball_at(i), float(gamma)))
+        return rows
+    each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
+    todo = np.ones(gammas.size, dtype=bool)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
-    flown = room_for(MOST_FLIGHTS)
-    if laws is None:
-        cycle_batch.ideal_batch(tones, turning, gammas, np.zeros((gammas.size, 4)), flown, outcome, rows.tau)
-    else:
-        each = np.ascontiguousarray(laws)
-        cycle_batch.friction_batch(tones, turning, gammas, each, flown, outcome, rows.tau)
-    rows.kind[:] = outcome[:, cycle_batch.CHATTERING]
+    if device is not None:
+        from model.surveys import cuda_batch  # numba's CUDA target need not be there
+
+        outcome, rows.tau[:] = cuda_batch.cycles(forcing, gammas, each, keep)
+        todo = outcome[:, FLIGHTS] == cycle_batch.OPEN
+    batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
+    some, kept = outcome[todo], rows.tau[todo]
+    batch(tones, turning, gammas[todo], each[todo], True, MAX_FLIGHTS, some, kept)
+    outcome[todo], rows.tau[todo] = some, kept
+    rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]
     rows.resets[:] = outcome[:, RESETS]
-    for i in np.flatnonzero(outcome[:, FLIGHTS] < 0):
-        put(rows, int(i), attractor(ball_at(int(i)), float(gammas[i])))
+    rows.locked[:] = outcome[:, cycle_batch.LOCKED]
+    for row in np.flatnonzero(outcome[:, FLIGHTS] == cycle_batch.OPEN).tolist():
+        put(rows, row, attractor(ball_at(row), float(gammas[row])))
     return rows
 
 

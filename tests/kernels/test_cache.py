@@ -141,3 +141,53 @@ def test_the_folder_is_keyed_by_the_versions() -> None:
     name = folder.places()[0].name
     assert f"numba-{numba.__version__}" in name
     assert sys.implementation.cache_tag in name
+
+
+FACTORY = """
+import sys
+import numpy as np
+from kernels import njit
+
+
+@njit()
+def one(x):
+    return x + 1.0
+
+
+@njit()
+def two(x):
+    return x + 2.0
+
+
+def made_of(inner):
+    @njit()
+    def step(values):  # too long to be inlined
+        for _ in range(3):
+            np.sort(values)
+            values[:] = inner(values) if values[0] < 3.0 else inner(inner(values)) - inner(0.0)
+        return values[0]
+
+    @njit()
+    def outer(x):
+        return step(np.full(2, x)) + step(np.full(3, x))
+
+    return outer
+
+
+kernels = {"one": made_of(one), "two": made_of(two)}
+print(*(kernels[name](0.0) for name in sys.argv[1:]))
+"""
+
+
+def test_kernels_of_one_name_made_by_a_factory_keep_apart(tmp_path: Path) -> None:
+    """Compiled in two processes and taken from the folder by a third, each is still itself."""
+    (tmp_path / "factory.py").write_text(FACTORY, encoding="utf-8")
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+
+    def printed(*names: str) -> list[float]:
+        command = [sys.executable, "factory.py", *names]
+        done = subprocess.run(command, cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True, check=True)
+        return [float(word) for word in done.stdout.split()]
+
+    assert [printed("one"), printed("two")] == [[6.0], [12.0]]
+    assert printed("one", "two") == [6.0, 12.0]

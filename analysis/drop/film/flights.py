@@ -22,6 +22,7 @@ _RELEASE_SIGMA = 6.0
 _RELEASE_SHARE = 0.04  # of the fall, left out at its top
 _LEAST_FLIGHT_FRAMES = 6.0
 _BENDS = (0.5, 2.0)  # of the usual acceleration: friction and a tilted picture stay inside
+_SAME_FRAMES = 2.0  # an impact left out by hand is the one within so many frames
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class Clip:
         Place across the fall, where the unit is pixels.
     watched : bool
         The film has edges by which a motion of its camera along the fall would be seen, and was moved back.
+    no_impact, impact : tuple of float
+        Frames at which a person says that there is no impact, or is one.
     """
 
     name: str
@@ -47,6 +50,8 @@ class Clip:
     acceleration: float
     across: Array | None = None
     watched: bool = True
+    no_impact: tuple[float, ...] = ()
+    impact: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,10 +88,7 @@ def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
         No impact, or none with a flight after it that could be resolved.
     """
     t, h = clip.frame, clip.height
-    noise = jitter(h)
-    least = max(clip.acceleration * (_LEAST_FLIGHT_FRAMES / 2.0) ** 2 / 2.0, 8.0 * noise)
-    low, _ = signal.find_peaks(-h, prominence=least)
-    low = _real_impacts(t, h, low)
+    low = _corrected(clip, impact_samples(clip))
     if not len(low):
         raise InputError(
             f"{clip.name}: no impact with a bounce after it among {len(t)} tracked frames; a bounce must last at least "
@@ -98,6 +100,29 @@ def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
         stop, lands = _end_of_last(clip, int(start)) if last else (int(low[k + 1]), True)
         parts.append(Flight(number, k + 1, *_inside(t[start + 1 : stop], h[start + 1 : stop]), lands))
     return [part for part in parts if part.order == 0 or _flies(part, clip.acceleration)]
+
+
+def impact_samples(clip: Clip) -> NDArray[np.intp]:
+    """Samples at which the ball turns over as in an impact, before any correction by hand."""
+    t, h = clip.frame, clip.height
+    least = max(clip.acceleration * (_LEAST_FLIGHT_FRAMES / 2.0) ** 2 / 2.0, 8.0 * jitter(h))
+    low, _ = signal.find_peaks(-h, prominence=least)
+    return _real_impacts(t, h, low)
+
+
+def near_impacts(clip: Clip, frames: Array) -> NDArray[np.bool_]:
+    """Which of ``frames`` mean an impact that was found."""
+    found = clip.frame[impact_samples(clip)]
+    off = np.abs(np.asarray(frames)[:, None] - found[None]).min(axis=1, initial=np.inf)
+    return np.asarray(off <= _SAME_FRAMES)
+
+
+def _corrected(clip: Clip, low: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Impacts without those that a person left out, and with those added."""
+    gone = np.abs(clip.frame[low][:, None] - np.array(clip.no_impact)[None]).min(axis=1, initial=np.inf)
+    added = [int(np.abs(clip.frame - when).argmin()) for when in clip.impact]
+    inside = [i for i in added if 0 < i < len(clip.frame) - 1]
+    return np.union1d(low[gone > _SAME_FRAMES], np.array(inside, dtype=np.intp))
 
 
 def _flies(part: Flight, acceleration: float) -> bool:

@@ -54,7 +54,8 @@ class Tracked:
         The ball stamped from every few frames onto the background.
     fps : float or None
         As the file states.
-    n_frames : int
+    n_frames, first : int
+        Frames that were used, and the number of the first in the file.
     lost : (m,) int64
         Frames between the track's first and last in which the ball was not found.
     watched : bool
@@ -73,6 +74,7 @@ class Tracked:
     lost: NDArray[np.int64]
     remarks: tuple[str, ...] = ()
     watched: bool = True
+    first: int = 0
 
 
 def track_film(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Tracked:
@@ -120,6 +122,7 @@ def track_film(path: Path, progress: Progress | None = None, corrections: Correc
         lost,
         remarks,
         film.watched,
+        film.first,
     )
 
 
@@ -150,7 +153,7 @@ def _attempt(film: Film, still: Still, corrections: Corrections, progress: Progr
         return InputError(f"{film.path}: no motion: {len(points)} moving spots in {still.n_frames} frames")
     table = np.array(points)
     if corrections.ignore_s:
-        table = table[corrections.keeps(table[:, 0] / (film.fps or 1.0), 0.6 / (film.fps or 1.0))]
+        table = table[corrections.keeps((table[:, 0] + film.first) / (film.fps or 1.0), 0.6 / (film.fps or 1.0))]
     try:
         track = ball_of(table[:, 0], table[:, 1], table[:, 2], str(film.path), corrections.axis_deg)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Corrections by hand: what a person leaves out of a file, or says about its picture."""
+"""Corrections by hand: what a person leaves out of a file, adds to it, or says about its picture."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a person leaves out, or says about the picture.
+    """What a person leaves out, adds, or says about the picture.
+
+    An impact that is moved is one left out and one added.
 
     Attributes
     ----------
     from_s, until_s : float or None
         Part of the file that is used, in its own time.
     ignore_s : tuple of float
-        Times of events (or frames) to be left out.
+        Times of impacts (or frames) to be left out.
+    add_s : tuple of float
+        Times of impacts that were not found.
     region : (left, top, right, bottom) or None
         Part of the picture, pixels.
     axis_deg : float or None
@@ -29,6 +33,7 @@ class Corrections:
     from_s: float | None = None
     until_s: float | None = None
     ignore_s: tuple[float, ...] = ()
+    add_s: tuple[float, ...] = ()
     region: tuple[int, int, int, int] | None = None
     axis_deg: float | None = None
 

@@ -13,6 +13,7 @@ from analysis.drop.read.readings import (
     Points,
     columns_of,
     counted_events,
+    heights_beside,
     lone_events,
     named_times,
     paired_events,
@@ -70,6 +71,11 @@ def read_tables(grids: list[Grid], where: str) -> Contents:
     InputError
         No drop can be found; or a table of rebound heights.
     """
+    hidden = [grid.name for grid in grids if grid.hidden] if not all(grid.hidden for grid in grids) else []
+    if hidden:
+        contents = read_tables([grid for grid in grids if not grid.hidden], where)
+        words = [f"{name}: hidden in the workbook; unhide the sheet to have it read" for name in hidden]
+        return Contents(contents.found, contents.not_read + words)
     tables = [_Table(block, columns_of(block)) for grid in grids for block in blocks_of(grid)]
     strong = {k: times for k, table in enumerate(tables) if (times := _events(table)) is not None}
     if not strong:
@@ -81,11 +87,13 @@ def read_tables(grids: list[Grid], where: str) -> Contents:
         return _times(tables, strong, paths, lone)
     if paths:
         items = [item for found in paths.values() for item in found]
-        return Contents(items, [_neither(tables[k]) for k in lone])
+        beside = [words for k in paths for words in heights_beside(tables[k].label, tables[k].columns, len(paths[k]))]
+        return Contents(items, [_neither(tables[k]) for k in lone] + beside)
     raise InputError(
         f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
         f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0].columns.names[:6]) or 'none'}"
-        + (_clocks_in_words(grids))
+        + _clocks_in_words(grids)
+        + "".join(f"; {words}" for _, not_taken in lone.values() for words in not_taken[:3])
     )
 
 

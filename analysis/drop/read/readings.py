@@ -234,6 +234,10 @@ def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Array]], 
             not_taken.append(f"{name}: a mean, an error or a fit by its heading, no drop")
         elif len(column) < 2 or np.any(column < 0):
             not_taken.append(f"{name}: fewer than two numbers, or negative ones, are no impact times")
+        elif rising and len(column) == 2:
+            not_taken.append(f"{name}: two impacts; a drop test needs three that follow each other")
+        elif not rising and not named_times(heading) and (why := _no_intervals(heading, column)):
+            not_taken.append(f"{name}: {why}")
         elif _words(heading) & _INTERVAL or (not rising and np.all(column > 0)):
             trailing = column[:-1] if column[-1] == 0.0 else column
             found.append((name, np.concatenate(([0.0], np.cumsum(trailing))) * factor))
@@ -242,6 +246,25 @@ def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Array]], 
         elif not counting:
             not_taken.append(f"{name}: no times that grow, no intervals above zero")
     return found, not_taken
+
+
+def _no_intervals(heading: str, column: Array) -> str | None:
+    """Why a column that no heading calls times or intervals may be none; None where it may pass for intervals."""
+    if _words(heading) & _HEIGHT:
+        return "rebound heights without times; heights read off are not judged here: give impact times"
+    if not heading and bool(np.all(np.diff(column) < 0.0)):
+        return "numbers that shrink may be intervals or rebound heights: write a heading over them, as interval (s)"
+    return None
+
+
+def heights_beside(label: str, columns: Columns, n_read: int) -> list[str]:
+    """Columns of heights of a table of positions beyond the ``n_read`` that are read, in words."""
+    if any(_words(name) & _ACROSS for name in columns.names):
+        return []
+    heights = [j for j, name in enumerate(columns.names) if _words(name) & _HEIGHT]
+    varied = [j for j in heights if np.isfinite(v := columns.values[:, j]).sum() >= 6 and np.nanstd(v) > 0.0]
+    words = "heights beside others; another ball, or the same once more: give each a file of its own"
+    return [f"{label}, {columns.names[j]}: {words}" for j in varied[n_read:]]
 
 
 def _rising(column: Array) -> bool:

@@ -31,10 +31,13 @@ class Grid:
         The sheet's name; empty for a text file.
     rows : list of lists of float or str
         Cells; numbers are converted, blanks are empty strings.
+    hidden : bool
+        The sheet is hidden in its workbook.
     """
 
     name: str
     rows: list[list[Cell]]
+    hidden: bool = False
 
 
 def read_grids(path: Path) -> list[Grid]:
@@ -75,9 +78,12 @@ def _read_xlsx(path: Path) -> list[Grid]:
         raise InputError(f"{path}: reading a spreadsheet needs the extra: pip install 'shakerbench[tables]'") from error
     try:
         book = openpyxl.load_workbook(io.BytesIO(path.read_bytes()), data_only=True)
-    except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, AttributeError, OSError) as error:
         raise InputError(f"{path}: damaged spreadsheet ({error}); export it again") from error
-    return [Grid(sheet.title, [[_cell(c) for c in row] for row in sheet.iter_rows(values_only=True)]) for sheet in book]
+    return [
+        Grid(sheet.title, [[_cell(c) for c in row] for row in sheet.values], sheet.sheet_state != "visible")
+        for sheet in book.worksheets  # a sheet that is a chart holds no cells
+    ]
 
 
 def _formulas(path: Path) -> bool:
@@ -85,7 +91,7 @@ def _formulas(path: Path) -> bool:
     import openpyxl
 
     book = openpyxl.load_workbook(io.BytesIO(path.read_bytes()))
-    return any(str(cell).startswith("=") for sheet in book for row in sheet.iter_rows(values_only=True) for cell in row)
+    return any(str(cell).startswith("=") for sheet in book.worksheets for row in sheet.values for cell in row)
 
 
 def _read_xls(path: Path) -> list[Grid]:
@@ -97,7 +103,10 @@ def _read_xls(path: Path) -> list[Grid]:
         book = xlrd.open_workbook(file_contents=path.read_bytes(), logfile=_Quiet())
     except (xlrd.XLRDError, xlrd.compdoc.CompDocError, IndexError, ValueError, OSError) as error:
         raise InputError(f"{path}: damaged spreadsheet ({error}); export it again") from error
-    return [Grid(s.name, [[_cell(c) for c in s.row_values(i)] for i in range(s.nrows)]) for s in book.sheets()]
+    return [
+        Grid(s.name, [[_cell(c) for c in s.row_values(i)] for i in range(s.nrows)], s.visibility != 0)
+        for s in book.sheets()
+    ]
 
 
 class _Quiet:

@@ -25,8 +25,17 @@ def _ends(interval: float) -> tuple[Array, Array]:
     return first, first * _RATIOS**powers
 
 
-def best_chain(events: Array, strength: Array) -> tuple[list[int], list[int], list[bool]]:
-    """Dynamic programme over pairs of events and kinds of interval, for all ratios at once."""
+def best_chain(events: Array, strength: Array, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
+    """Dynamic programme over pairs of events and kinds of interval, for all ratios at once.
+
+    Parameters
+    ----------
+    events, strength : (n,) float64
+        Times, s, and how much of an impact each event is.
+    may_break : bool
+        Irregular bounces may interrupt the pattern.
+    """
+    break_cost = _BREAK_COST if may_break else np.inf
     n = len(events)
     skipped = np.concatenate(([0.0], np.cumsum(_SKIP_COST * strength)))
     width = 0.04 + 0.06 * (1.0 - _RATIOS)
@@ -48,7 +57,7 @@ def best_chain(events: Array, strength: Array) -> tuple[list[int], list[int], li
                     continue
                 offset = np.log(first[:, None]) - np.log(_RATIOS * ends[h, i][1][None])
                 fits = np.abs(offset) < _LARGEST_LOG_SCATTER * width
-                cut_short = np.where(offset - np.log(_LARGEST_GROWTH / _RATIOS) < 0.0, -_BREAK_COST, -np.inf)
+                cut_short = np.where(offset - np.log(_LARGEST_GROWTH / _RATIOS) < 0.0, -break_cost, -np.inf)
                 gain = np.where(fits, _GAIN * strength[j] - 0.5 * (offset / width) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]
                 kind = total.argmax(axis=1)

@@ -24,8 +24,8 @@ _LEAST_SLOPE = 0.15  # of log peak over log flight; a tap's peak goes with the i
 
 def why_no_drop(
     before_s: Array, after_s: Array, loudness: Array, impacts_s: Array, others_s: Array, weight: Array
-) -> str | None:
-    """Why a chain is none of a ball's, in words; None where it may be one.
+) -> tuple[str | None, bool]:
+    """Why a chain is none of a ball's, in words (None where it may be one), and whether chance makes as good ones.
 
     Parameters
     ----------
@@ -38,6 +38,17 @@ def why_no_drop(
     others_s, weight : (m,) float64
         Events outside the chain, and how much of an impact each is, 0 to 1.
     """
+    uneven = _uneven(before_s, after_s, impacts_s, others_s) or _louder(loudness, impacts_s)
+    if uneven is not None:
+        return uneven, False
+    expected = by_chance(before_s, after_s, impacts_s, others_s, weight)
+    if expected > _CHANCE:
+        return f"among as many events {expected:.2g} chains as steady are expected by chance", True
+    return None, False
+
+
+def _uneven(before_s: Array, after_s: Array, impacts_s: Array, others_s: Array) -> str | None:
+    """Why the intervals are none of a ball's: even, or not shrinking, or shrinking unsteadily."""
     ratio = np.log(after_s / before_s)
     if float(np.median(ratio)) > np.log(_EVEN):
         return f"it comes at even intervals (ratio {np.exp(float(np.median(ratio))):.3f}), as a metronome; no ball does"
@@ -50,10 +61,7 @@ def why_no_drop(
         robust = MAD_TO_SIGMA * float(np.median(np.abs(ratio - np.median(ratio))))
         if 0.5 * (robust + float(ratio.std())) > _UNSTEADY:
             return f"its ratios scatter by {float(ratio.std()):.2f}, as those of events at nearly even intervals do"
-    expected = by_chance(before_s, after_s, impacts_s, others_s, weight)
-    if expected > _CHANCE:
-        return f"among as many events {expected:.2g} chains as steady are expected by chance"
-    return _louder(loudness, impacts_s)
+    return None
 
 
 def by_chance(before_s: Array, after_s: Array, impacts_s: Array, others_s: Array, weight: Array) -> float:

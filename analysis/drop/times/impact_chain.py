@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.times.chain_search import LONGEST_FLIGHT_S, best_chain
 from analysis.drop.times.chain_tests import why_no_drop
-from analysis.drop.times.end_outliers import ends_that_stray
+from analysis.drop.times.end_outliers import ends_that_stray, ends_unlike_in_loudness
 from daq.setup.errors import InputError
 
 Array = NDArray[np.float64]
@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
 _LEAST_OF_LOOP, _SAME_S, _LOOPED, _PERIODS = 2, 1e-3, 0.9, 200
 _RING_S = 0.1
+_TRIES = 2  # chains that are none of a ball's and are set aside to look at what is left
+_EVEN_LOG = 0.02  # of the ratio of two intervals of a rhythm
+_STEADY, _SHRINKS, _ECHO_S = 0.01, 0.97, 2e-3  # of two chains side by side: scatter of log ratios, ratio, echo's delay
 _WINDOW, _OVERLAP = 400, 150  # events that are searched at once
 
 
@@ -53,6 +56,12 @@ class Bounces:
     def intervals_s(self) -> Array:
         """Times between successive impacts, shape (n - 1,)."""
         return np.diff(self.impacts_s)
+
+    @property
+    def gaps_s(self) -> Array:
+        """Middle of each interval in which impacts are missing."""
+        gaps = np.flatnonzero(self.missed)
+        return np.asarray(0.5 * (self.impacts_s[gaps] + self.impacts_s[gaps + 1]))
 
     @property
     def usable(self) -> NDArray[np.int64]:
@@ -128,6 +137,11 @@ def drops_of(
             f"{where}: the same events come again and again, equal to a millisecond and at even intervals: a rhythm, "
             "or one recording played in a loop; give each drop once"
         )
+    if kept and _two_side_by_side(kept, events):
+        raise InputError(
+            f"{where}: two things bounce at the same time: two chains of events shrink steadily side by side; record "
+            "one ball at a time, or leave the other out with --from, --until and --ignore"
+        )
     if kept:
         return kept
     raise InputError(
@@ -152,20 +166,32 @@ def _windows(times: Array) -> list[slice]:
 
 def _search(events: _Events, uncertainty_s: float, found: list[Bounces], reasons: list[str]) -> None:
     """Every drop among some events: the best chain, then what lies before and after it."""
-    rest = [events]
+    rest = [(events, _TRIES)]
     best = 0
     while rest:
-        part = rest.pop()
-        drop = _one_drop(part, uncertainty_s)
-        if isinstance(drop, str):
-            reasons.append(drop)
+        part, tries = rest.pop()
+        drop = _one_drop(part, uncertainty_s, events)
+        if isinstance(drop, _Refused):
+            reasons.append(drop.why)
+            if tries and not drop.by_chance:  # a voice or a rally beside a drop: look at what is left without it
+                rest.append((part.part(~np.isin(part.times_s, _rhythm(drop.impacts_s))), tries - 1))
         if not isinstance(drop, Bounces):
             continue
         best = max(best, len(drop.impacts_s))
         if len(drop.impacts_s) < best and len(drop.impacts_s) < max(_LEAST_OF_FURTHER, best // 2):
             continue
         found.append(drop)
-        rest += [part.part(part.times_s < drop.impacts_s[0]), part.part(part.times_s > drop.impacts_s[-1])]
+        parts = (part.part(part.times_s < drop.impacts_s[0]), part.part(part.times_s > drop.impacts_s[-1]))
+        rest += [(one, tries) for one in parts]
+
+
+def _rhythm(chain_s: Array) -> Array:
+    """The events of a chain that come at even intervals; all of it, where none do."""
+    even = np.abs(np.diff(np.log(np.diff(chain_s)))) < _EVEN_LOG
+    own = np.zeros(len(chain_s), dtype=bool)
+    for shift in range(3):  # the three events of two even intervals
+        own[shift : shift + len(even)] |= even
+    return chain_s[own] if own.any() else chain_s
 
 
 def _apart(found: list[Bounces]) -> list[Bounces]:
@@ -193,36 +219,84 @@ def _a_loop(drops: list[Bounces], events: Array) -> bool:
     return False
 
 
-def _one_drop(events: _Events, uncertainty_s: float) -> Bounces | str | None:
-    """The best chain; why it is no drop, where it is none."""
+@dataclass(frozen=True)
+class _Refused:
+    """A chain that is no drop: why, its events, and whether chance makes as good ones."""
+
+    why: str
+    impacts_s: Array
+    by_chance: bool
+
+
+def _one_drop(events: _Events, uncertainty_s: float, everything: _Events) -> Bounces | _Refused | None:
+    """The best chain of some events; why it is no drop among everything heard, where it is none."""
     if len(events.times_s) < 3:
         return None
     chain, kinds, broken = best_chain(events.times_s, events.strength)
     if len(chain) < 3 or not _holds_a_bounce(kinds, broken):
         return None
-    drop = _without_strays(events.times_s, chain, kinds, broken, uncertainty_s)
+    drop = _without_strays(events, chain, kinds, broken, uncertainty_s)
     if len(drop.impacts_s) < 3 or not len(drop.usable):
         return None
-    mine = np.isin(events.times_s, drop.impacts_s)
+    mine, others = np.isin(events.times_s, drop.impacts_s), ~np.isin(everything.times_s, drop.impacts_s)
     flights, rows = drop.intervals_s, drop.usable
-    why = why_no_drop(
-        flights[rows - 1], flights[rows], events.loudness[mine], drop.impacts_s, events.times_s[~mine],
-        events.strength[~mine],
+    why, by_chance = why_no_drop(
+        flights[rows - 1], flights[rows], events.loudness[mine], drop.impacts_s, everything.times_s[others],
+        everything.strength[others],
     )  # fmt: skip
-    return why or drop
+    return drop if why is None else _Refused(why, drop.impacts_s, by_chance)
+
+
+def _two_side_by_side(drops: list[Bounces], events: _Events) -> bool:
+    """Whether two chains shrink steadily at the same time, neither of them the other's echo."""
+    left = sum(len(drop.false_s) + int(drop.broken.sum()) for drop in drops)
+    if left < _LEAST_OF_FURTHER - 1:
+        return False
+    inside = (events.times_s >= drops[0].impacts_s[0]) & (events.times_s <= drops[-1].impacts_s[-1])
+    rest, chains = events.part(inside), []
+    for _ in range(2):
+        if len(rest.times_s) > _WINDOW or len(rest.times_s) < _LEAST_OF_FURTHER:
+            return False
+        chain, kinds, _ = best_chain(rest.times_s, rest.strength, may_break=False)
+        times = rest.times_s[chain]
+        single = np.array(kinds, dtype=np.int64) == 0
+        if len(chain) < _LEAST_OF_FURTHER or not single.all() or not _steady(np.diff(times)):
+            return False
+        chains.append(times)
+        rest = rest.part(~np.isin(rest.times_s, times))
+    one, other = chains
+    n = min(len(one), len(other))
+    shifts = other[:n] - one[np.abs(one[:, None] - other[None, :n]).argmin(axis=0)]
+    together = min(one[-1], other[-1]) - max(one[0], other[0])
+    echo = float(np.ptp(shifts)) < _ECHO_S
+    return bool(together > 0.5 * min(np.ptp(one), np.ptp(other)) and not echo)
+
+
+def _steady(flights: Array) -> bool:
+    """Whether flights shrink by one factor, or one that changes evenly, far more closely than chance makes them."""
+    ratio = np.log(flights[1:] / flights[:-1])
+    basis = np.vander(flights[:-1], 2) if len(ratio) >= _LEAST_OF_FURTHER else np.ones((len(ratio), 1))
+    left = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
+    return bool(float(np.sqrt((left**2).mean())) < _STEADY and float(np.median(ratio)) < np.log(_SHRINKS))
 
 
 def _without_strays(
-    events: Array, chain: list[int], kinds: list[int], broken: list[bool], uncertainty_s: float
+    heard: _Events, chain: list[int], kinds: list[int], broken: list[bool], uncertainty_s: float
 ) -> Bounces:
     """The chain as bounces, ends that belong to something else given up."""
+    events = heard.times_s
     inside = events[(events > events[chain[0]]) & (events < events[chain[-1]])]
     first, last = 0, len(chain)
     while True:
         single = np.array(kinds[first : last - 1]) == 0
-        cut = ends_that_stray(events[chain[first:last]], single)
+        own = chain[first:last]
+        cut = ends_that_stray(events[own], single)
         if not any(cut):
-            break
+            cut = ends_unlike_in_loudness(heard.loudness[own], events[own], single)
+            if not any(cut):
+                break
+            first, last = first + cut[0], last - cut[1]
+            continue
         if cut[0] and (other := _other_first(events, chain[first:last], single)) is not None:
             chain = [*chain[:first], other, *chain[first + 1 :]]
             continue

@@ -8,7 +8,7 @@ Arrays are padded to the longest drop, so that all drops are whitened in one bat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,6 +42,10 @@ class Drop:
         Whether the file is a sound.
     not_read : tuple of str
         What of the file was not read, with the reason (with the file's first drop).
+    remarks : tuple of str
+        What was noticed (with the file's first drop).
+    events_s : (n,) float64
+        All events of the file or table, impacts or not (with its first drop).
     """
 
     name: str
@@ -50,6 +54,8 @@ class Drop:
     file: Path | None = None
     sound: bool = False
     not_read: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    events_s: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)

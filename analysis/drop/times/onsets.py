@@ -106,6 +106,9 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
         Silence, or nothing that stands out.
     """
     x = np.atleast_2d(np.asarray(samples, dtype=np.float64).T).T
+    if not np.isfinite(x).all():
+        bad = int((~np.isfinite(x)).any(axis=1).sum())
+        raise InputError(f"{where}: damaged: {bad} samples are no numbers; export it again as 16-bit PCM WAV")
     x = x[:, np.ptp(x, axis=0) > 0.0]
     if x.shape[1] == 0:
         raise InputError(f"{where}: every sample is the same; the recording is silent")

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _LEAST_S = 0.05
+_PIECE = 1 << 20  # samples held at once for an envelope
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,31 @@ class Wav:
             file.seek(self.start + start * frame)
             raw = file.read(max(stop - start, 0) * frame)
         return _decoded(raw, self.kind, self.width).reshape(-1, self.channels)
+
+    def envelope(self, start_s: float, stop_s: float, columns: int) -> tuple[Array, Array, Array]:
+        """Time, lowest and highest sample of all channels, in at most ``columns`` columns; read in pieces."""
+        first = max(int(start_s * self.rate_hz), 0)
+        last = min(int(stop_s * self.rate_hz), self.n_samples)
+        step = max(-(-(last - first) // max(columns, 1)), 1)
+        at, low, high = [np.empty(0)], [np.empty(0)], [np.empty(0)]
+        piece = max(_PIECE // step, 1) * step
+        for begin in range(first, last, piece):
+            samples = self.read(begin, min(begin + piece, last))
+            edges = np.arange(0, len(samples), step)
+            if len(edges):
+                at.append((begin + edges) / self.rate_hz)
+                low.append(np.minimum.reduceat(samples, edges).min(axis=1))
+                high.append(np.maximum.reduceat(samples, edges).max(axis=1))
+        return np.concatenate(at), np.concatenate(low), np.concatenate(high)
+
+
+def is_wav(path: Path) -> bool:
+    """Whether a file begins as a WAV file does."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(12)
+    return head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE"
 
 
 def open_wav(path: Path) -> Wav:

@@ -1,4 +1,5 @@
 // The live page: one websocket in, canvases and words out. No drawing happens unless something changed.
+import { showLease, socketAddress } from "/static/web/controls.js";
 import { Scope } from "./scope.js";
 import { Diagram, ReturnMap, Residuals, Spectrum } from "./pictures.js";
 
@@ -12,12 +13,6 @@ const el = (tag, words, name) => {
 const minus = (text) => text.replace("-", "\u2212");
 const fixed = (x, n) => (x === null || x === undefined || !isFinite(x) ? "\u2013" : minus(x.toFixed(n)));
 
-let browser = sessionStorage.getItem("browser");
-if (!browser) {
-  browser = [...crypto.getRandomValues(new Uint8Array(16))].map((b) => b.toString(16).padStart(2, "0")).join("");
-  sessionStorage.setItem("browser", browser);
-}
-
 const scope = new Scope($("scope"));
 const diagram = new Diagram($("diagram")), map = new ReturnMap($("map"));
 const residuals = new Residuals($("residual")), spectrum = new Spectrum($("spectrum"));
@@ -29,8 +24,7 @@ window.deskCounts = counts; // for measurements
 function send(command) { if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(command)); }
 
 function connect() {
-  const scheme = location.protocol === "https:" ? "wss" : "ws";
-  socket = new WebSocket(`${scheme}://${location.host}/live/socket?browser=${browser}`);
+  socket = new WebSocket(socketAddress("/live/socket"));
   socket.binaryType = "arraybuffer";
   socket.onopen = () => { reset(); badge("connected", ""); };
   socket.onclose = () => { badge("page's server gone; the run is not touched by that", "bad"); mine = false; buttons(); setTimeout(connect, 1000); };
@@ -84,12 +78,7 @@ const handlers = {
   verdict(m) { verdict(m); },
   taken(m) { log({ finish: "finishing this step", ramp_down: "ramping down", now: "stopped now", pause: "pausing after this step", go_on: "going on", note: `note: ${m.text}` }[m.do] ?? m.do); },
   lease(m) {
-    mine = m.mine;
-    $("lease-word").textContent = m.mine ? (m.asked ? "another browser asks for the controls" : "you hold the controls")
-      : m.asked_by_me ? "asked; waiting for the holder" : m.free ? "nobody holds the controls" : "watching: another browser holds the controls";
-    $("ask").hidden = m.mine; $("ask").disabled = m.asked_by_me;
-    $("hand_over").hidden = !m.mine || m.browsers < 2;
-    $("keep").hidden = !(m.mine && m.asked);
+    mine = showLease(m, $);
     buttons();
   },
   checking(m) {

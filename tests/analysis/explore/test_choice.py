@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.explore.choice import divergences, mutual_information, sharpened
-from analysis.explore.explanations import Explanation, Weighed
+from analysis.explore.choice import Pool, divergences, limits_of, mutual_information, sharpened
+from analysis.explore.explanations import Explanation, Weighed, _evidence
 
 A, B, SCALE = ("effect", "a"), ("effect", "b"), ("gauge", "gain")
 
@@ -70,3 +70,27 @@ def test_sharpening_is_the_logarithm_of_the_deviations():
     total[1, 1] = 60.0
     assert sharpened(total, found, [A]) == pytest.approx(np.log(4.0), rel=1e-6)
     assert sharpened(total, found, []) == 0.0
+
+
+def test_a_fit_that_stopped_short_is_no_evidence():
+    """What a fit left of its own gradient does not speak for a candidate that the fitted numbers could replace."""
+    rng = np.random.default_rng(4)
+    shared = rng.standard_normal((200, 2))
+    own = shared @ [1.0, -0.5] + 1e-3 * rng.standard_normal(200)  # nearly what the shared ones can do
+    jacobian = np.column_stack([shared, own])
+    left = jacobian.T @ (shared @ [0.3, 0.2])  # the gradient of a fit that is off by so much, and of nothing else
+    log, mean, _ = _evidence(1e6 * jacobian.T @ jacobian, 1e6 * left, np.arange(2), np.array([2]))
+    assert log < 0.5 and abs(mean[0]) < 0.1
+
+
+def test_what_calibrations_forbid_is_said():
+    """A size that only its product with a calibration's factor shows becomes no sharper than the calibration."""
+    size, gain = ("coulomb_friction", "mu_up"), ("accelerometer_gain", "relative")
+    prior = 4.0  # of the gain: one over its variance
+    both = np.array([[1.0, 1.0], [1.0, 1.0]])  # data see gain + size alone
+    best = Explanation(("coulomb_friction",), (size,), {}, 1.0)
+    known = Weighed((best,), (gain, size), 1, 100.0 * both + np.diag([prior, 0.0]))
+    pools = [Pool(None, np.array([np.pad(50.0 * both, (0, 1))]), np.zeros(1))]
+    share, limiting = limits_of(pools, known, size)
+    now, least = np.sqrt(1.0 / 100.0 + 1.0 / prior), np.sqrt(1.0 / prior)
+    assert share == pytest.approx(least / now, rel=1e-3) and limiting == (gain,)

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from analysis.residuals.plate_observables import GAIN, PHASE, SECOND, THIRD, PlateData, expected
+from analysis.residuals.plate_observables import (
+    CLOCK,
+    GAIN,
+    PHASE,
+    SECOND,
+    THIRD,
+    PlateData,
+    _instrument_rows,
+    expected,
+)
 from model.effects.registry import effect
 
 QUADRATIC, CUBIC = 0.004, -0.0015  # per g and per g^2
@@ -73,3 +84,15 @@ def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
     high = transfer({**absent, "high_pass_hz": 2.0 * damping * own_hz, "sharpness": 0.25 / damping**2}, omega, accel_g)
     s, own = 1j * omega[1:], 2.0 * np.pi * own_hz
     assert high[1:] == pytest.approx(s**2 / (s**2 + 2.0 * damping * own * s + own**2))
+
+
+@pytest.mark.parametrize(("uncertainty_hz", "data"), [(1e-4, 1), (np.inf, 0), (0.0, 0)])
+def test_a_frequency_that_is_not_known_says_nothing_of_the_clock(uncertainty_hz: float, data: int) -> None:
+    """A step whose frequency could not be fitted has no clock datum: an infinite uncertainty spoils every fit."""
+    step = SimpleNamespace(
+        contact=None, flight=None, frequency_hz=25.0, frequency_uncertainty_hz=uncertainty_hz, omega_radps=157.0
+    )
+    channel = SimpleNamespace(coupling="ac", offset_v=None)
+    setup = SimpleNamespace(channels=SimpleNamespace(accelerometer=channel), forcing=SimpleNamespace(frequency_hz=25.0))
+    rows = _instrument_rows(0, step, setup, 1.0, 9.8)  # type: ignore[arg-type]
+    assert [row[0] for row in rows] == [CLOCK] * data

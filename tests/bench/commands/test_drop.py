@@ -170,7 +170,7 @@ def test_corrections_by_hand(tmp_path: Path) -> None:
     result = json.loads(RUNNER.invoke(app, [*everything, *part]).stdout)
     assert len(result["impacts_s"]) == len(whole["impacts_s"]) - 3
     assert third not in result["impacts_s"] and min(result["impacts_s"]) > 1.1
-    assert result["options"]["corrections"]["ignore_s"] == [third]
+    assert result["options"]["corrections"][0]["ignore_s"] == [third]
 
 
 def test_a_stated_height_that_contradicts_is_said(tmp_path: Path) -> None:

@@ -9,12 +9,15 @@ import shakerbench as sb
 from bench.commands.explore import _drive
 from bench.jobs.explore import Aims, explore, offers, run_seconds, with_gammas
 from bench.jobs.explore import Chosen as Block
+from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
 from bench.profiles.plan import planned
-from daq.recording import open_recording
+from daq.recording import RecordingWriter, open_recording
 from daq.setup.errors import InputError
+from rig.execution.run import StopRequest, run_ramp
 from rig.profile import parse_profile
+from rig.programme.sequencer import Stop
 
 TEXT = load("simulated")[1]
 
@@ -48,6 +51,31 @@ def test_a_failed_block_ends_it(tmp_path):
     found = explore(TEXT, tmp_path, Aims(60.0), broken, say=told.append)
     assert found.failed and "device went away" in found.why and found.recordings == ()
     assert "nothing is known yet" in told[0]
+
+
+def test_a_block_stopped_at_once_is_left_out(tmp_path):
+    """A block that a person stopped before two steps were held is said, kept, and in nobody's way."""
+    whole, text = tmp_path / "block-01.h5", with_values(TEXT, {"ramp.gamma": [0.6, 0.8, 1.0]}, "p")
+
+    profile = parse_profile(text)
+    backend = make_backend(profile, seed=3)
+    writer = RecordingWriter(
+        whole, profile.setup(), profile_text=text, channels=backend.channels, scales=backend.scales,
+        backend=backend.name, simulated=True,
+    )  # fmt: skip
+    request = StopRequest()
+    request.ask(Stop.RAMP_DOWN, "a person")
+    run_ramp(profile, backend, writer, stop_request=request)
+    told, driven = [], []
+
+    def broken(block, path, number):
+        driven.append(path.name)
+        return "failed: the device went away"
+
+    found = explore(TEXT, tmp_path, Aims(60.0), broken, say=told.append)
+    assert found.recordings == () and driven == ["block-02.h5"]
+    assert "left out: block-01.h5" in told[0] and "block 2: " in told[1]
+    assert whole.exists()
 
 
 @pytest.mark.slow

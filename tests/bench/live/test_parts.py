@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from bench.jobs.run_ramp import make_backend, record
 from bench.live.board import EVENT_SLOTS, Board
 from bench.live.decimate import MinMax, PlateHeight
-from bench.live.hub import GONE_S, SILENT_S, Lease
 from bench.live.messages import flights_piece, scope_piece, spectrum_piece
 from bench.live.prediction import predicted
 from bench.live.reduce import PLAIN, reduce_step
@@ -23,6 +22,7 @@ from bench.live.run_side import RunSide
 from bench.live.verdict import verdict_of
 from bench.live.window import StepWindow
 from bench.profiles.find import load, shipped_folder
+from bench.web.hub import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, RingReader
 from daq.recording import open_recording

@@ -1,0 +1,65 @@
+"""A log likelihood to second order about a point: finite differences of whitened residuals, robust weights kept.
+
+Explanations of a run in progress and summaries of many runs are both made of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.chance import Place
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import null_value_of
+from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
+from analysis.residuals.noise_model import robust_weight
+from analysis.residuals.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+STEP = 0.01  # finite difference of a coordinate
+ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
+
+
+def slopes_of(
+    world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, keys: Sequence[ParameterId]
+) -> tuple[Array, Array]:
+    """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K)."""
+    base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
+    raw = whitener.stacked(world.residuals(base))
+    out = np.zeros((len(raw), len(keys)))
+    for j, key in enumerate(keys):
+        x = fitter.to_x(key, base[key])
+        low, high = fitter.bounds(key, released=True)
+        h = STEP if x + STEP <= high or x - STEP < low else -STEP
+        change = whitener.stacked(world.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
+        out[:, j] = of_same_events(change, whitener) / h
+    return raw, out
+
+
+def slopes_at(
+    world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place]
+) -> tuple[Array, Array]:
+    """As `slopes_of`, each derivative at ``at`` with the shapes of its own place."""
+    raw = whitener.stacked(world.residuals(dict(at)))
+    out = np.zeros((len(raw), len(places)))
+    for shapes in dict.fromkeys(shapes for _, shapes in places):
+        rows = [j for j, place in enumerate(places) if place[1] == shapes]
+        out[:, rows] = slopes_of(world, fitter, whitener, {**at, **dict(shapes)}, [places[j][0] for j in rows])[1]
+    return raw, out
+
+
+def of_same_events(change: Array, whitener: Whitener) -> Array:
+    """Changes of bare residuals, those without which a flight became another one, (r,)."""
+    events = np.arange(len(change)) < len(whitener.step)
+    return np.where(events & (np.abs(change) > ANOTHER_EVENT_S), 0.0, change)
+
+
+def gradient_and_information(whitener: Whitener, raw: Array, slopes: Array) -> tuple[Array, Array]:
+    """Slope and negative curvature of the log likelihood, (K,) and (K, K), from bare residuals and derivatives."""
+    z, jacobian = whitener.white_all(raw), whitener.white_slopes(slopes, raw)
+    weighted = jacobian * robust_weight(z, whitener.odds)[:, None]
+    information = weighted.T @ jacobian
+    return -(weighted.T @ z), 0.5 * (information + information.T)

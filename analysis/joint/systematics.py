@@ -1,0 +1,73 @@
+"""Systematic errors that all runs of a rig share, as nuisances with a prior: how the contact's edges are dated.
+
+An estimator of edges errs alike in every run, by its threshold, the sampling, or the edges that it does not see. Ten
+runs average noise, and not this. So each run's summary has derivatives to these errors too, and one value of each,
+common to all runs, is fitted beside every candidate: only what such an error cannot imitate can be named.
+
+What delays both edges alike is a calibration of each run, `contact_latency`. Openings may be off beside closings. And a
+contact from which the ball leaves at once is seen only where noise or sampling has made it longer, so its closing is
+dated too early: by up to half of its length, and by no more than an edge's own uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attribution.chance import Place
+from analysis.attribution.second_order import of_same_events
+from analysis.residuals.forward_model import EDGE_STEP_S, ForwardModel, Values
+from analysis.residuals.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+NAMES = ("openings late beside closings", "closings of brief contacts late")
+PLACES: tuple[Place, ...] = tuple((("systematic", name), ()) for name in NAMES)
+"""What their coordinates are called among those of a run's summary."""
+UNIT_S = 1e-6  # of their coordinates
+SHARED_PART = 0.1  # of one edge's uncertainty: how far all edges may be off together
+
+
+@dataclass(frozen=True)
+class Systematics:
+    """What one run tells of the errors of `NAMES`.
+
+    Attributes
+    ----------
+    slopes
+        Derivatives of the bare residuals to each, per `UNIT_S`, (r, 2).
+    sigma
+        Standard deviations of their priors, in `UNIT_S`, (2,); 0 where the run has no such edges.
+    """
+
+    slopes: Array
+    sigma: tuple[float, ...]
+
+    @classmethod
+    def of(cls, world: ForwardModel, whitener: Whitener, at: Values) -> Systematics:
+        """From one run at the parameter values ``at``."""
+        seen = world.evidence
+        brief = np.append(seen.measured.relaunched[1:] & seen.measured.linked[1:], False)
+        now = world.residuals(at)
+        raw, columns = whitener.stacked(now), []
+        for closings, openings in ((np.zeros_like(brief), 1.0), (brief, 0.0)):
+            late_s = np.where(closings, EDGE_STEP_S, 0.0)
+            earlier = world.predict(at, landing_shift_s=-late_s, near=now.predicted)
+            there = replace(
+                now,
+                landing_s=np.where(seen.scored, seen.measured.landing_s - late_s - earlier.landing_s, np.nan),
+                opening_s=np.where(
+                    world.from_rest, seen.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s, np.nan
+                ),
+            )
+            change = of_same_events(whitener.stacked(there) - raw, whitener)
+            columns.append(change * UNIT_S / EDGE_STEP_S)
+        opening_s, closing_s = _typical(seen.opening_sigma_s, world.from_rest), _typical(seen.landing_sigma_s, brief)
+        sigma_s = (SHARED_PART * opening_s, min(0.5 * seen.closure_s, closing_s))
+        return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
+
+
+def _typical(sigma_s: Array, some: NDArray[np.bool_]) -> float:
+    return float(np.median(sigma_s[some])) if some.any() else 0.0

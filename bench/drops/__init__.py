@@ -1,0 +1,1 @@
+"""The desk's page of drop tests: impacts marked in a sound, a film's track or a table, and corrected by hand."""

@@ -1,0 +1,86 @@
+"""A correction by hand on the page, and requests kept in the JSON of a result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from analysis.drop.options.corrections import Corrections
+from bench.jobs.drop_test import Request
+from daq.setup.errors import InputError
+
+ENDING = ".drop.json"
+_SAME_S = 1e-7
+_PLACES = 7  # decimals of a second that a person's mark is kept with
+
+
+def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
+    """``part`` with an impact taken away (``gone_s``), added (``new_s``) or, with both, moved.
+
+    Parameters
+    ----------
+    same_s
+        An added impact within this of ``gone_s`` is the one that is meant.
+    """
+    ignored, added = part.ignore_s, part.add_s
+    if gone_s is not None:
+        own = [t for t in added if abs(t - gone_s) <= same_s]
+        if own:
+            nearest = min(own, key=lambda t: abs(t - gone_s))
+            added = tuple(t for t in added if t != nearest)
+        else:
+            ignored = (*ignored, gone_s)
+    if new_s is not None:
+        back = [t for t in ignored if abs(t - new_s) <= _SAME_S]
+        if back:
+            ignored = tuple(t for t in ignored if t not in back)
+        else:
+            added = (*added, round(new_s, _PLACES))
+    return replace(part, ignore_s=ignored, add_s=added)
+
+
+def side_file(file: Path) -> Path:
+    """The file beside a recording of a drop that keeps its result with all corrections."""
+    return file.with_name(file.name + ENDING)
+
+
+def kept_request(target: Path, files: Sequence[Path]) -> Request | None:
+    """What the result in ``target`` was asked for, on ``files``; None where there is none, or one of other files.
+
+    Raises
+    ------
+    InputError
+        The file is there and is no result of a drop test.
+    """
+    try:
+        text = target.read_text(encoding="utf-8")
+    except OSError:
+        return None
+    try:
+        options: dict[str, Any] = json.loads(text)["options"]
+        names = [Path(name).name for name in options["files"]]
+        parts = [_part(one) for one in options["corrections"]]
+        own = {key: options[key] for key in _PLAIN} | {"heights_m": tuple(options["heights_m"])}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(f"{target}: wanted the result of a drop test as JSON; move it away or remove it") from error
+    if names != [file.name for file in files] or len(parts) != len(files):
+        return None
+    return Request(tuple(files), **own, corrections=tuple(parts))
+
+
+_PLAIN = (
+    "fps", "scale_m", "ball_size_m", "scale_uncertainty", "fps_uncertainty", "height_uncertainty_m", "use_height",
+    "gravity_mps2", "mass_kg", "diameter_m", "seed",
+)  # fmt: skip
+
+
+def _part(told: dict[str, Any]) -> Corrections:
+    lists = {key: tuple(float(t) for t in told[key]) for key in ("ignore_s", "add_s")}
+    region = told["region"]
+    return Corrections(
+        told["from_s"], told["until_s"], **lists, axis_deg=told["axis_deg"],
+        region=None if region is None else (int(region[0]), int(region[1]), int(region[2]), int(region[3])),
+    )  # fmt: skip

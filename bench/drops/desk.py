@@ -1,0 +1,259 @@
+"""The drop test in the page's process: one state that all browsers see and the holder of the controls changes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import multiprocessing
+import time
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from starlette.exceptions import HTTPException
+
+from analysis.drop.film.video import FILMS
+from bench.drops.correct import kept_request, moved, side_file
+from bench.drops.worker import work
+from bench.jobs.drop_test import Request, check_request
+from bench.terminal.console import json_text
+from bench.web.folder import file_inside
+from bench.web.hub import Browser, Hub
+from daq.files.whole_file import write_whole
+from daq.setup.errors import InputError
+
+TICK_S = 0.05
+MOST_FILES, MOST_OFFERED, MOST_MARKS = 24, 500, 2000
+SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
+NUMBERS = ("fps", "scale_m", "ball_size_m", "mass_kg", "diameter_m", "gravity_mps2")
+Told = dict[str, Any]
+
+
+class DropDesk:
+    """What browsers see and do.
+
+    Parameters
+    ----------
+    folder
+        Of files that may be opened.
+    request
+        A drop test to show from the start, of files anywhere; None leaves the choice to the browser.
+    target
+        File for the JSON; None: beside the first file.
+    """
+
+    def __init__(self, folder: Path, request: Request | None = None, target: Path | None = None) -> None:
+        self.hub = Hub()
+        self.request = request
+        self.pictures: dict[int, bytes] = {}
+        self._folder, self._fixed, self._target = folder, request is not None, target
+        self._undo: list[Request] = []
+        self._shown: Told | None = None
+        self._payload: Told | None = None
+        self._pipe: Any = None
+        self._process: Any = None
+        self._asked: Request | None = None  # what the worker is at
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Look after the worker while the server runs."""
+        ticking = asyncio.create_task(self._tick_for_ever())
+        try:
+            yield
+        finally:
+            ticking.cancel()
+            self._end_worker()
+
+    async def _tick_for_ever(self) -> None:
+        if self.request is not None:
+            self._measure()
+        while True:
+            if self.hub.lease.pass_time(time.monotonic()):
+                self.hub.tell_lease()
+            self._look_at_worker()
+            await asyncio.sleep(TICK_S)
+
+    async def talk(self, browser: Browser) -> None:
+        """Serve one browser until it is gone."""
+        delivering = asyncio.create_task(browser.deliver())
+        self.hub.enter(browser)
+        try:
+            offered = [] if self._fixed else await asyncio.to_thread(self._offered)
+            browser.send(json.dumps({"kind": "offer", "files": offered}))
+            browser.send(json.dumps(self._asked_for()))
+            if self._shown is not None:
+                browser.send(json.dumps(self._shown))
+            async for text in browser.socket.iter_text():
+                with contextlib.suppress(ValueError, RecursionError):
+                    said = json.loads(text)
+                    if isinstance(said, dict):
+                        self._obey(browser, said)
+        finally:
+            delivering.cancel()
+            self.hub.leave(browser)
+
+    def _offered(self) -> list[str]:
+        """Files below the folder that may hold a drop, hidden ones apart."""
+        found = []
+        for path in sorted(self._folder.rglob("*")):
+            inside = path.relative_to(self._folder)
+            hidden = any(part.startswith(".") for part in inside.parts)
+            if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
+                found.append(inside.as_posix())
+        return found[:MOST_OFFERED]
+
+    def _asked_for(self) -> Told:
+        """The request as the form shows it."""
+        request = self.request
+        if request is None:
+            return {"kind": "request", "files": []}
+        return {
+            "kind": "request",
+            "files": [path.name for path in request.files],
+            "heights_m": list(request.heights_m),
+            "can_undo": bool(self._undo),
+            **{name: getattr(request, name) for name in NUMBERS},
+        }
+
+    def _obey(self, browser: Browser, said: Told) -> None:
+        """Do what a browser asks; what is no lease is the holder's alone, and what it may not is told to it."""
+        wanted, lease, name = said.get("do"), self.hub.lease, browser.name
+        if wanted in ("ask", "hand_over", "keep"):
+            if wanted == "ask":
+                lease.ask(name, time.monotonic())
+            elif wanted == "hand_over":
+                lease.hand_over(name)
+            else:
+                lease.keep(name)
+            self.hub.tell_lease()
+            return
+        try:
+            if not lease.may(name):
+                raise InputError("another browser holds the controls")
+            self._do(str(wanted), said)
+        except (InputError, HTTPException) as error:
+            why = error.detail if isinstance(error, HTTPException) else str(error)
+            browser.send(json.dumps({"kind": "no", "why": why}))
+
+    def _do(self, wanted: str, said: Told) -> None:
+        if wanted == "open" and not self._fixed:
+            self._open(said.get("files"))
+        elif self.request is None:
+            raise InputError("open a file first")
+        elif wanted == "correct":
+            self._correct(self.request, said)
+        elif wanted == "options":
+            self._change(_with_options(self.request, said))
+        elif wanted == "undo" and self._undo:
+            self.request = self._undo.pop()
+            self._measure()
+        elif wanted == "reset":
+            bare = tuple(replace(part, ignore_s=(), add_s=()) for part in self.request.corrected)
+            self._change(replace(self.request, corrections=bare))
+        elif wanted == "save":
+            self._save(self.request)
+
+    def _open(self, names: object) -> None:
+        """Show files of the folder; what was kept beside the first comes back with its corrections."""
+        if not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
+            raise InputError(f"open 1 to {MOST_FILES} files at a time")
+        files = [file_inside(self._folder, str(name)) for name in names]
+        request = kept_request(side_file(files[0]), files) or Request(tuple(files))
+        check_request(request)
+        self.request, self._undo, self._shown, self._payload, self.pictures = request, [], None, None, {}
+        self._measure()
+
+    def _correct(self, request: Request, said: Told) -> None:
+        """An impact moved, added or taken away."""
+        number = said.get("file")
+        gone, new, same = (_number(said.get(key)) for key in ("gone_s", "new_s", "same_s"))
+        if not isinstance(number, int) or not 0 <= number < len(request.files) or (gone is None and new is None):
+            raise InputError("wanted a file, and the time of an impact")
+        parts = list(request.corrected)
+        parts[number] = moved(parts[number], gone, new, min(max(same or 0.0, 1e-9), 1.0))
+        if len(parts[number].ignore_s) + len(parts[number].add_s) > MOST_MARKS:
+            raise InputError(f"more than {MOST_MARKS} corrections: choose another part of the file instead")
+        self._change(replace(request, corrections=tuple(parts)))
+
+    def _change(self, request: Request) -> None:
+        check_request(request)
+        if self.request is not None:
+            self._undo.append(self.request)
+        self.request = request
+        self._measure()
+
+    def _save(self, request: Request) -> None:
+        """The JSON as `bench drop --json` writes it."""
+        if self._payload is None or self._asked is not None:
+            raise InputError("there is no result to keep yet")
+        target = self._target or side_file(request.files[0])
+        if self._target is None:
+            kept_request(target, request.files)  # refuses to write over a file of another kind
+        try:
+            write_whole(target, json_text(self._payload))
+        except OSError as error:
+            raise InputError(f"{target}: cannot be written ({error.strerror or error})") from error
+        self.hub.tell({"kind": "saved", "as": target.name})
+
+    def _measure(self) -> None:
+        """Ask the worker for the present request, now or when it has done what it is at."""
+        self.hub.tell(self._asked_for())
+        if self._asked is not None:
+            return
+        if self._process is None or not self._process.is_alive():
+            context = multiprocessing.get_context("spawn")
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=work, args=(theirs, not self._fixed), name="drop test", daemon=True)
+            self._process.start()
+            theirs.close()
+        self._asked = self.request
+        self._pipe.send(self._asked)
+        self.hub.tell({"kind": "working", "what": "measuring", "done": 0, "total": 0})
+
+    def _look_at_worker(self) -> None:
+        """Tell what the worker says; a result of a request that was changed meanwhile is passed over."""
+        while self._asked is not None and self._pipe.poll():
+            try:
+                answer = self._pipe.recv()
+            except (EOFError, OSError):
+                answer = ("told", {"kind": "refused", "why": "the process that measures has died of this file",
+                                   "files": [], "command": None}, None, {})  # fmt: skip
+                self._end_worker()
+            if answer[0] == "progress":
+                _, what, done, total = answer
+                self.hub.tell({"kind": "working", "what": what, "done": done, "total": total})
+                continue
+            current, self._asked = self._asked, None
+            if current != self.request:
+                self._measure()
+                return
+            _, self._shown, self._payload, self.pictures = answer
+            self.hub.tell(self._shown or {})
+
+    def _end_worker(self) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.join(2.0)
+            self._pipe.close()
+        self._process = self._pipe = None
+
+
+def _with_options(request: Request, said: Told) -> Request:
+    """The request with the form's numbers; an empty field is the default."""
+    found: dict[str, Any] = {name: _number(said.get(name)) for name in NUMBERS}
+    if found["gravity_mps2"] is None:
+        found["gravity_mps2"] = Request.gravity_mps2
+    heights: Sequence[object] = said.get("heights_m") if isinstance(said.get("heights_m"), list) else []  # type: ignore[assignment]
+    known = tuple(h for h in map(_number, heights) if h is not None)
+    return replace(request, heights_m=known, **found)
+
+
+def _number(value: object) -> float | None:
+    """A finite number that a browser sent; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)

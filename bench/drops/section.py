@@ -1,0 +1,77 @@
+"""The section of the desk for drop tests: one page, one websocket, stretches of a sound, and a film's track."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket
+
+from analysis.drop.times.wav import is_wav, open_wav
+from bench.drops.desk import DropDesk
+from bench.web.html import Html
+from bench.web.hub import Browser
+from bench.web.page import page
+from bench.web.section import Place, Section
+from daq.setup.errors import InputError
+
+HERE = Path(__file__).parent
+MOST_COLUMNS = 8192
+_NAME = re.compile(r"[0-9a-f]{16,64}")
+
+
+def section(place: Place) -> Section:
+    """The section; ``place.options["drop"]`` has ``request`` and ``target`` of `bench.drops.desk.DropDesk`."""
+    options = place.options.get("drop", {})
+    desk = DropDesk(place.folder, options.get("request"), options.get("target"))
+    body = Html((HERE / "page.html").read_text(encoding="utf-8"))
+
+    async def show(request: Request) -> Response:
+        scripts, styles = ["/static/drop/drop.js"], ["/static/drop/drop.css"]
+        return HTMLResponse(page(request, "drop test", body, scripts=scripts, styles=styles, name="drop"))
+
+    def wave(request: Request) -> Response:
+        return JSONResponse(_envelope(desk, request))
+
+    async def picture(request: Request) -> Response:
+        made = desk.pictures.get(request.path_params["file"])
+        if made is None:
+            raise HTTPException(404, "no picture of that file")
+        return Response(made, media_type="image/png")
+
+    async def talk(socket: WebSocket) -> None:
+        name = socket.query_params.get("browser", "")
+        if not _NAME.fullmatch(name):
+            await socket.close(4400)
+            return
+        await socket.accept()
+        await desk.talk(Browser(socket, name))
+
+    routes = [
+        Route("/drop", show), Route("/drop/wave", wave), Route("/drop/picture/{file:int}", picture),
+        WebSocketRoute("/drop/socket", talk),
+    ]  # fmt: skip
+    return Section("drop", "Drop test", "/drop", routes, HERE / "static", desk.running)
+
+
+def _envelope(desk: DropDesk, request: Request) -> dict[str, list[float]]:
+    """Lowest and highest samples of a stretch of an open sound, by column."""
+    try:
+        number, width = int(request.query_params["file"]), int(request.query_params["width"])
+        start_s, stop_s = (float(request.query_params[key]) for key in ("start_s", "stop_s"))
+    except (KeyError, ValueError) as error:
+        raise HTTPException(422, "wanted file, start_s, stop_s and width") from error
+    files = desk.request.files if desk.request is not None else ()
+    if not 0 <= number < len(files) or not is_wav(files[number]):
+        raise HTTPException(404, "no such sound is open")
+    if not (0.0 <= start_s < stop_s < 1e9 and 0 < width <= MOST_COLUMNS):
+        raise HTTPException(422, f"wanted 0 <= start_s < stop_s, and at most {MOST_COLUMNS} columns")
+    try:
+        at, low, high = open_wav(files[number]).envelope(start_s, stop_s, width)
+    except (InputError, OSError) as error:
+        raise HTTPException(422, str(error)) from error
+    return {"time_s": at.tolist(), "low": low.tolist(), "high": high.tolist()}

@@ -1,0 +1,109 @@
+"""Tables of the window edges of many gammas at once, with the plate's s and s' there.
+
+As `model.flight.branches.fill_edges`, a gamma a lane (`kernels.lanes`): what does not depend on gamma, the turning
+points and the forcing there, is computed once for all.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from kernels.lanes import WIDTH, any_of, load, select, size, spread, store
+from model.flight.branches import TWO_PI
+from model.flight.numerics import Floats, compiled, inlined, sincos
+from model.flight.segment import shape
+
+TABLE = 3  # numbers a table holds of an edge: its phase, s and s' there
+NEWTON = 80
+
+
+@inlined
+def crossing_lanes(tones: Floats, gamma: Any, lo: float, hi: float, rising: Any, wanted: Any) -> Any:
+    """The root of ``gamma q - 1`` in ``[lo, hi]`` of every wanted lane: Newton inside a shrinking bracket."""
+    x, low, high = spread(0.5 * (lo + hi)), spread(lo), spread(hi)
+    for _ in range(NEWTON):
+        q, jerk = spread(0.0), spread(0.0)
+        for j in range(tones.shape[0]):
+            n = tones[j, 0]
+            sine, cosine = sincos(n * x + tones[j, 2])
+            weight = tones[j, 1] * n * n
+            q = q + weight * sine
+            jerk = jerk + (weight * n) * cosine
+        value = gamma * q - 1.0
+        below = select(value < 0.0, spread(1.0), spread(0.0)) == rising
+        low, high = select(below, x, low), select(below, high, x)
+        step = x - value / (gamma * jerk)
+        new = select((step > low) & (step < high), step, 0.5 * (low + high))
+        moving = wanted & (size(new - x) > 2e-16 * (1.0 + size(x)))
+        x = select(moving, new, x)
+        if not any_of(moving):
+            break
+    return x
+
+
+@compiled
+def fill_tables(tones: Floats, turning: Floats, gammas: Floats, table: Floats, windows: Any, found: Floats) -> None:
+    """Tables of edges of all ``gammas`` (a multiple of `WIDTH`), as `model.flight.branches.fill_edges` orders them."""
+    m = turning.shape[0]
+    stride = TABLE * (m + 2)
+    q_turning = np.empty(m)
+    for i in range(m):
+        q_turning[i] = 0.0
+        for j in range(tones.shape[0]):
+            n = tones[j, 0]
+            q_turning[i] += tones[j, 1] * n * n * math.sin(n * turning[i] + tones[j, 2])
+    for start in range(0, gammas.shape[0], WIDTH):
+        gamma = load(gammas, start)
+        for i in range(m):
+            nxt = i + 1 if i + 1 < m else 0
+            lo, hi = turning[i], turning[nxt] + (TWO_PI if nxt == 0 else 0.0)
+            below_lo = select(gamma * q_turning[i] < 1.0, spread(1.0), spread(0.0))
+            below_hi = select(gamma * q_turning[nxt] < 1.0, spread(1.0), spread(0.0))
+            crosses = ~(below_lo == below_hi)
+            if any_of(crosses):
+                x = crossing_lanes(tones, gamma, lo, hi, below_lo, crosses)
+                s, slope, _ = shape(tones, x)
+                store(found, (4 * i) * WIDTH, select(crosses, x, math.nan))
+                store(found, (4 * i + 1) * WIDTH, s)
+                store(found, (4 * i + 2) * WIDTH, slope)
+                store(found, (4 * i + 3) * WIDTH, below_lo)
+            else:
+                store(found, (4 * i) * WIDTH, spread(math.nan))
+        for lane in range(WIDTH):
+            base = (start + lane) * stride
+            windows[start + lane] = _arrange(found, lane, m, table, base)
+
+
+@inlined
+def _arrange(found: Floats, lane: int, m: int, table: Floats, base: int) -> int:
+    """One lane's edges in order, a window's start first."""
+    count = 0
+    shift = False
+    for i in range(m):
+        x = found[4 * i * WIDTH + lane]
+        if x == x:
+            if count == 0 and found[(4 * i + 3) * WIDTH + lane] == 0.0:
+                shift = True
+            table[base + TABLE * count] = x
+            table[base + TABLE * count + 1] = found[(4 * i + 1) * WIDTH + lane]
+            table[base + TABLE * count + 2] = found[(4 * i + 2) * WIDTH + lane]
+            count += 1
+    if count % 2 == 1:
+        count -= 1
+    if count == 0:
+        return 0
+    if shift:
+        e, s, d = table[base], table[base + 1], table[base + 2]
+        for k in range(TABLE * (count - 1)):
+            table[base + k] = table[base + k + TABLE]
+        k = base + TABLE * (count - 1)
+        table[k], table[k + 1], table[k + 2] = e + TWO_PI, s, d
+    while table[base] >= TWO_PI:
+        for k in range(count):
+            table[base + TABLE * k] -= TWO_PI
+    k = base + TABLE * count
+    table[k], table[k + 1], table[k + 2] = table[base] + TWO_PI, table[base + 1], table[base + 2]
+    return count // 2

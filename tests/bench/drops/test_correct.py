@@ -1,0 +1,54 @@
+"""Corrections by hand on the page, and what is kept of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from analysis.drop.options.corrections import NOTHING
+from bench.drops.correct import kept_request, moved, side_file
+from bench.jobs.drop_test import Request
+from daq.setup.errors import InputError
+
+
+def test_a_move_is_one_taken_away_and_one_added() -> None:
+    """Moving leaves the found impact out and adds one; moving that again moves the added one only."""
+    once = moved(NOTHING, 1.25, 1.26)
+    assert (once.ignore_s, once.add_s) == ((1.25,), (1.26,))
+    twice = moved(once, 1.26, 1.27)
+    assert (twice.ignore_s, twice.add_s) == ((1.25,), (1.27,))
+    gone = moved(twice, 1.27, None)
+    assert (gone.ignore_s, gone.add_s) == ((1.25,), ())
+
+
+def test_what_was_taken_away_comes_back_as_found() -> None:
+    """An impact added where one was taken away is that one: nothing is left to correct."""
+    assert moved(moved(NOTHING, 1.25, None), None, 1.25) == NOTHING
+
+
+def test_an_impact_of_a_film_is_met_within_frames() -> None:
+    """The impact that a fit gives lies a little beside the one added by hand; it is the one that is meant."""
+    added = moved(NOTHING, None, 0.5)
+    assert moved(added, 0.503, None, same_s=0.01) == NOTHING
+    assert moved(added, 0.503, None).ignore_s == (0.503,)
+
+
+def test_corrections_come_back_from_the_json(tmp_path: Path) -> None:
+    """Options and corrections of a kept result are those of the request; of other files it says nothing."""
+    file = tmp_path / "tap.wav"
+    request = Request((file,), fps=240.0, heights_m=(0.3,), corrections=(moved(NOTHING, 1.25, 1.26),))
+    side_file(file).write_text(json.dumps({"options": request.as_json()}), encoding="utf-8")
+    assert kept_request(side_file(file), [file]) == request
+    assert kept_request(side_file(file), [tmp_path / "other.wav"]) is None
+    assert kept_request(tmp_path / "none.json", [file]) is None
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"options": {"files": 3}}', "[" * 100_000])
+def test_a_file_of_something_else_is_not_replaced(tmp_path: Path, text: str) -> None:
+    """A file of that name that holds no result is refused, so that nothing writes over it."""
+    target = tmp_path / "tap.wav.drop.json"
+    target.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="result of a drop test"):
+        kept_request(target, [tmp_path / "tap.wav"])

@@ -1,0 +1,73 @@
+"""Orbits flown side by side: every flight is the one that the kernel of one flight gives from the same take-off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from kernels.lanes import WIDTH
+from model.flight import first_landing
+from model.flight.edge_table import TABLE, fill_tables
+from model.flight.friction import edge_tables, land_with_friction, rebound_or_rest
+from model.flight.records import FrictionRestitution
+from model.orbits import friction_lanes, ideal_lanes
+from model.orbits import lane_state as at
+from model.tones import Forcing
+
+FLIGHTS = 60
+
+
+def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
+    """`FLIGHTS` flights of an orbit in each lane: ``flights`` and ``marks``, the gammas lifted and their numbers."""
+    tones, turning = forcing.tones, first_landing.turning_points(forcing)
+    size = turning.size + 2
+    both, found = np.zeros(2 * WIDTH * TABLE * size), np.zeros(4 * size * WIDTH)
+    n_up, n_down = np.zeros((2, WIDTH), dtype=np.int64)
+    fill_tables(tones, turning, gammas / (1 + law.mu_up), both[: both.size // 2], n_up, found)
+    fill_tables(tones, turning, gammas / (1 - law.mu_down), both[both.size // 2 :], n_down, found)
+    work, whole = np.zeros((at.NUMBERS, WIDTH)), np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
+    flights, marks = np.zeros((3, WIDTH, FLIGHTS)), np.zeros((2, WIDTH, FLIGHTS), dtype=np.int64)
+    rows = np.arange(WIDTH)
+    work[at.GAMMA], work[at.MU_UP], work[at.MU_DOWN] = gammas, law.mu_up, law.mu_down
+    work[at.E0], work[at.E1] = law.e0, law.e1
+    work[at.UP], work[at.UP_LAST] = rows * TABLE * size, 2 * n_up
+    work[at.DOWN], work[at.DOWN_LAST] = (WIDTH + rows) * TABLE * size, 2 * n_down
+    work[at.LAST_PHI] = both[rows * TABLE * size]
+    whole[at.LIMIT], whole[at.STATUS] = FLIGHTS, at.IDLE
+    for lane in np.flatnonzero(n_up):
+        kernel.leave(tones, both, False, work, whole, flights, marks, lane)
+    while np.any(whole[at.STATUS] == at.FLIES):
+        kernel.advance(tones, float(tones[:, 1].sum()), both, False, work, whole, flights, marks)
+    return flights, marks, n_up > 0
+
+
+@pytest.mark.parametrize("c", [1, 2, 3])
+@pytest.mark.parametrize(("mu", "e"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.2, 0.514), (0.0, 0.8)])
+def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(c, mu, e):
+    """Time, impact speed and the next take-off agree with one flight at a time, wherever the impact is not a graze."""
+    law, forcing = FrictionRestitution(mu, mu, e, 0.0), Forcing.superposition(c)
+    kernel = ideal_lanes if mu == e == 0.0 else friction_lanes
+    for low, high in ((0.2, 1.5), (1.5, 6.0)):
+        gammas = np.linspace(low, high, WIDTH)
+        flights, marks, lifted = _flown(kernel, forcing, gammas, law)
+        assert lifted.any()
+        for lane in np.flatnonzero(lifted):
+            tables = edge_tables(forcing.tones, first_landing.turning_points(forcing), gammas[lane], law)
+            v = 0.0
+            for k in range(FLIGHTS):
+                phi0, reset = flights[at.PHASES, lane, k], marks[at.THRESHOLDS, lane, k] >= 0
+                tau, phi, speed, flag = land_with_friction(
+                    forcing.tones, gammas[lane], tables, law, phi0, v, bool(reset)
+                )
+                if flag or speed < 1e-4:
+                    v = rebound_or_rest(forcing.tones, gammas[lane], law, phi, flights[at.SPEEDS, lane, k])[0]
+                    continue
+                assert flights[at.TAUS, lane, k] == pytest.approx(tau, abs=1e-11 / min(speed, 1.0))
+                assert flights[at.SPEEDS, lane, k] == pytest.approx(speed, abs=1e-10 / min(speed, 1.0))
+                landing = phi0 + flights[at.TAUS, lane, k]
+                v = rebound_or_rest(forcing.tones, gammas[lane], law, landing, flights[at.SPEEDS, lane, k])[0]
+                if k + 1 < FLIGHTS and v > 0.0:
+                    off = flights[at.PHASES, lane, k + 1] - phi0 - flights[at.TAUS, lane, k]
+                    assert abs(math.remainder(off, 2 * math.pi)) < 1e-11
