@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
 from analysis.residuals.forward_model import ForwardModel, ParameterId
@@ -324,7 +324,7 @@ class Fitted:
         away = self.x[rows] - np.array([self.fitter.to_x(k, null_value_of(k)) for k in sizes])
         covariance = self.covariance()[np.ix_(rows, rows)]
         distance = float(away @ np.linalg.pinv(covariance, rcond=1e-14, hermitian=True) @ away)
-        return distance > float(chi2.isf(NULL_P, len(sizes)))
+        return distance > float(chdtri(len(sizes), NULL_P))
 
     def held_out(self, whitener: Whitener) -> dict[str, Array]:
         """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import poisson
+from scipy.special import pdtr
 
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
@@ -179,7 +179,7 @@ def band_test(flights: Flights, step: int, low_s: float, high_s: float) -> BandT
     half = 0.5 * (high_s - low_s)
     inside = int(((tau > low_s + 2.0 * sigma) & (tau < high_s - 2.0 * sigma)).sum())
     beside = int(((tau > low_s - half) & (tau < high_s + half)).sum()) - inside
-    return BandTest(step, low_s, high_s, inside, float(beside), float(poisson.cdf(inside, beside)))
+    return BandTest(step, low_s, high_s, inside, float(beside), float(pdtr(inside, beside)))
 
 
 @dataclass(frozen=True)

@@ -86,9 +86,11 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
         _add_badge(figure, badge)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for form, metadata in FORMATS.items():
-                with whole(folder / f"{name}.{form}") as part:
-                    figure.savefig(part, format=form, metadata=metadata)
+            with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+                _lay_out(figure)
+                for form, metadata in FORMATS.items():
+                    with whole(folder / f"{name}.{form}") as part:
+                        figure.savefig(part, format=form, metadata=metadata)
         except OSError as error:
             raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
 
@@ -102,6 +104,14 @@ def _add_badge(figure: Figure, badge: str) -> None:
     figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)  # a file may be called $x$
     layout: Any = figure.get_layout_engine()
     layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / height))
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the axes for good: else each format places them anew, by drawing the picture once more."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:

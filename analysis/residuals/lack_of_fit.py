@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc, fdtrc
 
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel, Values
@@ -210,7 +210,10 @@ def innovation_covariance(
 
 def _log_f(between: float, groups: int, within: float, freedom: int) -> float:
     """Logarithm of the probability of so large a variance ratio, the noise taken for no less than its known size."""
-    return float(stats.f.logsf(between / max(within, 1.0), groups, freedom)) if freedom > 0 and groups > 0 else 0.0
+    if freedom <= 0 or groups <= 0:
+        return 0.0
+    with np.errstate(divide="ignore"):  # log 0 where the probability is too small for a double
+        return float(np.log(fdtrc(groups, freedom, between / max(within, 1.0))))
 
 
 def _log_p_grouped(z: Array, group: NDArray[np.int64], about_zero: bool) -> float:
@@ -238,7 +241,7 @@ def _p_between(found: Innovations) -> float:
 
 def _p_scatter(z: Array) -> float:
     """Lack of fit within steps: more scatter than the uncertainty, granted that it is known roughly."""
-    return float(stats.chi2.sf(float(np.sum(z**2)) / (1.0 + SCALE_KNOWN) ** 2, len(z))) if len(z) else 1.0
+    return float(chdtrc(len(z), float(np.sum(z**2)) / (1.0 + SCALE_KNOWN) ** 2)) if len(z) else 1.0
 
 
 def _p_serial(found: Innovations) -> float:
@@ -252,7 +255,7 @@ def _p_serial(found: Innovations) -> float:
         together = step[lag:] == step[:-lag]
         if together.any():
             q += float(np.sum((z[lag:] * z[:-lag])[together])) ** 2 / (float(together.sum()) * power**2)
-    return float(stats.chi2.sf(q, LAGS))
+    return float(chdtrc(LAGS, q))
 
 
 def _log_p_of_covariate(found: Innovations, x: Array) -> float:

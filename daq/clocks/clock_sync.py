@@ -15,7 +15,6 @@ from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at
 from daq.clocks.sample_loss import SMALLEST_MISFIT
@@ -52,6 +51,8 @@ def find_marker(heard_v: Floats, marker: Floats) -> float | None:
     """Where in ``heard_v`` the marker begins, in samples and parts of one; None where it is absent."""
     if len(heard_v) <= len(marker):
         return None
+    from scipy.signal import fftconvolve  # takes most of a second to import
+
     match = fftconvolve(heard_v - heard_v.mean(), marker[::-1], mode="valid")
     k = int(np.argmax(np.abs(match)))
     floor = float(np.median(np.abs(match))) * 1.4826

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 Floats = NDArray[np.float64]
 
@@ -186,6 +185,8 @@ def candidates(
     window = played.piece(first + low, first + high + len(heard))
     centred = heard - heard.mean()
     n = len(heard)
+    from scipy.signal import fftconvolve  # takes most of a second to import
+
     cross = fftconvolve(window, centred[::-1], mode="valid")
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (window, window**2))
     energy = squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n

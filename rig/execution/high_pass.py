@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +30,8 @@ class HighPass:
             return volts
         decay = math.exp(-self._r)
         gain = (1.0 - decay) / self._r
+        from scipy.signal import lfilter  # takes most of a second to import
+
         if self._state is None:
             self._state = np.array([-gain * volts[0]])
         out, self._state = lfilter([gain, -gain], [1.0, -decay], volts, zi=self._state)
