@@ -26,7 +26,7 @@ from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
 from model.effects.registry import effect, registry
 
-MOST_EVENTS = 300  # of a subsample
+MOST_EVENTS = 120  # of a subsample
 LEAST_A_STEP = 4  # events of a step in it
 MOST_EVALUATIONS = 70  # of the simplex
 INITIAL_STEP = 0.3  # of the simplex: relative, where the effect states none

@@ -11,6 +11,7 @@ P. J. Green, J. R. Stat. Soc. B 46, 149 (1984): iteratively reweighted least squ
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -155,7 +156,8 @@ class Fitter:
         x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
-        state.fill(bare, x, best.raw, [j for j, k in enumerate(free) if not parameter_of(k).is_shape])
+        sizes = [j for j, k in enumerate(free) if not parameter_of(k).is_shape]
+        state.fill(bare, x, best.raw, sizes, kept=True)
         normal, gradient = state.normal(bare, best.raw, x, state.mask)
         step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
         return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
@@ -167,7 +169,7 @@ class Fitter:
         x = np.array([self.to_x(k, at[k]) for k in keys])
         state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
         bare = np.zeros((len(best.raw), 1))
-        state.fill(bare, x, best.raw, (0,))
+        state.fill(bare, x, best.raw, (0,), kept=True)
         return bare[:, 0]
 
     def detectable(self, best: Fitted, key: ParameterId, nats: float) -> float:
@@ -220,17 +222,28 @@ class _State:
         """Negative log prior at ``x``, nats."""
         return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
-    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int]) -> None:
-        """Finite differences of the bare residuals, one column a parameter."""
+    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int], *, kept: bool = False) -> None:
+        """Derivatives of the bare residuals, one column a parameter; ``kept`` where they will be asked for again."""
+        world = self.fitter.world
+        point = self.point(x) if kept else {}
+        here = tuple(sorted((k, v) for k, v in point.items() if k in world.base or v != null_value_of(k)))
         for j in columns:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
-            moved = x.copy()
-            moved[j] += h
-            change = self.raw(moved) - raw
-            n = len(self.whitener.step)
-            change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
-            change[~np.isfinite(change)] = 0.0
-            bare[:, j] = change / h
+            if kept:
+                key = (here, self.keys[j], h)
+                bare[:, j] = world.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
+            else:
+                bare[:, j] = self._difference(x, raw, j, h)
+
+    def _difference(self, x: Array, raw: Array, j: int, h: float) -> Array:
+        """Finite difference of the bare residuals by one coordinate."""
+        moved = x.copy()
+        moved[j] += h
+        change = self.raw(moved) - raw
+        n = len(self.whitener.step)
+        change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
+        change[~np.isfinite(change)] = 0.0
+        return np.asarray(change / h)
 
     def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -57,6 +58,7 @@ def _stated(setup: Setup) -> Iterator[tuple[str, Prior]]:
         yield "g_mps2", Prior(0.0, setup.g_mps2.uncertainty)
 
 
+@functools.cache
 def parameter_of(key: ParameterId) -> Parameter:
     """The parameter behind a key; a trend has the size of its parameter and no bound but that."""
     name, q = key
@@ -72,6 +74,7 @@ def null_value_of(key: ParameterId) -> float:
     return parameter_of(key).null_value
 
 
+@functools.cache
 def scale_of(key: ParameterId) -> float:
     """Size of a parameter that is one unit of its coordinate."""
     q = parameter_of(key)

@@ -7,9 +7,8 @@ tones), propagated through the prediction; it is never taken from the scatter of
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,47 +17,33 @@ from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.residuals.memory import Memory
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
-from analysis.residuals.plate_mode import INEXACT, Ringing
+from analysis.residuals.plate_mode import Ringing
 from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty
+from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import Registered, effect, offsets, registry, row
-from model.integrator.one_step import Detection, Predicted, one_ahead
+from model.integrator.event_slopes import Slopes, slopes_of
+from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 ParameterId = tuple[str, str]
 Values = Mapping[ParameterId, float]
 Own = tuple[tuple[ParameterId, float], ...]
 
 TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
-EDGE_STEP_S = 2e-6  # finite difference of an edge
-STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
-LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
-MOST_KEPT = {"flights": 64, "plate": 512}  # results that are kept: of predictions, and of plate data and hooks
+MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kept: of predictions, plate data and hooks
 
 
 @dataclass(frozen=True)
-class Uncertainty:
-    """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
+class Inputs:
+    """What a prediction is made from: parameters (P + 1,) or (n, P + 1), plate, the circuit's height and delay (n,)."""
 
-    ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
-    plate tone of the event's step, and of the initial state of a plate mode in the step.
-    """
-
-    opening_sigma_s: Array
-    landing_sigma_s: Array
-    opening_by_tone: Array
-    landing_by_tone: Array
-
-    @property
-    def landing_total_s(self) -> Array:
-        """With the plate's share, (n,)."""
-        return np.asarray(np.sqrt(self.landing_sigma_s**2 + np.sum(self.landing_by_tone**2, axis=1)))
-
-    @property
-    def opening_total_s(self) -> Array:
-        """With the plate's share, (n,)."""
-        return np.asarray(np.sqrt(self.opening_sigma_s**2 + np.sum(self.opening_by_tone**2, axis=1)))
+    rows: Array
+    plate: PlateSteps
+    gap_m: Array
+    delay_s: Array
 
 
 @dataclass(frozen=True)
@@ -85,8 +70,8 @@ class ForwardModel:
 
     Attributes
     ----------
-    memory : Memory
-        Of what depends on the flights: whoever computes it keeps it here.
+    memory, slope_memory : Memory
+        Of what depends on the flights, and of its derivatives: whoever computes it keeps it here.
     """
 
     def __init__(
@@ -106,7 +91,7 @@ class ForwardModel:
             self._plate_memory = Memory(MOST_KEPT["plate"])
         else:
             self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
-        self.memory = Memory(MOST_KEPT["flights"])
+        self.memory, self.slope_memory = Memory(MOST_KEPT["flights"]), Memory(MOST_KEPT["slopes"])
         self._nothing = row({}, self.gravity)
         self.from_rest = (
             evidence.scored & ~evidence.measured.relaunched
@@ -201,6 +186,34 @@ class ForwardModel:
             (name, own), lambda: expected(self.evidence.plate, {name: self._in_steps(name, own)})
         )
 
+    def inputs(self, values: Values, tones: NDArray[np.complex128] | None = None, rows: Array | None = None) -> Inputs:
+        """What a prediction at ``values`` is made from, with other ``tones`` (m, k) or ``rows`` where given."""
+        if tones is None:
+            key = ("inputs", self._of_effects(values, calibrating_effects()))
+            plate, gap, delay = self._plate_memory.recall(key, lambda: self._calibrated(values, None))
+        else:
+            plate, gap, delay = self._calibrated(values, tones)
+        return Inputs(self.rows(values) if rows is None else rows, plate, gap, delay)
+
+    def _of_effects(self, values: Values, names: frozenset[str]) -> Own:
+        """Parameters of some effects among those that are set."""
+        return tuple(sorted(i for i in self.start(values).items() if i[0][0] in names))
+
+    def _calibrated(self, values: Values, tones: NDArray[np.complex128] | None) -> tuple[PlateSteps, Array, Array]:
+        """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
+        ev = self.evidence
+        step = ev.measured.step
+        reading = self.per_step(values, "accelerometer_factor", 1.0)
+        loaded = self.per_step(values, "flight_gain", 0.0)
+        z = ev.steps.plate.acceleration_mps2 if tones is None else tones
+        if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
+            z = z - loaded[:, None] * self.loading.tones_mps2
+        plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
+        if (swings := self.modulation_at(values)) is not None:
+            plate = swings[0].modulated(plate, *swings[1:])
+        gap, delay = (self.per_step(values, hook, 0.0)[step] for hook in ("gap_m", "contact_delay_s"))
+        return plate, gap, delay
+
     def predict(
         self,
         values: Values,
@@ -210,37 +223,38 @@ class ForwardModel:
         rows: Array | None = None,
         kick: tuple[float, float] = (0.0, 0.0),
         near: Predicted | None = None,
+        wanted: NDArray[np.bool_] | None = None,
     ) -> Predicted:
         """One event ahead at ``values``; times as the instrument would show them.
 
-        ``near`` is a prediction of almost the same: a plate mode keeps its share in the measured tones.
+        ``near`` is a prediction of almost the same: a plate mode keeps its share in the measured tones. Of all events
+        that are compared only those ``wanted`` (n,) are predicted, where given.
         """
-        ev = self.evidence
-        step = ev.measured.step
-        shift = self.per_step(values, "contact_delay_s", 0.0)[step]
-        reading = self.per_step(values, "accelerometer_factor", 1.0)
-        loaded = self.per_step(values, "flight_gain", 0.0)
-        gap = self.per_step(values, "gap_m", 0.0)[step]
-        z = ev.steps.plate.acceleration_mps2 if tones is None else tones
-        if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
-            z = z - loaded[:, None] * self.loading.tones_mps2
-        plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
-        if (swings := self._modulation_at(values)) is not None:
-            plate = swings[0].modulated(plate, *swings[1:])
-        moved = ev.measured.landing_s - shift
+        x = self.inputs(values, tones, rows)
+        measured = self.measured_at(x, wanted)
         if landing_shift_s is not None:
-            moved = moved + landing_shift_s
-        measured = replace(ev.measured, opening_s=ev.measured.opening_s - shift, landing_s=moved)
-        p = one_ahead(
-            measured,
-            plate,
-            self.rows(values) if rows is None else rows,
-            Detection(gap, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps),
-            kick=kick,
-            probe=self.ringing,
-            mode=near,
+            measured = replace(measured, landing_s=measured.landing_s + landing_shift_s)
+        p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=near)
+        return replace(
+            p, takeoff_s=p.takeoff_s + x.delay_s, landing_s=p.landing_s + x.delay_s, opening_s=p.opening_s + x.delay_s
         )
-        return replace(p, takeoff_s=p.takeoff_s + shift, landing_s=p.landing_s + shift, opening_s=p.opening_s + shift)
+
+    def measured_at(self, x: Inputs, wanted: NDArray[np.bool_] | None = None) -> Measured:
+        """The flights as they were, less the circuit's delay."""
+        seen = self.evidence.measured
+        of = seen.wanted if wanted is None else wanted & seen.wanted
+        return replace(seen, opening_s=seen.opening_s - x.delay_s, landing_s=seen.landing_s - x.delay_s, wanted=of)
+
+    def detection_at(self, x: Inputs) -> Detection:
+        ev = self.evidence
+        return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
+
+    def slopes(
+        self, values: Values, places: Sequence[int] = (), changes: Sequence[float] = ()
+    ) -> tuple[Inputs, Slopes]:
+        """Inputs of the prediction at ``values``, and its derivatives: see `model.integrator.one_step.slopes_of`."""
+        x, found = self.inputs(values), self.predicted(values)
+        return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found, places, changes)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, kept: what touches plate data only needs no new flight."""
@@ -250,7 +264,7 @@ class ForwardModel:
         """All parameters that touch a flight."""
         return tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
 
-    def _modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
+    def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
         if self.evidence.modulation is None:
             return None
@@ -260,7 +274,7 @@ class ForwardModel:
                 return self.evidence.modulation, depth, float(omega[0]) / (2.0 * np.pi)
         return None
 
-    def _kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
+    def kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
         """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
         point = self.start(values)
         here = self._nothing.copy()
@@ -277,7 +291,7 @@ class ForwardModel:
         return ()
 
     def moved_landings(
-        self, values: Values, shift_s: Array
+        self, values: Values, shift_s: Array, wanted: NDArray[np.bool_] | None = None
     ) -> Iterator[tuple[Predicted, tuple[NDArray[np.bool_], ...]]]:
         """Predictions with every third landing moved by ``shift_s`` (n,), so that each event depends on one of them.
 
@@ -290,7 +304,9 @@ class ForwardModel:
         """
         index, near = np.arange(len(self.evidence)), self.predicted(values)
         for colour in range(3):
-            moved = self.predict(values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0), near=near)
+            moved = self.predict(
+                values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0), near=near, wanted=wanted
+            )
             yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -299,68 +315,32 @@ class ForwardModel:
         p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
+        if np.any(p.mode_amplitudes):
+            plate = self._plate_residuals(values, p)
+        else:
+            key = ("plate residuals", self._of_effects(values, driving_effects()))
+            plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values, p))
+        return Residuals(opening, landing, plate, p)
+
+    def _plate_residuals(self, values: Values, p: Predicted) -> Array:
+        """Measured minus expected plate data at ``values``, (r,), scaled where what is expected is uncertain."""
+        ev = self.evidence
         predicted, inexact = self._expected(values), np.zeros(len(ev.plate))
         if self.ringing is not None:
             mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
             predicted = predicted + mode
         if self.loading is not None:
             predicted = predicted + self.loading.added(self.per_step(values, "flight_gain", 0.0)[ev.plate.step])
-        if (swings := self._modulation_at(values)) is not None:
+        if (swings := self.modulation_at(values)) is not None:
             swings_data, leaking = swings[0].expected(ev.plate, ev.steps.plate, *swings[1:])
             predicted, inexact = predicted + swings_data, np.hypot(inexact, leaking)
         inexact = np.hypot(inexact, power_uncertainty(ev.plate, predicted))
-        plate = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact) * (ev.plate.value - predicted)
-        return Residuals(opening, landing, plate, p)
+        scale = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact)
+        return np.asarray(scale * (ev.plate.value - predicted))
 
     def uncertainty(self, values: Values) -> Uncertainty:
-        """Uncertainty of the residuals at ``values``, by finite differences of the prediction itself."""
-        return self.memory.recall(("uncertainty", self.flying(values)), lambda: self._uncertainty(values))
-
-    def _uncertainty(self, values: Values) -> Uncertainty:
-        ev = self.evidence
-        n = len(ev)
-        base = self.predicted(values)
-        open_var, land_var = ev.opening_sigma_s**2, ev.landing_sigma_s**2 + _finite(base.ambiguity_s) ** 2
-        for moved, rows in self.moved_landings(values, np.full(n, EDGE_STEP_S)):
-            for back in (1, 2):
-                sigma = np.where(rows[back], ev.landing_sigma_s[np.maximum(np.arange(n) - back, 0)], 0.0)
-                open_var = open_var + (edge_slope(moved.opening_s - base.opening_s) * sigma) ** 2
-                land_var = land_var + (edge_slope(moved.landing_s - base.landing_s) * sigma) ** 2
-        columns_open, columns_land = [], []
-        steps = ev.steps
-        sigma = steps.sigma_mps2
-        inexact = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
-        if (swings := self._modulation_at(values)) is not None:
-            inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
-        wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)
-        moves: list[tuple[dict[str, Any], dict[str, Any]]] = []
-        for j in np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2))):
-            by = wider[:, j // 2, None] * steps.spread_mps2[:, j]
-            z = steps.plate.acceleration_mps2
-            moves.append(({"tones": z + by, "near": base}, {"tones": z - by, "near": base}))
-        moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in self._kicks(values)]
-        for there, back_again in moves:  # the nonlinear part of so large a change counts as noise of each event
-            ahead, behind = self.predict(values, **there), self.predict(values, **back_again)
-            columns_open.append(_finite(0.5 * (ahead.opening_s - behind.opening_s)))
-            columns_land.append(_finite(0.5 * (ahead.landing_s - behind.landing_s)))
-            open_var = open_var + _finite(0.5 * (ahead.opening_s + behind.opening_s) - base.opening_s) ** 2
-            land_var = land_var + _finite(0.5 * (ahead.landing_s + behind.landing_s) - base.landing_s) ** 2
-        shape = (0, n)
-        return Uncertainty(
-            np.sqrt(open_var),
-            np.sqrt(land_var),
-            np.array(columns_open).reshape(-1, *shape[1:]).T,
-            np.array(columns_land).reshape(-1, *shape[1:]).T,
-        )
-
-
-def _finite(x: Array) -> Array:
-    return np.where(np.abs(x) < LARGEST_CHANGE_S, np.nan_to_num(x), 0.0)
-
-
-def edge_slope(difference: Array) -> Array:
-    """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
-    return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)
+        """Uncertainty of the residuals at ``values``: that of edges and plate, carried through the prediction."""
+        return self.memory.recall(("uncertainty", self.flying(values)), lambda: uncertainty_at(self, values))
 
 
 def _own(name: str, point: Values) -> Own:
@@ -392,3 +372,16 @@ def _followed() -> tuple[tuple[str, int, str], ...]:
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
     return frozenset(r.effect.name for r in registry() if r.hooks and r.hooks.keys() <= PLATE_ONLY_HOOKS)
+
+
+@functools.cache
+def calibrating_effects() -> frozenset[str]:
+    """Names of the effects that change the plate's motion or the circuit as measured."""
+    hooks = {"accelerometer_factor", "flight_gain", "modulation", "gap_m", "contact_delay_s"}
+    return frozenset(r.effect.name for r in registry() if r.hooks.keys() & hooks)
+
+
+@functools.cache
+def driving_effects() -> frozenset[str]:
+    """Names of the effects that change plate data without a flight."""
+    return frozenset(r.effect.name for r in registry() if r.hooks.keys() & (PLATE_HOOKS | {"modulation"}))

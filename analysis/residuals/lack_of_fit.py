@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
 from analysis.residuals.covariates import covariates
-from analysis.residuals.forward_model import EDGE_STEP_S, ForwardModel, Uncertainty, Values, edge_slope
+from analysis.residuals.forward_model import ForwardModel, Values
 from analysis.residuals.prediction_errors import near_grazing
+from analysis.residuals.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope
 from analysis.thresholds import (
     FARTHEST_SIGMAS,
     FROZEN,

@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.thresholds import LEAST_EXCESS_S, OUTLIER_FRACTION
+from kernels import njit
 
 Array = NDArray[np.float64]
 
 FREEDOM = 5.0  # degrees of freedom of Student's t: robust, and close to normal in the middle
 T_PEAK = 0.3796  # density of that t at its centre
 LARGEST_EXCESS_S = 2e-2
+FEW = 4  # densities whose product neither overflows nor vanishes
 NEVER = -np.inf
 EXCESSES_S = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, LARGEST_EXCESS_S, 45)])
 EXCESSES_OF_PLATE = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)])  # in the median uncertainty
@@ -46,23 +48,49 @@ def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[fl
     """Excess noise: scatter beyond the uncertainty by maximum likelihood on a grid, and the loss with it."""
     if len(residual_s) == 0:
         return LEAST_EXCESS_S, 0.0
-    variance = sigma_s[None, :] ** 2 + EXCESSES_S[:, None] ** 2
-    far = 1.0 + (residual_s**2 / FREEDOM)[None, :] / variance
     outlier = OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK / period_s
-    # `robust_loss` and the logarithm of the width in one: the cube is that of five degrees of freedom
-    loss = -np.sum(np.log(1.0 / (far * far * far * np.sqrt(variance)) + outlier), axis=1)
+    loss = _losses(EXCESSES_S, residual_s, sigma_s, outlier)
     best = int(np.argmin(loss))
     return float(EXCESSES_S[best]), float(loss[best])
 
 
 def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
     """Uncertainty of plate data with each kind's own excess noise, and its logarithm relative to the bare one."""
-    out = sigma.copy()
-    for k in np.unique(kind):
-        rows = kind == k
-        grid = EXCESSES_OF_PLATE * np.median(sigma[rows])
-        variance = sigma[rows][None, :] ** 2 + grid[:, None] ** 2
-        far = 1.0 + (residual[rows] ** 2 / FREEDOM)[None, :] / variance
-        loss = np.log(far * far * far * np.sqrt(variance))  # as in `excess_noise`, without outliers
-        out[rows] = np.sqrt(variance[np.argmin(loss.sum(axis=1))])
+    out = _scaled(kind, residual, sigma)
     return out, np.log(out / sigma)
+
+
+@njit(error_model="numpy", nogil=True)
+def _losses(excess: Array, residual: Array, sigma: Array, outlier: Array) -> Array:
+    """Loss of residuals (n,) at each excess, `robust_loss` and the logarithm of the width in one.
+
+    The cube is that of five degrees of freedom; logarithms are taken of products of a few densities.
+    """
+    out = np.zeros(len(excess))
+    for g in range(len(excess)):
+        wide, product = excess[g] * excess[g], 1.0
+        for i in range(len(residual)):
+            variance = sigma[i] * sigma[i] + wide
+            far = 1.0 + residual[i] * residual[i] / FREEDOM / variance
+            product *= 1.0 / (far * far * far * np.sqrt(variance)) + outlier[i]
+            if i % FEW == FEW - 1:
+                out[g] -= np.log(product)
+                product = 1.0
+        out[g] -= np.log(product)
+    return out
+
+
+@njit(error_model="numpy", nogil=True)
+def _scaled(kind: NDArray[np.int64], residual: Array, sigma: Array) -> Array:
+    """Uncertainty of plate data with the likeliest excess noise of each kind."""
+    out = sigma.copy()
+    for k in range(kind.max() + 1 if len(kind) else 0):
+        rows = np.flatnonzero(kind == k)
+        if len(rows) == 0:
+            continue
+        own = sigma[rows]
+        grid = EXCESSES_OF_PLATE * np.median(own)
+        best = grid[np.argmin(_losses(grid, residual[rows], own, np.zeros(len(own))))]
+        for i in rows:
+            out[i] = np.sqrt(sigma[i] * sigma[i] + best * best)
+    return out

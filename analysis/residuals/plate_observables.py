@@ -258,7 +258,8 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
         if table is None or not entry.hooks.keys() & PLATE_HOOKS:
             continue
         points = np.array(list(table.values()))
-        for point in np.unique(points, axis=1).T:
+        same = bool(np.all(points == points[:, :1]))
+        for point in points[:, :1].T if same else np.unique(points, axis=1).T:
             p = dict(zip(table, map(float, point), strict=True))
             if p != entry.effect.null_values:
                 rows = np.all(points == point[:, None], axis=0)[data.step]

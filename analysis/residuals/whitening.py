@@ -252,15 +252,14 @@ def _lowest(loss: Callable[[float], float], guess: float) -> float:
 
 def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Orthonormal directions of each block's common errors, their shrinkage, and their share of each log sigma."""
-    shared = np.zeros_like(tones)
-    logs, shrink = np.zeros(len(tones)), np.zeros((len(bounds) - 1, tones.shape[1]))
-    for i in range(len(bounds) - 1):
-        rows = slice(bounds[i], bounds[i + 1])
-        vectors, sizes, _ = np.linalg.svd(tones[rows], full_matrices=False)
-        shared[rows, : len(sizes)] = vectors
-        shrink[i, : len(sizes)] = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
-        logs[rows] = 0.5 * float(np.sum(np.log1p(sizes**2))) / (bounds[i + 1] - bounds[i])
-    return shared, shrink, logs
+    counts = np.diff(bounds)
+    place = np.arange(len(tones)) - np.repeat(bounds[:-1], counts)
+    block = np.repeat(np.arange(len(counts)), counts)
+    padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))
+    padded[block, place] = tones
+    vectors, sizes, _ = np.linalg.svd(padded, full_matrices=False)
+    logs = 0.5 * np.sum(np.log1p(sizes**2), axis=1) / counts
+    return vectors[block, place], 1.0 / np.sqrt(1.0 + sizes**2) - 1.0, logs[block]
 
 
 @njit()

@@ -1,9 +1,10 @@
 """Processor seconds of the closed loop by stage, for a handful of blind trials, beside another tree in one run.
 
-    python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 8] [--against PATH] [--folder KEPT]
+    python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 12] [--against PATH] [--folder KEPT]
 
-Each trial's recording is made once and given to both trees. Kernels are compiled before the clock starts, and threads
-count as they do for the operating system: seconds are those of all cores together.
+It prints the table of `docs/results/loop-speed.md`: of two trees the other one's figures stand first, and verdicts,
+names and values of both are compared. Each trial's recording is made once and given to both trees. Kernels are compiled
+before the clock starts, and threads count as they do for the operating system: seconds are those of all cores together.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 STAGES = {
@@ -31,7 +33,9 @@ WANTED = (  # kind, plant and what is hidden: light and heavy ones in turn
     ("clean", "other", ()), ("strong", "other", ("coulomb_friction",)), ("strong", "other", ("mains_hum",)),
     ("strong", "other", ("amplitude_modulation",)), ("weak", "other", ("adhesion",)),
     ("outside", "other", ("upper_stop",)), ("strong", "other", ("restitution",)),
-    ("strong", "other", ("table_resonance",)),
+    ("strong", "other", ("table_resonance",)), ("strong", "other", ("gain_compression",)),
+    ("strong", "other", ("viscous_damping",)), ("strong", "other", ("accelerometer_offset",)),
+    ("strong", "other", ("local_gravity",)),
 )  # fmt: skip
 
 
@@ -50,7 +54,17 @@ def measured(recording: Path) -> dict[str, Any]:
         "values": {f"{p.effect}.{p.parameter}": p.value for p in loop.parameters},
         "rms_us": loop.after.landing_rms_us,
         "seconds": seconds,
+        "peak_mb": _peak_mb(),
     }
+
+
+def _peak_mb() -> float:
+    """Largest memory of this process so far, MB; NaN where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return float("nan")
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 if sys.platform != "darwin" else 1024.0**2)
 
 
 @contextmanager
@@ -112,17 +126,33 @@ def _warm_and_measure(recordings: Sequence[Path]) -> None:
 
 
 def show(recordings: Sequence[Path], sides: Sequence[Sequence[dict[str, Any]]]) -> None:
-    """Table of seconds by stage; of two trees the other one's seconds stand behind a stroke."""
+    """Table of verdicts, errors and seconds by stage; of two trees the other one's figures stand before a stroke."""
     stages = ["all", "selection", *STAGES]
-    print("| trial | verdict | named | rms, us | " + " | ".join(stages) + " |")
-    print("|---" * (4 + len(stages)) + "|")
+    print(
+        "| trial | verdict | named | largest relative change of a value | landings, us | "
+        + ", s | ".join(stages)
+        + ", s |"
+    )
+    print("|---" * (5 + len(stages)) + "|")
     for path, *rows in zip(recordings, *sides, strict=True):
         texts = [path.parent.name]
         texts += [" / ".join(dict.fromkeys(str(r["verdict"]) for r in rows))]
         texts += [" / ".join(dict.fromkeys(" + ".join(r["names"]) or "-" for r in rows))]
-        texts += [" / ".join(f"{r['rms_us']:.1f}" for r in rows)]
+        texts += [f"{_apart(*(r['values'] for r in rows)):.0e}" if len(rows) > 1 else "-"]
+        texts += [" / ".join(f"{r['rms_us']:.2f}" for r in rows)]
         texts += [" / ".join(f"{r['seconds'].get(stage, 0.0):.1f}" for r in rows) for stage in stages]
         print("| " + " | ".join(texts) + " |")
+    for rows in sides:
+        seconds = sorted(r["seconds"]["all"] for r in rows)
+        times = f"median {median(seconds):.1f} s, longest {seconds[-1]:.1f} s"
+        print(f"\n{len(seconds)} trials: {times}, memory {max(r['peak_mb'] for r in rows):.0f} MB")
+
+
+def _apart(one: dict[str, float], other: dict[str, float]) -> float:
+    """Largest relative difference of the values of two runs; infinite where they name different parameters."""
+    if one.keys() != other.keys():
+        return float("inf")
+    return max((abs(one[k] - other[k]) / max(abs(one[k]), abs(other[k]), 1e-12) for k in one), default=0.0)
 
 
 def main() -> None:
@@ -139,7 +169,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as name:
         recordings = make(args.seed_base, args.trials, args.folder or Path(name))
-        trees = [Path(__file__).resolve().parents[2], *([args.against.resolve()] if args.against else [])]
+        trees = [*([args.against.resolve()] if args.against else []), Path(__file__).resolve().parents[2]]
         show(recordings, [_in_tree(tree, recordings) for tree in trees])
 
 

@@ -150,6 +150,31 @@ def _runge_kutta(
 
 
 @compiled
+def note(nodes: Floats, s: float, ends: StepEnds, direction: float, closed: bool) -> None:
+    """Append a step of the integration, s after take-off, to ``nodes``, whose first number counts them.
+
+    A row holds the time, the `StepEnds`, the direction of friction, whether forces and friction are constant in the
+    segment, the part of the step that is flown, and how it ends: 0 it goes on, 1 impact, 2 standstill.
+    """
+    k = int(nodes[0, 0]) + 1
+    nodes[0, 0] = k
+    if k >= nodes.shape[0]:
+        return
+    nodes[k, 0] = s
+    nodes[k, 1], nodes[k, 2], nodes[k, 3], nodes[k, 4] = ends.d, ends.h0, ends.v0, ends.a0
+    nodes[k, 5], nodes[k, 6], nodes[k, 7] = ends.h1, ends.v1, ends.a1
+    nodes[k, 8], nodes[k, 9], nodes[k, 10], nodes[k, 11] = direction, 1.0 if closed else 0.0, 1.0, 0.0
+
+
+@compiled
+def note_end(nodes: Floats, z: float, ended: int) -> None:
+    """Mark the last step in ``nodes`` as the last of its segment."""
+    k = int(nodes[0, 0])
+    if k < nodes.shape[0]:
+        nodes[k, 10], nodes[k, 11] = z, ended
+
+
+@compiled
 def segment(
     t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
 ) -> tuple[int, float, float, float, float]:
@@ -181,6 +206,7 @@ def segment(
     moving = start_turning(t0, s0, 0.5 * step if halved else step, tones, mode, turning)
     s = 0.0
     limit = LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s
+    noted = law.nodes.shape[0] > 0
     while s < limit:
         se = s + step
         middle = _coasting(s + 0.5 * step, start, turned(moving, turning), g) if halved else (0.0, 0.0, 0.0, 0.0)
@@ -195,14 +221,20 @@ def segment(
         h1, v1 = hb1 + dev, vb1 + devd
         a1 = ab1 + f1
         ends = StepEnds(step, h, v, a, h1, v1, a1)
+        if noted:
+            note(law.nodes, s0 + s, ends, direction, not halved)
         if opened < 0.0 and h1 > gap >= h:
             opened = s0 + s if gap == 0.0 else s0 + s + step * crossing(gap, 0.0, 1.0, ends)
         touch = first_touch(ends)
         if law.rubbed:
             z = first_standstill(ends, direction)
             if z >= 0.0 and (touch < 0.0 or z < touch):
+                if noted:
+                    note_end(law.nodes, z, 2)
                 return 2, s0 + s + z * step, max(hermite5(z, ends)[0], 0.0), 0.0, opened
         if touch >= 0.0:
+            if noted:
+                note_end(law.nodes, touch, 1)
             return 1, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened
         s, h, v, a, f0 = se, h1, v1, a1, f1
         if step < law.step_s:  # by halves of it, exactly

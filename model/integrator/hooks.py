@@ -22,6 +22,12 @@ rebound: Callable[..., float]
 plate_mode: Callable[..., tuple[float, float, float]]
 """Plate mode struck by impacts: angular frequency, damping ratio, mass ratio, of ``(p)``."""
 
+force_of: Callable[..., float]
+"""Acceleration by the one effect that owns the ``place`` in the row, m/s^2, of ``(place, s, h, v, u, p)``."""
+dry_friction_of: Callable[..., float]
+"""Dry friction by that one effect, m/s^2, of ``(place, h, speed, direction, p)``."""
+OF_ONE = ("force", "dry_friction")
+
 _SIGNATURES = {
     "force": ("s, h, v, u, p", "0.0"),
     "dry_friction": ("h, speed, direction, p", "0.0"),
@@ -45,6 +51,16 @@ def _source() -> str:
             raise ValueError("only one effect may bring a plate mode")
         total = " + ".join(terms) or nothing
         lines += ["", "@njit(error_model='numpy')", f"def {hook}({arguments}):", f"    return {total}"]
+    for hook in OF_ONE:
+        arguments, _ = _SIGNATURES[hook]
+        lines += ["", "@njit(error_model='numpy')", f"def {hook}_of(place, {arguments}):"]
+        for e in entries:
+            if hook in e.hooks:
+                end = e.offset + len(e.effect.parameters)
+                lines.append(
+                    f"    if {e.offset} <= place < {end}: return {hook}_{e.effect.name}({arguments}, {e.offset})"
+                )
+        lines.append("    return 0.0")
     return "\n".join(lines)
 
 

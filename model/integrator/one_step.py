@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -11,57 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model.tones
-from model.effects.registry import null_row, registry, row
+from model.effects.registry import row
 from model.integrator import predict
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
-from model.integrator.records import Events, Law, Mode, Plate, Probe, Steps, Visibility
+from model.integrator.problem import Problem, active, columns_of, driven, for_kernel, tones_for_kernel
+from model.integrator.records import Law, Mode, Plate, Probe
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
-
-
-@functools.cache
-def _columns(hook: str) -> NDArray[np.intp]:
-    """Places in the row of all parameters of the effects that define ``hook``."""
-    return np.array(
-        [
-            e.offset + i
-            for e in registry()
-            if hook in e.hooks
-            for i, q in enumerate(e.effect.parameters)
-            if not q.is_shape or q.name == "of"
-        ],
-        dtype=np.intp,
-    )
-
-
-@functools.cache
-def _nothing(hook: str) -> Array:
-    """The null values of `_columns`."""
-    return null_row(0.0)[_columns(hook)]
-
-
-def _active(rows: Array, hook: str) -> bool:
-    return bool(np.any(rows[..., _columns(hook)] != _nothing(hook)))
-
-
-def _for_kernel(values: NDArray[_T]) -> NDArray[_T]:
-    """An array as the kernels take it, contiguous and writable: numba compiles each layout, and each right, anew."""
-    return np.require(values, requirements=["C", "W"])
-
-
-def _tones(omega_radps: Array, acceleration_mps2: NDArray[np.complex128]) -> Array:
-    """Tones (..., k) as the kernels take them, (..., k, 3)."""
-    return np.stack([omega_radps, acceleration_mps2.real, acceleration_mps2.imag], axis=-1)
-
-
-def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
-    """One value, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
-    one = np.asarray(value)
-    values = np.array(np.broadcast_to(one, n), dtype=one.dtype if one.dtype == np.bool_ else np.float64)
-    values.flags.writeable = False
-    return values
 
 
 @dataclass(frozen=True)
@@ -171,6 +128,8 @@ class Predicted:
     projection, observed_s
         The mode's motion projected on the tones of a `ToneProbe` in its intervals, (r, l), and for how much of their
         time it is known, (r,).
+    table
+        The kernel's table, (n, `predict.OUT_COLUMNS`), for derivatives of the prediction.
     """
 
     takeoff_s: Array
@@ -184,6 +143,7 @@ class Predicted:
     mode_amplitudes: NDArray[np.complex128]
     projection: NDArray[np.complex128]
     observed_s: Array
+    table: Array | None = None
 
 
 class ToneProbe(Protocol):
@@ -229,49 +189,6 @@ class ContinuousProbe:
         return np.asarray(2.0 * projection / np.where(observed_s > 0.0, observed_s, 1.0)[:, None])
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """Measured flights, plate and parameters as the kernel takes them."""
-
-    measured: Measured
-    plate: PlateSteps
-    rows: Array
-    detection: Detection
-    kick: tuple[float, float]
-
-    def predicted(self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], probe: Probe) -> Array:
-        """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
-        m, d, n = self.measured, self.detection, len(self.measured.landing_s)
-        out = np.full((n, predict.OUT_COLUMNS), np.nan)
-        predict.one_ahead(
-            Events(
-                _for_kernel(m.opening_s),
-                _for_kernel(m.landing_s),
-                _for_kernel(m.relaunched),
-                _for_kernel(m.linked),
-                _for_kernel(wanted),
-                _for_kernel(m.step),
-                _of_each(np.any(self.rows[:, _columns("rebound")] > 0.0, axis=1), n),
-                _of_each(d.gap_m, n),
-                _of_each(d.weak_mps, n),
-                _for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
-                _for_kernel(np.zeros(n) if m.share is None else m.share),
-                _for_kernel(np.full(n, np.nan) if m.gained_mps is None else m.gained_mps),
-                _for_kernel(np.full(n, np.nan) if m.pressed_mps is None else m.pressed_mps),
-                _for_kernel(np.full(n, np.nan) if m.pressed_at is None else m.pressed_at),
-            ),
-            Steps(_for_kernel(self.plate.period_s), _tones(self.plate.omega_radps, tones)),
-            self.rows,
-            _active(self.rows, "force"),
-            _active(self.rows, "dry_friction"),
-            Visibility(0.0, d.unseen_s, d.passable_s, d.closure_s),
-            self.kick,
-            probe,
-            out,
-        )
-        return out
-
-
 def one_ahead(
     measured: Measured,
     plate: PlateSteps,
@@ -301,45 +218,44 @@ def one_ahead(
         A prediction whose plate mode is taken over, not projected anew: for small changes of events and tones.
     """
     n = len(measured.landing_s)
-    rows = _for_kernel(rows.reshape(-1, rows.shape[-1]))
-    problem = _Problem(measured, plate, rows, Detection() if detection is None else detection, kick)
+    rows = for_kernel(rows.reshape(-1, rows.shape[-1]))
+    problem = Problem(measured, plate, rows, Detection() if detection is None else detection, kick)
     tones, own = plate.acceleration_mps2, plate.acceleration_mps2.shape[1] - plate.derived
     amplitudes = np.zeros((len(tones), own), dtype=np.complex128)
     probe = ContinuousProbe(plate.omega_radps[:, :own]) if probe is None else probe
-    nothing, span_s = np.zeros(len(tones) + 1, dtype=np.int64), _for_kernel(probe.span_s)
+    nothing, span_s = np.zeros(len(tones) + 1, dtype=np.int64), for_kernel(probe.span_s)
     projection, observed_s = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
-    ringing = bool(np.any(rows[:, _columns("plate_mode")] > 0.0))
+    ringing = bool(np.any(rows[:, columns_of("plate_mode")] > 0.0))
     if ringing and mode is not None:
         amplitudes, projection, observed_s = mode.mode_amplitudes, mode.projection, mode.observed_s
     elif ringing:
         projection = np.zeros((len(span_s), probe.omega_radps.shape[1]), dtype=np.complex128)
-        first = _for_kernel(probe.first)
+        first = for_kernel(probe.first)
         problem.predicted(
             tones,
             np.zeros(n, dtype=np.bool_),
-            Probe(first, span_s, _for_kernel(probe.omega_radps), projection, observed_s),
+            Probe(first, span_s, for_kernel(probe.omega_radps), projection, observed_s),
         )
         amplitudes = probe.of_tones(projection, observed_s)
         of_step = np.add.reduceat(np.append(observed_s, 0.0), first[:-1]) * (np.diff(first) > 0)
         for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
             amplitudes[k] = _carried(plate.omega_radps[k, :own], tones[k, :own], rows[0])
-    if ringing:  # the measured tones contain the mode: only the rest is driven
-        driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)
-        tones = np.concatenate([driven, tones[:, own:]], axis=1)
+    if ringing:
+        tones = driven(plate, amplitudes)
     unused = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
     silent = Probe(nothing, span_s, np.zeros((len(tones), 0)), *unused)
     out = problem.predicted(tones, measured.wanted, silent)
     out[out[:, 6] < 0, :6] = np.nan
-    takeoff, _, landing, _, *others = out.T
-    columns: tuple[Any, ...] = (takeoff, landing, *others, amplitudes, projection, observed_s)
+    takeoff, _, landing, _, *others = out[:, :10].T
+    columns: tuple[Any, ...] = (takeoff, landing, *others, amplitudes, projection, observed_s, out)
     return Predicted(*columns)
 
 
 def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> NDArray[np.complex128]:
     """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
-    row = _for_kernel(row)
+    row = for_kernel(row)
     om, ze, _ = plate_mode(row)
-    _, re, im = loaded(0.0, Plate(_tones(omega_radps, tones), Mode(0.0, 0.0, om, ze)), row).tones.T
+    _, re, im = loaded(0.0, Plate(tones_for_kernel(omega_radps, tones), Mode(0.0, 0.0, om, ze)), row).tones.T
     factor = np.divide(re + 1j * im, tones, out=np.ones_like(tones), where=tones != 0.0)
     return np.asarray(tones * (1.0 - 1.0 / factor))
 
@@ -386,7 +302,8 @@ def simulate(
     """
     rows = row(effects, g_mps2)
     out = np.empty((flights, 6))
-    tones = _tones(plate.omega_radps, plate.acceleration)
-    law = Law(_for_kernel(rows), 0.0, _active(rows, "force"), _active(rows, "dry_friction"), np.empty((0, 6)))
+    tones = tones_for_kernel(plate.omega_radps, plate.acceleration)
+    acting = active(rows, "force"), active(rows, "dry_friction")
+    law = Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)), np.empty((0, 12)))
     out = out[: predict.simulate(float(start[0]), float(start[1]), period_s, tones, law, unseen_s, out)]
     return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))

@@ -32,9 +32,11 @@ from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak
 
 OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
 FOLLOWED = 0.2  # part of a kick where the chain begins after a contact whose push was measured
-OUT_COLUMNS = 10
+OUT_COLUMNS = 13
 """Of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as
-predicted; launch velocity and impact speed of the measured flight; by how much later the landing may be seen."""
+predicted; launch velocity and impact speed of the measured flight; by how much later the landing may be seen; start of
+the measured flight, and how its impact speed was found (`FROM_REST` ...); weak impacts passed."""
+FROM_REST, TWO_POINTS, AS_PREDICTED, MEASURED = 1.0, 2.0, 3.0, 4.0
 
 
 @compiled
@@ -49,7 +51,7 @@ def _rested(s: float, pressed: tuple[float, float], last: Chain, bare: Plate, p:
 
 
 @compiled
-def _begin_chain(i: int, events: Events, period: float, last: Chain, plate: Plate, p: Floats) -> Chain:
+def begin_chain(i: int, events: Events, period: float, last: Chain, plate: Plate, p: Floats) -> Chain:
     """A chain that begins at the opening of event i: the plate goes on ringing from step to step."""
     opening = events.opening[i]
     rested = opening - last.t
@@ -82,6 +84,7 @@ def _measured(
     i: int, events: Events, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
 ) -> tuple[float, float, float, float, float]:
     """Start, launch velocity and impact speed of the measured flight i itself, and the mode's state at the start."""
+    out[11] = FROM_REST
     opening, landing, bounces, p = events.opening[i], events.landing[i], events.bounces[i], law.p
     pressed = (events.pressed_mps[i] if events.linked[i] else np.nan, events.pressed_at[i])  # else it has acted
     direct, start, lasts, v0, hit = events.relaunched[i] and events.linked[i], last.t, -1.0, 0.0, 0.0
@@ -95,6 +98,7 @@ def _measured(
         if direct:
             start, q, qd = last.t, last.q, last.qd
         near = out[1] if passed == 0 and out[6] == 1.0 and events.relaunched[i] else -1.0
+        out[11] = TWO_POINTS
         v0, hit = launch_of(start, landing, near, out[2], with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
@@ -118,37 +122,49 @@ def one_ahead(
     flight's own launch and impact are found where an elastic impact or a plate mode needs them.
     """
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
-    turning = np.empty((steps.tones.shape[1] + 1, 6))
+    turning, nodes = np.empty((steps.tones.shape[1] + 1, 6)), np.empty((0, 12))
+    lengths = np.empty(len(steps.period))
+    for j in range(len(lengths)):
+        lengths[j] = step_length(steps.period[j], steps.tones[j])
+    om, ze, ratio = plate_mode(rows[0])
     for i in range(events.landing.shape[0]):
         p = rows[i if len(rows) > 1 else 0]
         m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
-        om, ze, ratio = plate_mode(p)
-        tones = steps.tones[m]
+        if len(rows) > 1:
+            om, ze, ratio = plate_mode(p)
+        # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
+        needed = ratio != 0.0 or (bounces and np.any(events.wanted[i + 1 : i + 3]))
+        if not (events.wanted[i] or needed):  # nothing leans on it but its landing
+            out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
+            last = Chain(landing, last.impact, 0.0, 0.0, True, 0)
+            continue
+        tones, length = steps.tones[m], lengths[m]
         if events.share[i] > 0.0:
             tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
+            length = step_length(steps.period[m], tones)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
-        law = Law(p, step_length(steps.period[m], bare.tones), forced, rubbed, turning)
-        out[i, 6], out[i, 9] = -1.0, 0.0
+        law = Law(p, length, forced, rubbed, turning, nodes)
+        out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
         passed, chained = 0, last.chained + 1
         if not events.linked[i]:
             chained = 0
-            last = _begin_chain(i, events, steps.period[m], last, bare, p)
+            last = begin_chain(i, events, steps.period[m], last, bare, p)
             loose = 1.0 if np.isnan(events.pressed_mps[i]) else FOLLOWED
             last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(i, events, last, bare, law, seen, out[i])
-        # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
-        needed = ratio != 0.0 or (bounces and np.any(events.wanted[i + 1 : i + 3]))
+        out[i, 12] = passed
         if not (needed or (bounces and events.wanted[i])):
             last = Chain(landing, last.impact, last.q, last.qd, True, 0)
             continue
         start, v0, hit, q, qd = _measured(i, events, steps.period[m], last, bare, law, passed, out[i])
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
-            hit = out[i, 3]  # the flight as measured is several: only the prediction knows its last impact
+            hit, out[i, 11] = out[i, 3], AS_PREDICTED  # the flight as measured is several: only that knows its end
         if not np.isnan(events.gained_mps[i]):
             hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
+            out[i, 11] = MEASURED
         hit = max(hit, 0.0)
-        out[i, 7], out[i, 8] = v0, hit
+        out[i, 7], out[i, 8], out[i, 10] = v0, hit, start
         flying = with_state(bare, q, qd)
         if ratio != 0.0 and events.linked[i]:
             project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
@@ -168,7 +184,7 @@ def simulate(
     p = bare.p
     om, ze, _ = plate_mode(p)
     plate = Plate(tones, Mode(0.0, 0.0, om, ze))
-    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)))
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)), bare.nodes)
     seen = Visibility(0.0, unseen_s, 0.0, 0.0)
     t = start_s
     for i in range(out.shape[0]):

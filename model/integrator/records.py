@@ -51,7 +51,8 @@ class Plate(NamedTuple):
 class Law(NamedTuple):
     """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction.
 
-    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`.
+    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`; ``nodes`` (r, 12) is room
+    for the steps of one flight, see `model.integrator.flight.note`: none where nobody asks for them.
     """
 
     p: Floats
@@ -59,6 +60,7 @@ class Law(NamedTuple):
     forced: bool
     rubbed: bool
     turning: Floats
+    nodes: Floats
 
 
 class Visibility(NamedTuple):

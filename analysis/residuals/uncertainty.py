@@ -1,0 +1,238 @@
+"""Uncertainty of predicted events: that of edges and of the plate's tones, carried through the prediction.
+
+Derivatives of the prediction carry it, without another flight; a plate mode, and what fades tell of it, is moved and
+flown. Events whose second order is not small (near grazes,
+tangent take-offs), or that have no derivative, are flown anew with each number moved by one standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.residuals.plate_mode import INEXACT
+from model.integrator.event_slopes import Slopes
+from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
+
+if TYPE_CHECKING:
+    from analysis.residuals.forward_model import ForwardModel, Inputs, Values
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+Kicks = tuple[tuple[float, float], ...]
+
+EDGE_STEP_S = 2e-6  # finite difference of an edge
+STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
+LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
+BENT = 0.5  # second order over an event's own uncertainty, beyond which it is flown anew
+NEAR_SWITCH = 4.0  # changes within which a ball that leaves at once might rest before, or the reverse
+SHORT_S = 2e-3  # flights that a small change may hide from the contact circuit
+BEFORE = 3  # events before one that is flown anew, on which an elastic ball's prediction leans
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
+
+    ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
+    plate tone of the event's step, and of the initial state of a plate mode in the step.
+    """
+
+    opening_sigma_s: Array
+    landing_sigma_s: Array
+    opening_by_tone: Array
+    landing_by_tone: Array
+
+    @property
+    def landing_total_s(self) -> Array:
+        """With the plate's share, (n,)."""
+        return np.asarray(np.sqrt(self.landing_sigma_s**2 + np.sum(self.landing_by_tone**2, axis=1)))
+
+    @property
+    def opening_total_s(self) -> Array:
+        """With the plate's share, (n,)."""
+        return np.asarray(np.sqrt(self.opening_sigma_s**2 + np.sum(self.opening_by_tone**2, axis=1)))
+
+
+def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
+    """Uncertainty of the residuals of ``model`` at ``values``."""
+    ev, base = model.evidence, model.predicted(values)
+    tones, kicks = _tone_changes(model, values), model.kicks(values)
+    own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
+    again = ev.measured.wanted & (base.kind >= 0)
+    if kicks:  # a plate mode rings on from flight to flight, and with it what fades tell of it
+        shape = (len(tones) + len(kicks), len(ev), 2)
+        edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
+        if again.any():
+            found = _FlownAgain(model, values, again).one_by_one(tones, kicks)
+            edges[:, again], changes[:, again], bent[:, again] = found
+    else:
+        x, slopes = model.slopes(values)
+        moved = [model.inputs(values, ev.steps.plate.acceleration_mps2 + by).plate.acceleration_mps2 for by in tones]
+        linear = [by_tones(slopes, z - x.plate.acceleration_mps2, ev.measured.step) for z in moved]
+        every = np.array(linear).reshape(len(moved), len(ev), 3)
+        bent, changes = second_order(slopes, every), every[..., :2].copy()
+        edges = np.stack([np.clip(by[:, :2], -STEEPEST, STEEPEST) for by in (slopes.landing, slopes.landing_before)])
+        faded = np.zeros(len(ev), dtype=np.bool_) if ev.measured.share is None else ev.measured.share > 0.0
+        again &= faded | _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
+        if again.any():
+            found = _FlownAgain(model, values, again).together(x, moved)
+            edges[:, again], changes[:, again], bent[:, again] = found
+    before = np.stack([_earlier(ev.landing_sigma_s, back) for back in (1, 2)])
+    var = own**2 + np.sum(bent**2, axis=0) + np.sum((edges * before[..., None]) ** 2, axis=0)
+    var[:, 1] += _finite(base.ambiguity_s) ** 2
+    return Uncertainty(np.sqrt(var[:, 0]), np.sqrt(var[:, 1]), changes[..., 0].T, changes[..., 1].T)
+
+
+def by_tones(slopes: Slopes, change_mps2: Complex, step: NDArray[np.int64]) -> Array:
+    """Changes of opening, landing and impact speed, (n, 3), for changes (m, k) of the plate's tones."""
+    parts = np.stack([change_mps2.real, change_mps2.imag], axis=-1)[step]
+    return np.asarray(np.einsum("nckp,nkp->nc", slopes.tones, parts))
+
+
+def second_order(slopes: Slopes, changes: Array) -> Array:
+    """Size of the second order, (q, n, 2), of openings and landings where changes (q, n, 3) are the first.
+
+    A take-off's is that of what throws the ball. A landing's is where the parabola of the end of the flight meets the
+    plate, lower by what the change of the take-off costs in height.
+    """
+    _, rate, bend, lasts, acceleration, velocity, _ = slopes.info.T
+    speed = np.where(velocity < 0.0, -velocity, np.inf)
+    opening, landing, impact = np.moveaxis(changes, -1, 0)
+    lower = 0.5 * acceleration * landing**2 + impact * landing + 0.5 * rate * lasts * opening**2
+    return np.stack([np.abs(bend) * opening**2, np.abs(lower) / speed], axis=-1)
+
+
+def _doubtful(slopes: Slopes, changes: Array, bent: Array, own: Array, lasts_s: Array) -> Mask:
+    """Events whose derivatives do not tell what a change of one sigma does, (n,)."""
+    most = np.max(np.abs(changes), axis=0, initial=0.0)
+    out = (slopes.info[:, 0] == 0.0) | np.any(np.max(bent, axis=0, initial=0.0) > BENT * own, axis=1)
+    out |= np.max(most, axis=1) > LARGEST_CHANGE_S / NEAR_SWITCH
+    out |= slopes.info[:, 6] < NEAR_SWITCH * np.maximum(most[:, 0], own[:, 0])
+    return np.asarray(out | ~(lasts_s > SHORT_S))
+
+
+def _tone_changes(model: ForwardModel, values: Values) -> list[Complex]:
+    """One sigma of each number that the plate's measured tones depend on, as changes of the tones (m, k)."""
+    steps, base = model.evidence.steps, model.predicted(values)
+    sigma = steps.sigma_mps2
+    inexact = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
+    if (swings := model.modulation_at(values)) is not None:
+        inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
+    wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)
+    columns = np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2)))
+    return [wider[:, j // 2, None] * steps.spread_mps2[:, j] for j in columns]
+
+
+@dataclass(frozen=True)
+class _FlownAgain:
+    """Events ``again`` (n,) flown with each number moved by one sigma, and each landing by `EDGE_STEP_S`.
+
+    Derivatives by the landing before and the one before that, (2, r, 2), changes by each number, (q, r, 2), and their
+    second orders; r events, openings and landings.
+    """
+
+    model: ForwardModel
+    values: Values
+    again: Mask
+
+    def one_by_one(self, tones: list[Complex], kicks: Kicks) -> tuple[Array, Array, Array]:
+        """Each move a prediction of its own: a plate mode rings on from flight to flight."""
+        model, z = self.model, self.model.evidence.steps.plate.acceleration_mps2
+        base = model.predicted(self.values)
+        edges = np.zeros((2, int(self.again.sum()), 2))
+        for moved, rows in model.moved_landings(self.values, np.full(len(self.again), EDGE_STEP_S), self.again):
+            for back in (1, 2):
+                own = rows[back][self.again]
+                edges[back - 1, own] = edge_slope(self._events(moved) - self._events(base))[own]
+        moves: list[tuple[dict[str, Any], dict[str, Any]]] = [({"tones": z + by}, {"tones": z - by}) for by in tones]
+        moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in kicks]
+        sides = [
+            [self._events(model.predict(self.values, **x, near=base, wanted=self.again)) for x in pair]
+            for pair in moves
+        ]
+        ahead, behind = np.moveaxis(np.array(sides).reshape(len(moves), 2, -1, 2), 1, 0)
+        return edges, *_halves(ahead, behind, self._events(base))
+
+    def _events(self, p: Predicted) -> Array:
+        return np.stack([p.opening_s[self.again], p.landing_s[self.again]], axis=1)
+
+    def together(self, x: Inputs, moved: list[Complex]) -> tuple[Array, Array, Array]:
+        """All moves in one prediction, of copies of the few flights that the events lean on."""
+        n = len(self.again)
+        few = self.again.copy()
+        for back in range(1, BEFORE + 1):
+            few[:-back] |= self.again[back:]
+        index = np.flatnonzero(few)
+        z = x.plate.acceleration_mps2
+        plates = [z, *moved, *(2.0 * z - y for y in moved), z, z, z]
+        shifts = np.zeros((len(plates), n))
+        for colour in range(3):
+            shifts[len(plates) - 3 + colour, colour::3] = EDGE_STEP_S
+        found = _copies(self.model, x, plates, shifts, index, self.again)[:, self.again[index]]
+        base, q = found[0], len(moved)
+        at = np.flatnonzero(self.again)
+        edges = np.stack([found[1 + 2 * q + (at - back) % 3, np.arange(len(at))] - base for back in (1, 2)])
+        return edge_slope(edges), *_halves(found[1 : 1 + q], found[1 + q : 1 + 2 * q], base)
+
+
+def _copies(
+    model: ForwardModel,
+    x: Inputs,
+    tones: Sequence[NDArray[np.complex128]],
+    shift_s: Array,
+    events: NDArray[np.int64],
+    wanted: Mask,
+) -> Array:
+    """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
+
+    For plates without a mode: nothing rings on from flights that are left out. ``shift_s`` (q, n) is added to
+    landings; only events ``wanted`` (n,) are predicted.
+    """
+    q, e, seen, d = len(tones), len(events), model.measured_at(x, wanted), model.detection_at(x)
+    m = len(x.plate.period_s)
+    copy = np.repeat(np.arange(q), e)
+    follows = np.diff(events, prepend=-2) == 1
+
+    def each(values: Any) -> Any:
+        return np.tile(np.asarray(values)[events], q)
+
+    def perhaps(values: Array | None) -> Array | None:
+        return None if values is None else np.asarray(each(values))
+
+    measured = Measured(
+        each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
+        each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
+        None if seen.beside is None else np.where(each(seen.beside) >= 0, each(seen.beside) + m * copy, -1),
+        perhaps(seen.share), perhaps(seen.gained_mps), perhaps(seen.pressed_mps), perhaps(seen.pressed_at),
+    )  # fmt: skip
+    plate = PlateSteps(
+        np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived
+    )
+    rows = x.rows if x.rows.ndim == 1 else np.tile(x.rows[events], (q, 1))
+    p = one_ahead(measured, plate, rows, replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps)))
+    return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
+
+
+def _halves(ahead: Array, behind: Array, base: Array) -> tuple[Array, Array]:
+    """First and second order of changes from predictions either way; the second counts as noise of each event."""
+    return _finite(0.5 * (ahead - behind)), _finite(0.5 * (ahead + behind) - base)
+
+
+def _earlier(x: Array, back: int) -> Array:
+    """The value of the event so many before, (n,)."""
+    return np.asarray(np.where(np.arange(len(x)) >= back, x[np.maximum(np.arange(len(x)) - back, 0)], 0.0))
+
+
+def _finite(x: Array) -> Array:
+    return np.where(np.abs(x) < LARGEST_CHANGE_S, np.nan_to_num(x), 0.0)
+
+
+def edge_slope(difference: Array) -> Array:
+    """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
+    return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)

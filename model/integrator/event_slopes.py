@@ -1,0 +1,86 @@
+"""Derivatives of a prediction one event ahead, without another flight: exact, by the variational equations.
+
+Partial derivatives of an effect's hooks are differences of the hook itself at the states of the flight, so that a hook
+is written without its derivatives. Whole predictions, differenced, are the test of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted
+from model.integrator.problem import Problem, columns_of, driven, for_kernel
+from model.integrator.takeoff_slopes import KICK, KICK_RATE, LANDING, LANDING_BEFORE
+from model.integrator.variation import TONES, Columns
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of a prediction, arrays of n events; zeros where they cannot be used.
+
+    Parameters
+    ----------
+    landing, landing_before, kick
+        Of opening, landing and impact speed by the landing before and the one before that, (n, 3) each, and by
+        displacement and velocity of a plate mode where the chain of flights began, (n, 3, 2).
+    tones
+        By the real and imaginary part of each tone of the event's step, (n, 3, k, 2).
+    parameters
+        By each parameter asked for, (n, 3, c).
+    info
+        What the second order is about, (n, `model.integrator.takeoff_slopes.INFO`).
+    """
+
+    landing: Array
+    landing_before: Array
+    kick: Array
+    tones: Array
+    parameters: Array
+    info: Array
+
+
+def slopes_of(
+    measured: Measured,
+    plate: PlateSteps,
+    rows: Array,
+    detection: Detection,
+    found: Predicted,
+    places: Sequence[int] = (),
+    changes: Sequence[float] = (),
+) -> Slopes:
+    """Derivatives of a prediction without another flight: of all it depends on.
+
+    Parameters
+    ----------
+    measured, plate, rows, detection
+        Those of the prediction.
+    found
+        The prediction, see `one_ahead`.
+    places, changes
+        Parameters to which derivatives are wanted, as places in a row, (c,), and a small change of each: hooks have
+        differences, in that direction.
+    """
+    rows = for_kernel(rows.reshape(-1, rows.shape[-1]))
+    problem, tones = Problem(measured, plate, rows, detection, (0.0, 0.0)), plate.acceleration_mps2
+    if np.any(rows[:, columns_of("plate_mode")] > 0.0):
+        tones = driven(plate, found.mode_amplitudes)
+    columns = Columns(for_kernel(np.asarray(places, dtype=np.int64)), for_kernel(np.asarray(changes, dtype=np.float64)))
+    if found.table is None:
+        raise ValueError("the prediction was not made by one_ahead; wanted one with the kernel's table")
+    out, info = problem.slopes(tones, measured.wanted, columns, found.table)
+    out[info[:, 0] == 0.0] = 0.0
+    k, first = tones.shape[1], TONES
+    return Slopes(
+        out[..., LANDING],
+        out[..., LANDING_BEFORE],
+        out[..., KICK : KICK_RATE + 1],
+        out[..., first : first + 2 * k].reshape(len(out), 3, k, 2),
+        out[..., first + 2 * k :],
+        info,
+    )

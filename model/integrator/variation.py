@@ -1,0 +1,331 @@
+"""Derivatives of one flight: the variational equations along it, with the jumps at standstills and at its end.
+
+The plate's share of a variation is known in closed form, as its motion is; only what forces and friction add to it is
+integrated, on the steps of the flight itself. Partial derivatives of an effect's hook are differences of that hook at
+the current state: no flight is flown twice and no event is looked for again.
+
+References
+----------
+A. P. Ivanov, J. Appl. Math. Mech. 62, 677 (1998); M. di Bernardo, C. J. Budd, A. R. Champneys and P. Kowalczyk,
+Piecewise-smooth Dynamical Systems (Springer, 2008), section 2.5: saltation matrices at events.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from model.integrator.flight import _effects
+from model.integrator.hermite import hermite5, standstill
+from model.integrator.hooks import dry_friction_of, force_of
+from model.integrator.plate import mode_at
+from model.integrator.records import Floats, Integers, Law, Mode, Plate, StepEnds, compiled
+
+TAKEOFF, LAUNCH, SHIFT, RATE, TONES = 0, 1, 2, 3, 4
+"""Places of a variation: of the take-off's time and speed, of a mode's displacement and velocity then; the two
+quadratures of every tone follow, and after them the parameters wanted."""
+MOST_NODES = 2000
+HEIGHT_M, SPEED_MPS, TIME_S = 1e-7, 1e-5, 1e-6  # differences of a hook
+HANGS_S = 1e-12  # a longer stand is one
+STEEP_MPS2 = 1e-6  # least change of acceleration at a standstill
+
+
+class Columns(NamedTuple):
+    """Parameters to which derivatives are wanted: places in the row (c,), and the small changes of each (c,)."""
+
+    place: Integers
+    change: Floats
+
+
+class Room(NamedTuple):
+    """Room for one flight's variations; e of them, in the order above.
+
+    ``height`` and ``speed`` are changes of the height and of the relative velocity at the start of a segment, (e,);
+    ``start`` and ``now`` the plate's displacement, velocity and acceleration, (3, e); ``carried`` (2, e) what forces
+    have added so far, referred to the start of the segment; ``opening`` and ``spare`` the changes at the opening, (e,).
+    """
+
+    height: Floats
+    speed: Floats
+    start: Floats
+    now: Floats
+    carried: Floats
+    opening: Floats
+    spare: Floats
+
+
+class Walk(NamedTuple):
+    """One flight's variations under way: its take-off, plate and law.
+
+    ``phi`` (2, 2) is the fundamental matrix since the segment began, ``pushes`` (c,) are changes of the acceleration by
+    a unit of each parameter.
+    """
+
+    t0: float
+    plate: Plate
+    law: Law
+    columns: Columns
+    room: Room
+    phi: Floats
+    pushes: Floats
+
+
+@compiled
+def room_for(tones: int, columns: int) -> Room:
+    """Room for variations by ``tones`` tones and ``columns`` parameters."""
+    e = TONES + 2 * tones + columns
+    wide = np.zeros((3, e)), np.zeros((3, e)), np.zeros((2, e))
+    return Room(np.zeros(e), np.zeros(e), wide[0], wide[1], wide[2], np.zeros(e), np.zeros(e))
+
+
+@compiled
+def plate_response(t: float, s: float, plate: Plate, out: Floats) -> tuple[float, float]:
+    """Fill ``out`` (3, e) with the plate's motion for a unit of each of its variations; its velocity and acceleration.
+
+    ``t`` is the time and ``s`` that since the state of the mode.
+    """
+    tones, mode = plate
+    velocity, acceleration = 0.0, 0.0
+    if mode.q != 0.0 or mode.qd != 0.0:
+        for k in range(2):
+            unit = Mode(1.0 - k, 1.0 * k, mode.omega, mode.damping)
+            out[0, SHIFT + k], out[1, SHIFT + k], out[2, SHIFT + k] = mode_at(s, unit)
+        velocity = mode.q * out[1, SHIFT] + mode.qd * out[1, RATE]
+        acceleration = mode.q * out[2, SHIFT] + mode.qd * out[2, RATE]
+    for k in range(tones.shape[0]):
+        w, re, im = tones[k]
+        j = TONES + 2 * k
+        if re == 0.0 and im == 0.0:  # unused: nobody varies it
+            continue
+        c, sn = math.cos(w * t), math.sin(w * t)
+        out[2, j], out[2, j + 1] = c, -sn
+        out[1, j], out[1, j + 1] = sn / w, c / w
+        out[0, j], out[0, j + 1] = -c / (w * w), sn / (w * w)
+        velocity += re * out[1, j] + im * out[1, j + 1]
+        acceleration += re * c - im * sn
+    return velocity, acceleration
+
+
+@compiled
+def partials(s: float, h: float, v: float, u: float, direction: float, law: Law) -> tuple[float, float, float, float]:
+    """Derivatives of all forces and friction by time since take-off, height, relative and absolute velocity."""
+    p, acting = law.p, (law.forced, law.rubbed)
+    by_s = _effects(s + TIME_S, h, v, u, direction, p, acting) - _effects(s - TIME_S, h, v, u, direction, p, acting)
+    by_h = _effects(s, h + HEIGHT_M, v, u, direction, p, acting) - _effects(s, h - HEIGHT_M, v, u, direction, p, acting)
+    by_v = _effects(s, h, v + SPEED_MPS, u, direction, p, acting) - _effects(
+        s, h, v - SPEED_MPS, u, direction, p, acting
+    )
+    by_u = 0.0
+    if law.forced:
+        by_u = _effects(s, h, v, u + SPEED_MPS, direction, p, acting) - _effects(
+            s, h, v, u - SPEED_MPS, direction, p, acting
+        )
+    return 0.5 * by_s / TIME_S, 0.5 * by_h / HEIGHT_M, 0.5 * by_v / SPEED_MPS, 0.5 * by_u / SPEED_MPS
+
+
+@compiled
+def _turn(phi: Floats, d: float, stiff: float, loss: float) -> None:
+    """Carry the fundamental matrix ``phi`` (2, 2) of ``x'' = stiff x + loss x'`` over a short time d."""
+    for j in range(2):
+        x, v = phi[0, j], phi[1, j]
+        a1 = stiff * x + loss * v
+        a2 = stiff * v + loss * a1
+        a3 = stiff * a1 + loss * a2
+        phi[0, j] = x + d * (v + d * (a1 / 2.0 + d * (a2 / 6.0 + d * a3 / 24.0)))
+        phi[1, j] = v + d * (a1 + d * (a2 / 2.0 + d * a3 / 6.0))
+
+
+@compiled
+def _coasting_variations(tau: float, room: Room, height: Floats, speed: Floats) -> None:
+    """Changes of height and velocity under gravity alone, ``tau`` after the start of the segment."""
+    for e in range(len(height)):
+        rate = room.start[1, e]
+        height[e] = room.height[e] + room.speed[e] * tau - (room.now[0, e] - room.start[0, e] - rate * tau)
+        speed[e] = room.speed[e] - (room.now[1, e] - rate)
+
+
+@compiled
+def _add_carried(phi: Floats, room: Room, height: Floats, speed: Floats) -> None:
+    """Add what forces have carried so far, brought to where ``phi`` stands."""
+    for e in range(len(height)):
+        height[e] += phi[0, 0] * room.carried[0, e] + phi[0, 1] * room.carried[1, e]
+        speed[e] += phi[1, 0] * room.carried[0, e] + phi[1, 1] * room.carried[1, e]
+
+
+@compiled
+def _carry(tau: float, weight: float, by: tuple[float, float, float, float], walk: Walk) -> None:
+    """Add one node of a quadrature to ``room.carried``: the forces' changes there, brought back to the start.
+
+    ``tau`` is the time since the start of the segment, ``by`` the `partials` there.
+    """
+    room, phi, pushes = walk.room, walk.phi, walk.pushes
+    by_s, by_h, by_v, by_u = by
+    det = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
+    back_h, back_v = -weight * phi[0, 1] / det, weight * phi[0, 0] / det
+    n = len(room.height) - len(pushes)
+    if by_h != 0.0 or by_v != 0.0 or by_u != 0.0 or by_s != 0.0:
+        for e in range(len(room.height)):
+            rate = room.start[1, e]
+            height = room.height[e] + room.speed[e] * tau - (room.now[0, e] - room.start[0, e] - rate * tau)
+            speed = room.speed[e] - (room.now[1, e] - rate)
+            b = by_h * height + by_v * speed + by_u * (speed + room.now[1, e])
+            if e == TAKEOFF:
+                b -= by_s
+            room.carried[0, e] += back_h * b
+            room.carried[1, e] += back_v * b
+    for c in range(len(pushes)):
+        room.carried[0, n + c] += back_h * pushes[c]
+        room.carried[1, n + c] += back_v * pushes[c]
+
+
+@compiled
+def _push(k: int, s: float, h: float, v: float, u: float, direction: float, p: Floats) -> float:
+    """Acceleration by the one effect that owns the parameter ``k``."""
+    return float(force_of(k, s, h, v, u, p) - direction * dry_friction_of(k, h, abs(v), direction, p))
+
+
+@compiled
+def _pushes(s: float, h: float, v: float, u: float, direction: float, law: Law, columns: Columns, out: Floats) -> None:
+    """Change of the acceleration for a unit of each wanted parameter, (c,): one hook more for each."""
+    p = law.p
+    for c in range(len(out)):
+        k = columns.place[c]
+        base, kept = _push(k, s, h, v, u, direction, p), p[k]
+        p[k] = kept + columns.change[c]
+        out[c] = (_push(k, s, h, v, u, direction, p) - base) / columns.change[c]
+        p[k] = kept
+
+
+@compiled
+def _walk_part(row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk) -> None:
+    """One part of a step by Simpson's rule: `_carry` at both ends and in the middle, ``phi`` carried along."""
+    d, law = (z1 - z0) * row[1], walk.law
+    direction = row[8]
+    if not law.rubbed:  # friction would act against the motion of this part
+        direction = 1.0 if hermite5(0.5 * (z0 + z1), ends)[1] > 0.0 else -1.0
+    by = (0.0, 0.0, 0.0, 0.0)
+    for i in range(3):
+        z = z0 + 0.5 * i * (z1 - z0)
+        h, v = hermite5(z, ends)
+        s = row[0] + z * row[1]
+        velocity, _ = plate_response(walk.t0 + s, s, walk.plate, walk.room.now)
+        before = by
+        if row[9] == 0.0:
+            by = partials(s, h, v, v + velocity, direction, law)
+        if i > 0:
+            _turn(walk.phi, 0.5 * d, 0.5 * (before[1] + by[1]), 0.5 * (before[2] + before[3] + by[2] + by[3]))
+        _pushes(s, h, v, v + velocity, direction, law, walk.columns, walk.pushes)
+        _carry(s - began, d * (4.0 if i == 1 else 1.0) / 6.0, by, walk)
+
+
+@compiled
+def _breaks(ends: StepEnds, until: float, opens: float, rubbed: bool) -> tuple[float, float]:
+    """Up to two places within a step at which its quadrature is split: the opening, and where the motion turns."""
+    turns = 2.0
+    if not rubbed and (ends.v0 > 0.0) != (ends.v1 > 0.0) and ends.v0 != 0.0:
+        turns = standstill(ends, 1.0)
+    first, second = min(opens, turns), max(opens, turns)
+    if not 0.0 < first < until:
+        first, second = second, 2.0
+    return first if 0.0 < first < until else 2.0, second if 0.0 < second < until else 2.0
+
+
+@compiled
+def _opening(tau: float, opened: float, walk: Walk) -> None:
+    """Keep the change of the height at the opening, ``tau`` after the start of the segment."""
+    room = walk.room
+    plate_response(walk.t0 + opened, opened, walk.plate, room.now)
+    _coasting_variations(tau, room, room.opening, room.spare)
+    _add_carried(walk.phi, room, room.opening, room.spare)
+
+
+@compiled
+def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
+    """Carry the variations over one step, see `flight.note`; the velocity at the opening where it lies inside, else 0.
+
+    Where forces are constant, and no parameter is asked for, nothing has to be integrated.
+    """
+    ends = StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7])
+    until, opens = row[10], (opened - row[0]) / row[1] if opened > 0.0 else 2.0
+    if row[9] == 1.0 and len(walk.pushes) == 0:
+        if 0.0 < opens < until:
+            _opening(opened - began, opened, walk)
+            return hermite5(opens, ends)[1]
+        return 0.0
+    first, second = _breaks(ends, until, opens, walk.law.rubbed)
+    z, speed = 0.0, 0.0
+    for stop in (first, second, until):
+        if stop <= 1.0:
+            _walk_part(row, ends, z, stop, began, walk)
+            z = stop
+            if stop == opens:
+                _opening(opened - began, opened, walk)
+                speed = hermite5(opens, ends)[1]
+    return speed
+
+
+@compiled
+def _end(row: Floats, began: float, walk: Walk, height: Floats, speed: Floats) -> tuple[float, float, float]:
+    """Fill the changes at the end of a segment; the time since take-off, velocity and relative acceleration there."""
+    law, s = walk.law, row[0] + row[10] * row[1]
+    velocity, acceleration = plate_response(walk.t0 + s, s, walk.plate, walk.room.now)
+    _coasting_variations(s - began, walk.room, height, speed)
+    _add_carried(walk.phi, walk.room, height, speed)
+    h, v = hermite5(row[10], StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7]))
+    net = -law.p[-1] - acceleration
+    if law.forced or law.rubbed:
+        net += _effects(s, h, v, v + velocity, row[8], law.p, (law.forced, law.rubbed))
+    return s, v, net
+
+
+@compiled
+def flight_variations(
+    t0: float, v0: float, opened: float, plate: Plate, law: Law, columns: Columns, room: Room, out: Floats
+) -> tuple[bool, float, float]:
+    """Derivatives of a flight whose steps stand in ``law.nodes``: of its end, impact speed and opening, ``out`` (3, e).
+
+    The mode's state is varied at a fixed time, the take-off's time at a fixed motion of the plate. ``opened`` is the
+    time from take-off to opening. Returns whether they can be used, and acceleration and velocity at the end.
+    """
+    nodes, count = law.nodes, int(law.nodes[0, 0])
+    if count == 0 or count >= nodes.shape[0] or nodes[count, 11] != 1.0:
+        return False, 0.0, 0.0
+    room.height[:], room.speed[:], room.start[:], room.now[:] = 0.0, 0.0, 0.0, 0.0
+    room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, 4], 1.0
+    walk = Walk(t0, plate, law, columns, room, np.eye(2), np.zeros(len(columns.place)))
+    height, speed = np.empty(len(room.height)), np.empty(len(room.height))
+    opening_speed, began, begins = 0.0, 0.0, True
+    for r in range(1, count + 1):
+        row = nodes[r]
+        if begins:
+            began = row[0]
+            plate_response(t0 + began, began, plate, room.start)
+            walk.phi[:] = np.eye(2)
+            room.carried[:] = 0.0
+        opening_speed += _walk_step(row, began, opened, walk)
+        begins = row[11] != 0.0
+        if not begins:
+            continue
+        s, v, net = _end(row, began, walk, height, speed)
+        if row[11] == 1.0:
+            return v < 0.0 and _landed(height, speed, v, net, opening_speed, room, out), net, v
+        if abs(net) < STEEP_MPS2:
+            return False, net, v
+        room.height[:], room.speed[:] = height, 0.0  # held on the rod, it leaves when the forces let it
+        if nodes[r + 1, 0] - s <= HANGS_S:
+            room.speed[:] = speed * (nodes[r + 1, 4] / net)
+    return False, 0.0, 0.0
+
+
+@compiled
+def _landed(height: Floats, speed: Floats, v: float, net: float, opening_speed: float, room: Room, out: Floats) -> bool:
+    """Derivatives ``out`` (3, e) at an impact at velocity ``v`` and relative acceleration ``net``."""
+    for i in range(len(height)):
+        out[0, i] = -height[i] / v
+        out[1, i] = -(speed[i] + net * out[0, i])
+        out[2, i] = -room.opening[i] / opening_speed if opening_speed > 0.0 else 0.0
+    if not opening_speed > 0.0:
+        out[2, TAKEOFF] = 1.0
+    return True
