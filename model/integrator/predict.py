@@ -160,7 +160,7 @@ def one_ahead(
         start, v0, hit, q, qd = _measured(i, events, steps.period[m], last, bare, law, passed, out[i])
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
             hit, out[i, 11] = out[i, 3], AS_PREDICTED  # the flight as measured is several: only that knows its end
-        if not np.isnan(events.gained_mps[i]):
+        if ratio != 0.0 and not np.isnan(events.gained_mps[i]):
             hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
             out[i, 11] = MEASURED
         hit = max(hit, 0.0)
