@@ -61,7 +61,9 @@ def command(
     failure, complete = "", True
     try:
         again = (scenario, seed) if until_clear else None
-        kept_as = _check(recordings, profile, summaries, wanted, again, runs_differ=runs_differ)
+        kept_as = _check(
+            recordings, profile, summaries, scenario, wanted, until_clear=until_clear, runs_differ=runs_differ
+        )
         if runs_differ:
             complete = judge_runs(recordings, profile, summaries, json, report)
         else:
@@ -204,9 +206,10 @@ def _check(
     recordings: list[Path],
     profile: Path | None,
     summaries: Path | None,
+    scenario: Path | None,
     wanted: _Wanted,
-    again: tuple[Path | None, int] | None,
     *,
+    until_clear: bool,
     runs_differ: bool,
 ) -> Path | None:
     """Refuse outputs that are in the way, options that do not go together, and recordings that are not there.
@@ -222,11 +225,11 @@ def _check(
         File("--json", wanted.json, JSON), Folder("--report", wanted.report, REPORT),
         File("--improved", wanted.improved, PROFILE), File("--next-run", wanted.next_run, PROFILE),
         File("--summaries", summaries, ROWS, continues=holds_summaries),
-        inputs=[*recordings, profile, again[0] if again else None], overwrite=wanted.overwrite,
+        inputs=[*recordings, profile, scenario], overwrite=wanted.overwrite,
     )  # fmt: skip
     kept_as = None if wanted.keep_term is None else place_for(wanted.keep_term, overwrite=wanted.overwrite)
     single = {
-        "--improved": wanted.improved, "--next-run": wanted.next_run, "--until-clear": again, "--keep-term": kept_as,
+        "--improved": wanted.improved, "--next-run": wanted.next_run, "--until-clear": until_clear, "--keep-term": kept_as,
     }  # fmt: skip
     if summaries is not None and not runs_differ:
         raise InputError("--summaries: is kept of runs that differ only; give --runs-differ as well, or leave it out")
