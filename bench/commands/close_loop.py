@@ -229,7 +229,8 @@ def _check(
     )  # fmt: skip
     kept_as = None if wanted.keep_term is None else place_for(wanted.keep_term, overwrite=wanted.overwrite)
     single = {
-        "--improved": wanted.improved, "--next-run": wanted.next_run, "--until-clear": until_clear, "--keep-term": kept_as,
+        "--improved": wanted.improved, "--next-run": wanted.next_run,
+        "--until-clear": until_clear, "--keep-term": kept_as,
     }  # fmt: skip
     if summaries is not None and not runs_differ:
         raise InputError("--summaries: is kept of runs that differ only; give --runs-differ as well, or leave it out")
