@@ -68,8 +68,7 @@ def command(
             warn(f"{profile}: {doubt}")
         paced = real_time or live or watch
         backend = make_backend(checked, scenario=scenario, seed=seed, real_time=paced, replay=replay)
-        page = (host, port) if live else None
-        with onlooking(checked, out.parent, page=page, watch=watch) as onlooker:
+        with onlooking(checked, out.parent, page=(host, port) if live else None, watch=watch) as onlooker:
             summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-" or watch,
                              paced=paced, onlooker=onlooker)  # fmt: skip
     except InputError as error:
