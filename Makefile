@@ -25,9 +25,11 @@ run: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -m 'not slow' -n 2 --dist loadfile
 
-# alone on the machine, because some of them run in real time
+# those that run in real time come last, alone on the machine
+REAL_TIME := tests/bench/live tests/rig/virtual
 test-slow: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -m slow --durations=25
+	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --durations=25 $(addprefix --ignore=,$(REAL_TIME))
+	$(BIN)/python -m pytest -m slow --durations=10 $(REAL_TIME)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
