@@ -1,8 +1,8 @@
 """Uncertainty of predicted events: that of edges and of the plate's tones, carried through the prediction.
 
-Derivatives of the prediction carry it, without another flight; a plate mode, and what fades tell of it, is moved and
-flown. Events whose second order is not small (near grazes,
-tangent take-offs), or that have no derivative, are flown anew with each number moved by one standard deviation.
+Derivatives of the prediction carry it, without another flight. A plate mode, and what fades tell of it, is moved and
+flown; so are events whose second order is not small (near grazes, tangent take-offs), or that have no derivative: each
+number on which they depend is moved by one standard deviation.
 """
 
 from __future__ import annotations

@@ -9,14 +9,13 @@ flown, and the time of J's diagrams and of a survey of gamma, friction and resti
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.beside import run_in
+from benchmarks.model.kernels import best_of
 from model.orbits.ideal_ball import IdealBall
 from model.surveys import ensemble
 from model.surveys.diagram import diagram
@@ -35,16 +34,6 @@ SURVEY = Job(
     ),
     keep=16,
 )
-
-
-def best_of(n: int, job: Callable[[], object]) -> float:
-    """The least processor time of ``n`` runs, s."""
-    times = []
-    for _ in range(n):
-        start = time.process_time()
-        job()
-        times.append(time.process_time() - start)
-    return min(times)
 
 
 class Counted(float):

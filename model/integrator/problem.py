@@ -38,7 +38,7 @@ def columns_of(hook: str) -> NDArray[np.intp]:
 
 @functools.cache
 def _nothing(hook: str) -> Array:
-    """The null values of `_columns`."""
+    """The null values of `columns_of`."""
     return null_row(0.0)[columns_of(hook)]
 
 
