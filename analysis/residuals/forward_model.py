@@ -252,7 +252,7 @@ class ForwardModel:
     def slopes(
         self, values: Values, places: Sequence[int] = (), changes: Sequence[float] = ()
     ) -> tuple[Inputs, Slopes]:
-        """Inputs of the prediction at ``values``, and its derivatives: see `model.integrator.event_slopes.slopes_of`."""
+        """Inputs of a prediction, and its derivatives: `model.integrator.event_slopes.slopes_of`."""
         x, found = self.inputs(values), self.predicted(values)
         return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found, places, changes)
 
