@@ -56,7 +56,7 @@ def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[fl
 
 def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
     """Uncertainty of plate data with each kind's own excess noise, and its logarithm relative to the bare one."""
-    out = _scaled(kind, residual, sigma)
+    out = _scaled(kind, residual, np.ascontiguousarray(sigma))  # numba compiles each layout anew
     return out, np.log(out / sigma)
 
 
