@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import math
 import multiprocessing
@@ -79,22 +78,14 @@ class DropDesk:
 
     async def talk(self, browser: Browser) -> None:
         """Serve one browser until it is gone."""
-        delivering = asyncio.create_task(browser.deliver())
-        self.hub.enter(browser)
-        try:
-            offered = [] if self._fixed else await asyncio.to_thread(self._offered)
-            browser.send(json.dumps({"kind": "offer", "files": offered}))
-            browser.send(json.dumps(self._asked_for()))
-            if self._shown is not None:
-                browser.send(json.dumps(self._shown))
-            async for text in browser.socket.iter_text():
-                with contextlib.suppress(ValueError, RecursionError):
-                    said = json.loads(text)
-                    if isinstance(said, dict):
-                        self._obey(browser, said)
-        finally:
-            delivering.cancel()
-            self.hub.leave(browser)
+        await self.hub.serve(browser, self._greet, self._obey)
+
+    async def _greet(self, browser: Browser) -> None:
+        offered = [] if self._fixed else await asyncio.to_thread(self._offered)
+        browser.send(json.dumps({"kind": "offer", "files": offered}))
+        browser.send(json.dumps(self._asked_for()))
+        if self._shown is not None:
+            browser.send(json.dumps(self._shown))
 
     def _offered(self) -> list[str]:
         """Files below the folder that may hold a drop, hidden ones apart."""

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
-from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket
+from starlette.routing import Route
 
 from analysis.drop.times.wav import is_wav, open_wav
 from bench.drops.desk import DropDesk
 from bench.web.html import Html
-from bench.web.hub import Browser
+from bench.web.hub import socket_route
 from bench.web.page import page
 from bench.web.section import Place, Section
 from daq.setup.errors import InputError
 
 HERE = Path(__file__).parent
 MOST_COLUMNS = 8192
-_NAME = re.compile(r"[0-9a-f]{16,64}")
 
 
 def section(place: Place) -> Section:
@@ -43,17 +40,9 @@ def section(place: Place) -> Section:
             raise HTTPException(404, "no picture of that file")
         return Response(made, media_type="image/png")
 
-    async def talk(socket: WebSocket) -> None:
-        name = socket.query_params.get("browser", "")
-        if not _NAME.fullmatch(name):
-            await socket.close(4400)
-            return
-        await socket.accept()
-        await desk.talk(Browser(socket, name))
-
     routes = [
         Route("/drop", show), Route("/drop/wave", wave), Route("/drop/picture/{file:int}", picture),
-        WebSocketRoute("/drop/socket", talk),
+        socket_route("/drop/socket", desk.talk),
     ]  # fmt: skip
     return Section("drop", "Drop test", "/drop", routes, HERE / "static", desk.running)
 

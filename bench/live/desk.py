@@ -82,22 +82,14 @@ class Desk:
 
     async def talk(self, browser: Browser) -> None:
         """Serve one browser until it is gone."""
-        delivering = asyncio.create_task(browser.deliver())
-        self.hub.enter(browser)
-        try:
-            browser.send(json.dumps(self._offer()))
-            if self._findings is not None:
-                browser.send(json.dumps(self._findings))
-            for message in self.watch.history() if self.watch is not None else []:
-                browser.send(message)
-            async for text in browser.socket.iter_text():
-                with contextlib.suppress(ValueError):
-                    said = json.loads(text)
-                    if isinstance(said, dict):
-                        self._obey(browser, said)
-        finally:
-            delivering.cancel()
-            self.hub.leave(browser)
+        await self.hub.serve(browser, self._greet, self._obey)
+
+    async def _greet(self, browser: Browser) -> None:
+        browser.send(json.dumps(self._offer()))
+        if self._findings is not None:
+            browser.send(json.dumps(self._findings))
+        for message in self.watch.history() if self.watch is not None else []:
+            browser.send(message)
 
     def _offer(self) -> Message:
         return {"kind": "offer", "profiles": self._offered, "scenarios": scenario_names(), "can_start": self._can_start}

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
-from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket
+from starlette.routing import Route
 
 from bench.live.desk import Desk
 from bench.web.html import Html
-from bench.web.hub import Browser
+from bench.web.hub import socket_route
 from bench.web.page import page
 from bench.web.section import Place, Section
 
 HERE = Path(__file__).parent
-_NAME = re.compile(r"[0-9a-f]{16,64}")
 
 
 def section(place: Place) -> Section:
@@ -30,13 +27,5 @@ def section(place: Place) -> Section:
         scripts, styles = ["/static/live/live.js"], ["/static/live/live.css"]
         return HTMLResponse(page(request, "live", body, scripts=scripts, styles=styles, name="live"))
 
-    async def talk(socket: WebSocket) -> None:
-        name = socket.query_params.get("browser", "")
-        if not _NAME.fullmatch(name):
-            await socket.close(4400)
-            return
-        await socket.accept()
-        await desk.talk(Browser(socket, name))
-
-    routes = [Route("/live", show), WebSocketRoute("/live/socket", talk)]
+    routes = [Route("/live", show), socket_route("/live/socket", desk.talk)]
     return Section("live", "Live", "/live", routes, HERE / "static", desk.running)

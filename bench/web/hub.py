@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import re
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, TypeAlias
 
+from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 QUEUE = 400  # messages that a slow browser may be behind by
 PASSING = 100  # beyond that it gets no more of the scope, until it has caught up
 GONE_S = 6.0  # the controls wait for a browser that loads the page again
 SILENT_S = 15.0  # after which a holder that does not answer loses the controls to the one that asked
+NAME, NO_NAME = re.compile(r"[0-9a-f]{16,64}"), 4400  # of a browser; why a socket is closed without one
 
 
 class Browser:
@@ -40,6 +43,10 @@ class Browser:
                     await self.socket.send_bytes(message)
                 else:
                     await self.socket.send_text(message)
+
+
+Greet: TypeAlias = Callable[[Browser], Awaitable[None]]
+Obey: TypeAlias = Callable[[Browser, dict[str, Any]], None]
 
 
 class Lease:
@@ -118,6 +125,24 @@ class Hub:
             self.lease.left(browser.name, time.monotonic())
         self.tell_lease()
 
+    async def serve(self, browser: Browser, greet: Greet, obey: Obey) -> None:
+        """Serve one browser until it is gone: first what ``greet`` sends, then every object it says is obeyed.
+
+        What is no object in JSON, or says what cannot be, is passed over.
+        """
+        delivering = asyncio.create_task(browser.deliver())
+        self.enter(browser)
+        try:
+            await greet(browser)
+            async for text in browser.socket.iter_text():
+                with contextlib.suppress(ValueError, RecursionError):
+                    said = json.loads(text)
+                    if isinstance(said, dict):
+                        obey(browser, said)
+        finally:
+            delivering.cancel()
+            self.leave(browser)
+
     def tell_lease(self) -> None:
         """Tell every browser whether it holds the controls."""
         lease = self.lease
@@ -137,3 +162,17 @@ class Hub:
         packed = message if isinstance(message, bytes) else json.dumps(message)
         for one in self.browsers:
             one.send(packed, passing=passing)
+
+
+def socket_route(path: str, talk: Greet) -> WebSocketRoute:
+    """The websocket of a page: ``talk`` serves each browser that gives itself a name, the others are turned away."""
+
+    async def accept(socket: WebSocket) -> None:
+        name = socket.query_params.get("browser", "")
+        if not NAME.fullmatch(name):
+            await socket.close(NO_NAME)
+            return
+        await socket.accept()
+        await talk(Browser(socket, name))
+
+    return WebSocketRoute(path, accept)
