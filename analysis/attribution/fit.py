@@ -149,7 +149,8 @@ class Fitter:
     ) -> tuple[float, dict[ParameterId, float]]:
         """Gain in nats of freeing ``free`` if residuals were linear, and the values there.
 
-        What ``best`` itself would gain by another step is not counted. Shape parameters stay where ``shapes`` puts them.
+        What ``best`` itself would gain by another step is not counted. Shape parameters stay where ``shapes`` puts
+        them.
         """
         keys = [*free, *(k for k in best.keys if k not in free)]
         at = {**best.values, **(shapes or {})}

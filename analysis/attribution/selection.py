@@ -191,9 +191,7 @@ def _best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
     return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {_probability(best)} by chance)"
 
 
-def remaining_candidates(
-    pool: Sequence[Candidate], best: Hypothesis, without: Sequence[str] = ()
-) -> list[Candidate]:
+def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis, without: Sequence[str] = ()) -> list[Candidate]:
     """Candidates not named yet nor ``without``, fuller forms of those that are, and trends of what is free."""
     taken, names = set(best.free), set(best.names)
     own = {name: {k for k in taken if k[0] == name} for name in names}

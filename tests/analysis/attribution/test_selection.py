@@ -126,7 +126,7 @@ def test_a_special_case_is_looked_at_again_beside_the_fuller_form(
 def test_nothing_is_looked_for_from_afar_once_it_is_found(
     selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch, offered: str
 ) -> None:
-    """Landings are lost to friction: where a fit from nearby leaves noise the search ends, with drag alone it goes on."""
+    """Landings are lost to friction: a fit from nearby that leaves noise ends the search, drag alone does not."""
     selection = selection_of({UP: 0.15, DOWN: 0.15}, 6)
     asked: list[str] = []
 
