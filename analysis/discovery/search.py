@@ -200,7 +200,7 @@ class TermSearch:
             augmented = AugmentedModel(self.world, [curve], self.dwell)
             twin = Fitter(augmented, self.fitter.priors, self.train)
             fitted = twin.fit(Whitener.of(augmented, values), self.free, values, slopes)
-            values, slopes = fitted.values, {k: x for k, x in fitted.slopes.items() if k not in self.free}
+            values, slopes = fitted.values, fitted.slopes
         stack = StackedResiduals.of(augmented, values, self.train)
         r = stack.residuals(augmented, values)
         jacobian = jacobian_of(self.world, values, stack, curve, self.dwell, r)

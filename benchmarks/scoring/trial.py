@@ -97,13 +97,8 @@ def _unit_landings(p: Predictions) -> NDArray[np.float64]:
 
 
 def size_of(world: Any, values: Any) -> dict[str, float]:
-    """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out.
-
-    Kinds of plate data with fewer than `LEAST_OF_KIND` data are left out, as the goodness of fit does: of two or three
-    data chance makes a root mean square of two and more, and noise cannot be taken out.
-    """
+    """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out."""
     from analysis.residuals.prediction_errors import near_grazing
-    from analysis.thresholds import LEAST_OF_KIND
 
     u, r, ev = world.uncertainty(values), world.residuals(values), world.evidence
     firm, out = ~near_grazing(world, values), {}
@@ -115,9 +110,8 @@ def size_of(world: Any, values: Any) -> dict[str, float]:
             z = np.where(np.isfinite(residual), residual / sigma, 1e3)[rows]
             out[name] = _beyond_noise(z)
     plate = r.plate / ev.plate.sigma
-    for kind, count in zip(*np.unique(ev.plate.kind, return_counts=True), strict=True):
-        if count >= LEAST_OF_KIND:
-            out[f"plate {kind}"] = _beyond_noise(plate[ev.plate.kind == kind])
+    for kind in np.unique(ev.plate.kind):
+        out[f"plate {kind}"] = _beyond_noise(plate[ev.plate.kind == kind])
     return out
 
 
