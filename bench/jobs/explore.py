@@ -6,21 +6,27 @@ alone. Why its steps were chosen is kept in the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.profiles.edit import with_values
-from bench.profiles.plan import planned, refusal
-from daq.recording import open_recording
-from daq.setup.errors import InputError
+from bench.jobs.blocks import (
+    LEAST_STEPS,
+    Aims,
+    Chosen,
+    Driven,
+    as_driven,
+    block_text,
+    by_person,
+    forcing_in_words,
+    offers,
+    run_seconds,
+    tells,
+)
 from rig.profile import Profile, parse_profile
-from rig.programme.ramp import plan
-from rig.programme.sequencer import stop_fade_samples
 
 if TYPE_CHECKING:
     from analysis.attribution.fit import Fitter
@@ -30,46 +36,7 @@ if TYPE_CHECKING:
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel, ParameterId
 
-GAMMAS = 10  # offered for each forcing
-FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
-LEAST_STEPS = 2  # held, of a block that is gone on with
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time
-
-
-@dataclass(frozen=True)
-class Aims:
-    """When to stop, and what may be changed.
-
-    Attributes
-    ----------
-    budget_s
-        Rig time.
-    until
-        Standard deviation asked for, by effect and parameter.
-    limit
-        Size down to which "nothing missing" is to be shown, in units of the size at which each effect would matter.
-    ratios, frequencies_hz
-        Values of c, and of the first tone, that may be driven.
-    steps, hold_cycles
-        Of each block.
-    """
-
-    budget_s: float
-    until: Mapping[ParameterId, float] = field(default_factory=dict)
-    limit: float = 1.0
-    ratios: tuple[int, ...] = (1, 2, 3)
-    frequencies_hz: tuple[float, ...] = ()
-    steps: int = 4
-    hold_cycles: int = 10
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A block to be driven: its profile as text, its rig time, and the reason in words."""
-
-    text: str
-    seconds: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -98,8 +65,8 @@ class Explored:
     failed: bool = False
 
 
-Drive = Callable[[Chosen, Path, int], str]
-"""Drives and records a block; returns why it could not be completed, empty where it was."""
+Drive = Callable[[Chosen, Path, int], Driven]
+"""Drives and records a block."""
 Asked = Callable[[Chosen], Chosen | None]
 """A person's answer to a choice: the same, another one, or None to stop."""
 
@@ -132,127 +99,39 @@ def explore(
     """
     options = offers(text, aims)
     there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
-    made = [path for path in there if _tells(path)]
+    made = [path for path in there if tells(path)]
     if left_out := [path.name for path in there if path not in made]:
         say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
     number = max((int(path.stem[6:]) for path in there), default=0)
-    blocks = [_as_driven(path) for path in made]
+    blocks = [as_driven(path) for path in made]
 
     def ended(why: str, loop: ClosedLoop | None, *, failed: bool = False) -> Explored:
         return Explored(tuple(made), tuple(blocks), loop, sum(block.seconds for block in blocks), why, failed)
 
+    own: Chosen | None = None
+    loop: ClosedLoop | None = None
     while True:
-        loop, chosen, why = _next(text, made, blocks, options, aims)
-        if chosen is None:
-            return ended(why, loop)
+        if own is None:
+            loop, own, why = _next(text, made, blocks, options, aims)
+            if own is None:
+                return ended(why, loop)
+            say(f"\nblock {number + 1}: {own.reason}")
+            own = own if ask is None else ask(own)
+            if own is None:
+                return ended("a person stopped it", loop)
         number += 1
-        say(f"\nblock {number}: {chosen.reason}")
-        answer = chosen if ask is None else ask(chosen)
-        if answer is None:
-            return ended("a person stopped it", loop)
-        path = folder / f"block-{number:02d}.h5"
-        if failure := drive(answer, path, number - 1):
-            return ended(f"block {number}: {failure}", loop, failed=True)
-        made.append(path)
-        blocks.append(answer)
-
-
-def with_gammas(block: Chosen, gammas: Sequence[float]) -> Chosen:
-    """The block with a person's gammas; raises `InputError` where a limit forbids one."""
-    text = with_values(block.text, {"ramp.gamma": list(gammas), "ramp.order": "up"}, "the block")
-    profile = parse_profile(text, "the block")
-    if faults := planned(profile)[2]:
-        raise InputError(refusal("these gammas", faults))
-    return Chosen(text, run_seconds(profile), f"gamma {', '.join(f'{g:g}' for g in gammas)}: chosen by a person")
-
-
-def _tells(path: Path) -> bool:
-    """Whether enough steps of a block were held to their end."""
-    with open_recording(path) as opened:
-        held = [row for row in opened.steps if int(row["first_sample"] + row["n_samples"]) <= opened.n_samples]
-        return len(held) >= LEAST_STEPS
-
-
-def _as_driven(path: Path) -> Chosen:
-    """The block that a recording holds."""
-    with open_recording(path) as opened:
-        reason = str(opened.attrs["extra"].get("chosen_because", "recorded before"))
-        return Chosen(str(opened.attrs.get("profile_text", "")), opened.n_samples / opened.rate_hz, reason)
-
-
-# -- what may be driven ------------------------------------------------------------------------------------------------
-def offers(text: str, aims: Aims) -> list[Option]:
-    """Every forcing that may be driven, up and down, with the gammas that the limits allow.
-
-    Raises
-    ------
-    InputError
-        Where the limits allow none.
-    """
-    from analysis.explore.choice import Option
-
-    profile = parse_profile(text, "profile")
-    found = []
-    for ratio in aims.ratios:
-        for frequency_hz in aims.frequencies_hz or (profile.forcing.frequency_hz,):
-            allowed = [g for g in _gammas(profile, ratio) if _allowed(text, aims, ratio, frequency_hz, g)]
-            if len(allowed) < aims.steps:
-                continue
-            setup = parse_profile(_block_text(text, aims, ratio, frequency_hz, allowed)).setup()
-            for gammas in (allowed, allowed[::-1]):
-                seconds = partial(_block_seconds, text, aims, ratio, frequency_hz, tuple(gammas))
-                found.append(Option(setup, tuple(gammas), aims.hold_cycles, seconds))
-    if not found:
-        raise InputError(
-            f"the limits of this profile allow no block of {aims.steps} steps: raise [limits], or give fewer"
-        )
-    return found
-
-
-def _gammas(profile: Profile, ratio: int) -> list[float]:
-    """Gammas for a ratio: the range of the profile's ramp over its take-off, and farther."""
-
-    def takeoff(c: int) -> float:
-        return 0.5 if c == 1 else 1.0 / (1.0 + c**2)
-
-    own = profile.ramp.gammas()
-    scale = takeoff(ratio) / takeoff(profile.forcing.ratio)
-    low, high = max(min(own) * scale, 1.1 * takeoff(ratio)), FARTHER * max(own) * scale
-    return [float(f"{g:.4g}") for g in np.linspace(low, high, GAMMAS)]
-
-
-def _block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:
-    """The profile ``text`` with the ramp of a block, its gammas in the order given."""
-    values = {
-        "forcing.ratio": ratio,
-        "forcing.frequency_hz": frequency_hz,
-        "ramp.gamma": list(gammas),
-        "ramp.order": "down" if len(gammas) > 1 and gammas[-1] < gammas[0] else "up",
-        "ramp.hold_cycles": aims.hold_cycles,
-    }
-    return with_values(text, values, "the profile")
-
-
-def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: float) -> bool:
-    """Whether the rig's limits allow a step."""
-    try:
-        return not planned(parse_profile(_block_text(text, aims, ratio, frequency_hz, [gamma])))[2]
-    except InputError:
-        return False
-
-
-def _block_seconds(
-    text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: tuple[float, ...], places: Sequence[int]
-) -> float:
-    """Rig time of a block, its fades and the end at rest included."""
-    return run_seconds(parse_profile(_block_text(text, aims, ratio, frequency_hz, [gammas[i] for i in places])))
-
-
-def run_seconds(profile: Profile) -> float:
-    """Rig time of a profile's ramp, from the first sample to rest."""
-    programme = plan(profile)
-    rest = stop_fade_samples(programme.clock) + programme.clock.cycle_start(1)
-    return (programme.n_samples + rest) / programme.rate_hz
+        path, block, own = folder / f"block-{number:02d}.h5", own, None
+        driven = drive(block, path, number - 1)
+        if driven.why and driven.then is None:
+            return ended(f"block {number}: {driven.why}", loop, failed=True)
+        if tells(path):
+            made.append(path)
+            blocks.append(replace(block, seconds=as_driven(path).seconds))
+        else:
+            say(f"stopped before {LEAST_STEPS} steps were held, and left out: {path.name}")
+        if driven.then is not None and driven.then.gammas:
+            own = by_person(block, driven.then)
+            say(f"\nblock {number + 1}: {own.reason}")
 
 
 # -- what to drive next ------------------------------------------------------------------------------------------------
@@ -370,11 +249,9 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
 def _chosen(text: str, option: Option, gammas: Sequence[float], aims: Aims, reason: str) -> Chosen:
     """A block in words: what is driven, and why."""
     forcing = option.setup.forcing
-    profile = _block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
+    profile = block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
     seconds = run_seconds(parse_profile(profile))
-    listed = ", ".join(f"{g:g}" for g in gammas)
-    what = f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {listed}"
-    return Chosen(profile, seconds, f"{what}: {reason}")
+    return Chosen(profile, seconds, f"{forcing_in_words(parse_profile(profile))}: {reason}")
 
 
 def _spread(

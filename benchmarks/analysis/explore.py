@@ -13,21 +13,21 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.jobs.explore import Aims, Chosen, Explored, explore, offers, run_seconds, with_gammas
+from bench.jobs.blocks import Aims, Chosen, Driven, by_person, offers, run_seconds
+from bench.jobs.explore import Drive, Explored, explore
 from benchmarks.plants import other_plant
 from benchmarks.scoring.truth import OTHER_NAMED
 from daq.files.journal import Journal
+from rig.execution.operator import NextSteps
 from rig.profile import parse_profile
 
 STRATEGIES = ("chosen", "random", "ramp")
-Drive = Callable[[Chosen, Path, int], str]
 
 
 def rig(plant: str, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Drive]:
@@ -46,13 +46,13 @@ def _own(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> tu
     sealed = folder / "sealed.toml"
     sealed.write_text(scenario.to_toml(), encoding="utf-8")
 
-    def drive(block: Chosen, path: Path, number: int) -> str:
+    def drive(block: Chosen, path: Path, number: int) -> Driven:
         from bench.jobs.run_ramp import make_backend, record
 
         profile = parse_profile(block.text)
         backend = make_backend(profile, scenario=sealed, seed=1000 * seed + number)
         done = record(profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=True)
-        return "" if done.how == "complete" else done.why
+        return Driven("" if done.how == "complete" else done.why)
 
     return load("simulated")[1], tuple(scenario.effects), drive
 
@@ -67,7 +67,7 @@ def _other(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> 
     gammas = np.round(np.linspace(0.4, 2.6, 23), 4).tolist()
     text = with_values(other_plant.profile_of(plain), {"ramp.gamma": gammas, "ramp.hold_cycles": 20}, "profile")
 
-    def drive(block: Chosen, path: Path, number: int) -> str:
+    def drive(block: Chosen, path: Path, number: int) -> Driven:
         from daq.importers.formats.open import open_source
         from daq.importers.import_recording import import_recording
 
@@ -80,7 +80,7 @@ def _other(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> 
         with tempfile.TemporaryDirectory() as name:
             raw = other_plant.write(run, Path(name))
             import_recording(open_source(raw), path, profile.setup(), block.text)
-        return ""
+        return Driven()
 
     return text, () if nothing else (OTHER_NAMED[effect],), drive
 
@@ -112,19 +112,16 @@ def _ramp(text: str, folder: Path, drive: Drive, seconds: float) -> Explored:
     from analysis.loop.close_loop import close_loop
 
     block = Chosen(text, seconds, "the standard ramp")
-    why = drive(block, folder / "ramp.h5", 0)
-    return Explored((folder / "ramp.h5",), (block,), close_loop([folder / "ramp.h5"]), seconds, why)
+    driven = drive(block, folder / "ramp.h5", 0)
+    return Explored((folder / "ramp.h5",), (block,), close_loop([folder / "ramp.h5"]), seconds, driven.why)
 
 
 def _at_random(text: str, aims: Aims, rng: np.random.Generator, block: Chosen) -> Chosen:
     """A block of the same size, its forcing and gammas drawn by chance."""
-    from bench.profiles.edit import with_values
-
     options = [option for option in offers(text, aims) if option.rising]
     option = options[int(rng.integers(len(options)))]
     gammas = sorted(rng.choice(option.gammas, aims.steps, replace=False).tolist())
-    changed = with_values(block.text, {"forcing.ratio": option.setup.forcing.ratio}, "block")
-    return with_gammas(Chosen(changed, 0.0, ""), gammas)
+    return by_person(block, NextSteps(tuple(gammas), option.setup.forcing.ratio, "by chance"))
 
 
 def closed(row: dict[str, Any]) -> bool:
