@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -86,7 +86,7 @@ class Driven:
 def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
     """The block with a person's steps; raises `InputError` where a limit forbids one."""
     gammas = list(wanted.gammas)
-    values = {"ramp.gamma": gammas, "ramp.order": "down" if gammas[-1] < gammas[0] else "up"}
+    values: dict[str, Any] = {"ramp.gamma": gammas, "ramp.order": "down" if gammas[-1] < gammas[0] else "up"}
     if wanted.ratio is not None:
         values["forcing.ratio"] = wanted.ratio
     text = with_values(block.text, values, "the block")
@@ -138,10 +138,9 @@ def offers(text: str, aims: Aims) -> list[Option]:
             allowed = [g for g in _gammas(profile, ratio) if _allowed(text, aims, ratio, frequency_hz, g)]
             if len(allowed) < aims.steps:
                 continue
-            setup = parse_profile(block_text(text, aims, ratio, frequency_hz, allowed)).setup()
             for gammas in (allowed, allowed[::-1]):
-                seconds = partial(_block_seconds, text, aims, ratio, frequency_hz, tuple(gammas))
-                found.append(Option(setup, tuple(gammas), aims.hold_cycles, seconds))
+                whole = parse_profile(block_text(text, aims, ratio, frequency_hz, gammas))
+                found.append(Option(whole.setup(), tuple(gammas), aims.hold_cycles, partial(_part_seconds, whole)))
     if not found:
         raise InputError(
             f"the limits of this profile allow no block of {aims.steps} steps: raise [limits], or give fewer"
@@ -181,11 +180,11 @@ def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: floa
         return False
 
 
-def _block_seconds(
-    text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: tuple[float, ...], places: Sequence[int]
-) -> float:
-    """Rig time of a block, its fades and the end at rest included."""
-    return run_seconds(parse_profile(block_text(text, aims, ratio, frequency_hz, [gammas[i] for i in places])))
+def _part_seconds(whole: Profile, places: Sequence[int]) -> float:
+    """Rig time of a block with some steps of ``whole`` alone, its fades and the end at rest included."""
+    gammas = whole.ramp.gammas()
+    ramp = whole.ramp.model_copy(update={"gamma": tuple(gammas[i] for i in places), "order": None})
+    return run_seconds(whole.model_copy(update={"ramp": ramp}))
 
 
 def run_seconds(profile: Profile) -> float:

@@ -26,15 +26,17 @@ from bench.jobs.blocks import (
     run_seconds,
     tells,
 )
+from daq.recording import open_recording
 from rig.profile import Profile, parse_profile
 
 if TYPE_CHECKING:
-    from analysis.attribution.fit import Fitter
     from analysis.attribution.hypothesis import Hypothesis
     from analysis.explore.choice import Block, Option, Pool
     from analysis.explore.explanations import Weighed
+    from analysis.loop.close_loop import FittedLoop
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel, ParameterId
+    from analysis.residuals.observations import Observations
 
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time
 
@@ -105,25 +107,29 @@ def explore(
     number = max((int(path.stem[6:]) for path in there), default=0)
     blocks = [as_driven(path) for path in made]
 
-    def ended(why: str, loop: ClosedLoop | None, *, failed: bool = False) -> Explored:
+    known: dict[Path, Observations] = {}
+    judged: _Judged | None = None
+
+    def ended(why: str, *, failed: bool = False) -> Explored:
+        loop = None if judged is None else judged.completed(made[0])
         return Explored(tuple(made), tuple(blocks), loop, sum(block.seconds for block in blocks), why, failed)
 
     own: Chosen | None = None
-    loop: ClosedLoop | None = None
     while True:
         if own is None:
-            loop, own, why = _next(text, made, blocks, options, aims)
+            judged = _judge(made, known) if made else None
+            own, why = _next(text, judged, blocks, options, aims)
             if own is None:
-                return ended(why, loop)
+                return ended(why)
             say(f"\nblock {number + 1}: {own.reason}")
             own = own if ask is None else ask(own)
             if own is None:
-                return ended("a person stopped it", loop)
+                return ended("a person stopped it")
         number += 1
         path, block, own = folder / f"block-{number:02d}.h5", own, None
         driven = drive(block, path, number - 1)
         if driven.why and driven.then is None:
-            return ended(f"block {number}: {driven.why}", loop, failed=True)
+            return ended(f"block {number}: {driven.why}", failed=True)
         if tells(path):
             made.append(path)
             blocks.append(replace(block, seconds=as_driven(path).seconds))
@@ -134,35 +140,78 @@ def explore(
             say(f"\nblock {number + 1}: {own.reason}")
 
 
+# -- what was found so far ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Judged:
+    """The best set on all blocks so far, what it is a fit of, and the verdict; ``loop`` is None with too few steps."""
+
+    world: ForwardModel
+    best: Hypothesis
+    ties: Sequence[Hypothesis]
+    loop: ClosedLoop | None = None
+    fitted: FittedLoop | None = None
+
+    def completed(self, first: Path) -> ClosedLoop | None:
+        """The closed loop with what no choice depends on; ``first`` is the first recording."""
+        from analysis.flights.assemble import flights_of
+        from analysis.loop.close_loop import completed
+
+        if self.loop is None or self.fitted is None:
+            return None
+        with open_recording(first) as opened:
+            return completed(self.loop, self.fitted, flights_of(opened), opened.steps)
+
+
+def _judge(made: Sequence[Path], known: dict[Path, Observations]) -> _Judged:
+    """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
+    from analysis.attribution.fit import Fitter
+    from analysis.attribution.priors import priors_of
+    from analysis.attribution.selection import StepwiseSelection
+    from analysis.loop.close_loop import judge_loop
+    from analysis.residuals.forward_model import ForwardModel
+    from analysis.residuals.observations import observations_from
+    from analysis.thresholds import FROZEN
+    from model.effects.registry import resolve
+
+    observations = observations_from(made, known=known)
+    if len(observations.steps) < 2 * FROZEN.reserve_every:
+        world = ForwardModel(observations, resolve(observations.setup.declared_values()))
+        fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
+        found = StepwiseSelection(world, fitter).run()
+        return _Judged(world, found.best, found.ties)
+    loop, fitted = judge_loop(made, known=known)
+    return _Judged(fitted.model, fitted.selection.best, fitted.selection.ties, loop, fitted)
+
+
 # -- what to drive next ------------------------------------------------------------------------------------------------
 def _next(
-    text: str, made: Sequence[Path], blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
-) -> tuple[ClosedLoop | None, Chosen | None, str]:
-    """Verdict so far, and the next block; or why there is none."""
+    text: str, judged: _Judged | None, blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
+) -> tuple[Chosen | None, str]:
+    """The next block; or why there is none."""
     from analysis.explore.choice import Pool, best_block
     from analysis.explore.explanations import weighed
 
-    if not made:
-        return None, _spread(text, options, (), aims, "nothing is known yet"), ""
-    loop, world, fitter, best, ties = _judged(made)
-    known = weighed(world, fitter, best, ties)
+    if judged is None:
+        return _spread(text, options, (), aims, "nothing is known yet"), ""
+    loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
     if loop is not None and (why := _reached(loop, best, aims)):
-        return loop, None, why
+        return None, why
+    known = weighed(world, fitter, best, judged.ties)
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
-        return loop, None, why
+        return None, why
     block = best_block(pools, known, wanted, aims.steps)
     if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
     elif loop is not None and loop.verdict == "nothing_missing":
-        return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+        return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
         visited = [(p.forcing.ratio, g) for p in map(_profile_of, blocks) for g in p.ramp.gammas()]
         chosen = _spread(text, options, visited, aims, "no known explanation is left to be tested")
     if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
-        return loop, None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
-    return loop, chosen, ""
+        return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
+    return chosen, ""
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
@@ -180,30 +229,6 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
 
 def _profile_of(block: Chosen) -> Profile:
     return parse_profile(block.text, "block")
-
-
-def _judged(
-    made: Sequence[Path],
-) -> tuple[ClosedLoop | None, ForwardModel, Fitter, Hypothesis, Sequence[Hypothesis]]:
-    """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
-    from analysis.attribution.fit import Fitter
-    from analysis.attribution.priors import priors_of
-    from analysis.attribution.selection import StepwiseSelection
-    from analysis.loop.close_loop import fit_loop
-    from analysis.residuals.forward_model import ForwardModel
-    from analysis.residuals.observations import observations_from
-    from analysis.thresholds import FROZEN
-    from model.effects.registry import resolve
-
-    observations = observations_from(made)
-    if len(observations.steps) < 2 * FROZEN.reserve_every:
-        world = ForwardModel(observations, resolve(observations.setup.declared_values()))
-        fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
-        found = StepwiseSelection(world, fitter).run()
-        return None, world, fitter, found.best, found.ties
-    loop, fitted = fit_loop(made)
-    best = fitted.selection.best
-    return loop, fitted.model, best.fitted.fitter, best, fitted.selection.ties
 
 
 def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:

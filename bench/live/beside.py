@@ -127,7 +127,9 @@ class OnePage:
         else:
             path = Path(self._profiles.name) / f"{len(self._boards)}.toml"
             path.write_text(text, encoding="utf-8")
-            self._boards[-2].events.put({"kind": "next", "board": board.name, "profile": str(path), "why": why[:LONGEST]})
+            self._boards[-2].events.put(
+                {"kind": "next", "board": board.name, "profile": str(path), "why": why[:LONGEST]}
+            )
         yield RunSide(board)
 
 

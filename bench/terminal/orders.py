@@ -25,7 +25,9 @@ from rig.programme.sequencer import Stop
 if TYPE_CHECKING:
     from rig.execution.operator import Status
 
-WORDS = "h hold, g go on, n end this block, 0.8, 1.2 these gammas next (c=2 0.8 1.2 too), s stop; a reason after a colon"
+WORDS = (
+    "h hold, g go on, n end this block, 0.8, 1.2 these gammas next (c=2 0.8 1.2 too), s stop; a reason after a colon"
+)
 PERSON = "a person"
 POLL_S = 0.2  # in which an interrupt reaches one who waits for an answer, on Windows too
 

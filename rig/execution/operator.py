@@ -89,7 +89,9 @@ class StopRequest:
             raise InputError("steps to be driven next: a ramp drives what was planned; stop it and start another")
         if steps.gammas:
             self._check(steps)
-        words = _with_reason(f"{who}: step finished, {'own steps' if steps.gammas else 'another choice'} next", steps.why)
+        words = _with_reason(
+            f"{who}: step finished, {'own steps' if steps.gammas else 'another choice'} next", steps.why
+        )
         self.ask(Stop.FINISH_STEP, words, steps)
 
     def _pause(self, wanted: bool, words: str, why: str) -> None:

@@ -105,7 +105,7 @@ class Typist:
 
 
 def test_a_person_holds_goes_on_and_takes_over_within_a_block(tmp_path):
-    """Held and gone on with, the block is whole; then a person's own steps follow at once; each choice has its reason."""
+    """Held and gone on with, the block is whole; then own steps follow at once; each choice has its reason."""
     typist = Typist({
         (1, 1, State.HOLDING): "h: a dusty ball",
         (1, 1, State.PAUSED): "g",

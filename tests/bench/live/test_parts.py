@@ -148,7 +148,7 @@ def test_commands_become_requests(board: Board) -> None:
 
 def test_steps_typed_on_the_page_are_next_or_refused(board: Board) -> None:
     """A person's gammas become the next steps with their reason; what cannot be driven is said on the page."""
-    profile, text = load("simulated")
+    text = load("simulated")[1]
     request, other = StopRequest(partial(by_person, Chosen(text, 1.0, ""))), Board(board.name)
     side = RunSide(board)
     side._request = request
