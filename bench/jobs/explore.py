@@ -197,6 +197,8 @@ def _next(
     if loop is not None and (why := _reached(loop, best, aims)):
         return None, why
     known = weighed(world, fitter, best, judged.ties)
+    if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
+        known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
@@ -204,6 +206,9 @@ def _next(
     block = best_block(pools, known, wanted, aims.steps)
     if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
+    elif loop is not None and loop.verdict == "explained":
+        others = ", ".join(" + ".join(names) for names in loop.ties[1:])
+        return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
     elif loop is not None and loop.verdict == "nothing_missing":
         return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
