@@ -86,12 +86,6 @@ class Weighed:
         total = sum(x.probability for x in some)
         return replace(self, explanations=tuple(replace(x, probability=x.probability / total) for x in some))
 
-    @property
-    def entropy(self) -> float:
-        """Of the probabilities, nats: what is not known yet."""
-        p = np.array([x.probability for x in self.explanations])
-        return float(-np.sum(p * np.log(np.maximum(p, 1e-300))))
-
 
 def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequence[Hypothesis] = ()) -> Weighed:
     """Explanations of the observations of ``world``, weighed.
