@@ -27,7 +27,7 @@ from bench.jobs.blocks import (
     tells,
 )
 from daq.recording import open_recording
-from rig.profile import Profile, parse_profile
+from rig.profile import parse_profile
 
 if TYPE_CHECKING:
     from analysis.attribution.hypothesis import Hypothesis
@@ -192,10 +192,12 @@ def _next(
     from analysis.explore.explanations import weighed
 
     if judged is None:
-        return _spread(text, options, (), aims, "nothing is known yet"), ""
+        return _farthest(text, options, (), aims, "nothing is known yet"), ""
     loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
     if loop is not None and (why := _reached(loop, best, aims)):
         return None, why
+    if loop is not None and loop.verdict == "unexplained" and len(blocks) > len(aims.ratios):
+        return _within_budget(_farthest(text, options, blocks, aims, "no known explanation holds"), blocks, aims)
     known = weighed(world, fitter, best, judged.ties)
     if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
@@ -212,8 +214,12 @@ def _next(
     elif loop is not None and loop.verdict == "nothing_missing":
         return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
-        visited = [(p.forcing.ratio, g) for p in map(_profile_of, blocks) for g in p.ramp.gammas()]
-        chosen = _spread(text, options, visited, aims, "no known explanation is left to be tested")
+        chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
+    return _within_budget(chosen, blocks, aims)
+
+
+def _within_budget(chosen: Chosen, blocks: Sequence[Chosen], aims: Aims) -> tuple[Chosen | None, str]:
+    """The block; or that its rig time is no longer there."""
     if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
@@ -230,10 +236,6 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
         side = "below" if block.option.rising else "above"
         words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
     return words
-
-
-def _profile_of(block: Chosen) -> Profile:
-    return parse_profile(block.text, "block")
 
 
 def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
@@ -284,10 +286,10 @@ def _chosen(text: str, option: Option, gammas: Sequence[float], aims: Aims, reas
     return Chosen(profile, seconds, f"{forcing_in_words(parse_profile(profile))}: {reason}")
 
 
-def _spread(
-    text: str, options: Sequence[Option], visited: Sequence[tuple[int, float]], aims: Aims, reason: str
-) -> Chosen:
+def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], aims: Aims, reason: str) -> Chosen:
     """Steps as far as can be from those driven, of the forcing with the fewest of them."""
+    profiles = [parse_profile(block.text, "block") for block in blocks]
+    visited = [(p.forcing.ratio, g) for p in profiles for g in p.ramp.gammas()]
     rising = [option for option in options if option.rising]
 
     def driven(option: Option) -> list[float]:
