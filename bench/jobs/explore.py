@@ -196,8 +196,6 @@ def _next(
     loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
     if loop is not None and (why := _reached(loop, best, aims)):
         return None, why
-    if loop is not None and loop.verdict == "unexplained" and len(blocks) > len(aims.ratios):
-        return _within_budget(_farthest(text, options, blocks, aims, "no known explanation holds"), blocks, aims)
     known = weighed(world, fitter, best, judged.ties)
     if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
@@ -208,18 +206,13 @@ def _next(
     block = best_block(pools, known, wanted, aims.steps)
     if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
-    elif loop is not None and loop.verdict == "explained":
+    elif loop is not None and loop.verdict == "explained" and len(loop.ties) > 1:
         others = ", ".join(" + ".join(names) for names in loop.ties[1:])
         return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
     elif loop is not None and loop.verdict == "nothing_missing":
         return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
         chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
-    return _within_budget(chosen, blocks, aims)
-
-
-def _within_budget(chosen: Chosen, blocks: Sequence[Chosen], aims: Aims) -> tuple[Chosen | None, str]:
-    """The block; or that its rig time is no longer there."""
     if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
