@@ -159,7 +159,7 @@ class _Judged:
         if self.loop is None or self.fitted is None:
             return None
         with open_recording(first) as opened:
-            return completed(self.loop, self.fitted, flights_of(opened), opened.steps)
+            return completed(self.loop, self.fitted, flights_of(opened))
 
 
 def _judge(made: Sequence[Path], known: dict[Path, Observations]) -> _Judged:
