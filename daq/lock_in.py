@@ -85,17 +85,31 @@ class LockIn:
         self._sides = np.zeros((sorts, p, channels))
         self._squares = np.zeros((sorts, channels))
         self._counts = np.zeros(sorts, dtype=np.int64)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Drop what was solved before the sums changed."""
         self._inverse: Floats | None = None
+        self._fits: dict[int, ToneFit] = {}
+        self._parts: dict[tuple[int, ...], LockIn] = {}
+
+    def _of_sums(self, grams: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> LockIn:
+        """A fit of the same tones from other sums."""
+        own = object.__new__(LockIn)  # the tones are known to be sound
+        own.rate_hz, own.boxcar, own.frequencies_hz = self.rate_hz, self.boxcar, self.frequencies_hz
+        own._grams, own._sides, own._squares, own._counts = grams, sides, squares, counts
+        own._forget()
+        return own
 
     @property
     def gram(self) -> Floats:
         """Normal matrix over all sorts, shape (2k + 1, 2k + 1): constant, then cosine and sine of each tone."""
-        return np.asarray(self._grams.sum(axis=0))
+        return np.asarray(self._grams[0] if len(self._grams) == 1 else self._grams.sum(axis=0))
 
     @property
     def rhs(self) -> Floats:
         """Right sides over all sorts, shape (2k + 1, channels)."""
-        return np.asarray(self._sides.sum(axis=0))
+        return np.asarray(self._sides[0] if len(self._sides) == 1 else self._sides.sum(axis=0))
 
     @property
     def n(self) -> int:
@@ -135,7 +149,7 @@ class LockIn:
         if sort.shape[0] != values.shape[0]:
             raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")
         cycles = self.frequencies_hz / self.rate_hz
-        self._inverse = None
+        self._forget()
         _accumulate(
             np.ascontiguousarray(values),
             sort,
@@ -149,14 +163,21 @@ class LockIn:
         )
 
     def part(self, sorts: npt.ArrayLike) -> LockIn:
-        """The fit of some sorts alone."""
+        """The fit of some sorts alone: one object for each choice until values are added, not to be added to."""
         chosen = np.asarray(sorts, dtype=np.int64)
-        own = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)
-        own._grams = self._grams[chosen].sum(axis=0, keepdims=True)
-        own._sides = self._sides[chosen].sum(axis=0, keepdims=True)
-        own._squares = self._squares[chosen].sum(axis=0, keepdims=True)
-        own._counts = self._counts[chosen].sum(keepdims=True)
-        return own
+        key = tuple(chosen.tolist())
+        if key not in self._parts:
+            self._parts[key] = self._summed(chosen)
+        return self._parts[key]
+
+    def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
+        """Sums over the chosen sorts as those of one sort."""
+        return self._of_sums(
+            np.add.reduce(self._grams[chosen], axis=0, keepdims=True),
+            np.add.reduce(self._sides[chosen], axis=0, keepdims=True),
+            np.add.reduce(self._squares[chosen], axis=0, keepdims=True),
+            np.add.reduce(self._counts[chosen], axis=0, keepdims=True),
+        )
 
     def with_tone(self, place: int, frequency_hz: float, rows: Floats, sides: Floats) -> LockIn:
         """The fit of the same values with tone number ``place`` at another frequency.
@@ -172,7 +193,7 @@ class LockIn:
         """
         frequencies = self.frequencies_hz.copy()
         frequencies[place] = frequency_hz
-        own, at = self.part(np.arange(len(self._counts))), slice(2 * place + 1, 2 * place + 3)
+        own, at = self._summed(np.arange(len(self._counts))), slice(2 * place + 1, 2 * place + 3)
         own.frequencies_hz = frequencies
         own._grams[0, at], own._grams[0, :, at], own._sides[0, at] = rows, rows.T, sides
         return own
@@ -194,8 +215,12 @@ class LockIn:
 
     def solve(self, channel: int = 0) -> ToneFit:
         """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
-        squares = self._squares[:, channel].sum(keepdims=True)
-        return self._solved(self.inverse()[None], self.rhs[None, :, channel], squares, np.array([self.n]))[0]
+        if channel not in self._fits:
+            squares = self._squares[:, channel].sum(keepdims=True)
+            self._fits[channel] = self._solved(
+                self.inverse()[None], self.rhs[None, :, channel], squares, np.array([self.n])
+            )[0]
+        return self._fits[channel]
 
     def solve_each(self, channel: int = 0) -> list[ToneFit]:
         """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
@@ -229,18 +254,11 @@ def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floa
     p = grams.shape[1]
     if np.any(counts <= p):
         raise ValueError(f"{counts.min()} values cannot fix {p} unknowns")
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), 1e-300))
-    outer = scale[:, :, None] * scale[:, None, :]
-    scaled = grams * outer
-    try:
-        inverted = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        inverted = np.full(grams.shape, np.inf)
-    condition = np.abs(scaled).sum(axis=1).max(axis=1) * np.abs(inverted).sum(axis=1).max(axis=1)
-    unfit = ~(condition < 1e10)
-    if unfit.any():
-        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit][0]} values")
-    return inverted * outer
+    inverses = np.empty(grams.shape)
+    unfit = int(_invert(np.ascontiguousarray(grams), inverses))
+    if unfit >= 0:
+        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit]} values")
+    return inverses
 
 
 def fit_tones(
@@ -371,3 +389,54 @@ def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-unt
             for i in range(own.size):
                 total += own[i] * own[i]
             square[a - p] += total
+
+
+@njit(error_model="numpy")
+def _invert(grams, inverses):  # type: ignore[no-untyped-def]
+    """Inverses of normal matrices (m, p, p) by Cholesky factors, each scaled to a unit diagonal before.
+
+    Returns the first that has none in double precision (condition number of 1e10 or more), -1 where all have.
+    """
+    p = grams.shape[1]
+    scale, root, left = np.empty(p), np.zeros((p, p)), np.zeros((p, p))
+    for m in range(grams.shape[0]):
+        gram, inverse = grams[m], inverses[m]
+        for i in range(p):
+            scale[i] = 1.0 / np.sqrt(max(gram[i, i], 1e-300))
+        norm = 0.0
+        for i in range(p):
+            size = 0.0
+            for j in range(p):
+                size += abs(gram[i, j]) * scale[i] * scale[j]
+            norm = max(norm, size)
+        for j in range(p):
+            for i in range(j, p):
+                total = gram[i, j] * scale[i] * scale[j]
+                for k in range(j):
+                    total -= root[i, k] * root[j, k]
+                if i > j:
+                    root[i, j] = total / root[j, j]
+                elif total > 0.0:
+                    root[j, j] = np.sqrt(total)
+                else:
+                    return m
+        for j in range(p):  # rows of ``left``: columns of the factor's inverse
+            left[j, j] = 1.0 / root[j, j]
+            for i in range(j + 1, p):
+                total = 0.0
+                for k in range(j, i):
+                    total -= root[i, k] * left[j, k]
+                left[j, i] = total / root[i, i]
+        back = 0.0
+        for i in range(p):
+            size = 0.0
+            for j in range(p):
+                total = 0.0
+                for k in range(max(i, j), p):
+                    total += left[i, k] * left[j, k]
+                inverse[i, j] = total * scale[i] * scale[j]
+                size += abs(total)
+            back = max(back, size)
+        if not norm * back < 1e10:
+            return m
+    return -1

@@ -19,7 +19,8 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Volts = npt.NDArray[np.float32]
 
-TILE = 64  # outputs of the filter computed together
+TILE = 256  # outputs of the filter computed together
+TAPS = 8  # of the filter, applied in one pass over a tile; the filter's length is a multiple of it
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
@@ -140,11 +141,14 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
         stop = min(start + TILE, count)
         total = out[start:stop]
         total[:] = np.float32(0.0)
-        for k in range(length):
-            tap = taps[k]
-            own = x[start + pad - LEAD + k : stop + pad - LEAD + k]
-            for i in range(stop - start):
-                total[i] += tap * own[i]
+        begin, n = start + pad - LEAD, stop - start
+        for k in range(0, length, TAPS):
+            t0, t1, t2, t3 = taps[k], taps[k + 1], taps[k + 2], taps[k + 3]
+            t4, t5, t6, t7 = taps[k + 4], taps[k + 5], taps[k + 6], taps[k + 7]
+            own = x[begin + k : begin + k + n + TAPS - 1]
+            for i in range(n):
+                first = t0 * own[i] + t1 * own[i + 1] + t2 * own[i + 2] + t3 * own[i + 3]
+                total[i] += first + t4 * own[i + 4] + t5 * own[i + 5] + t6 * own[i + 6] + t7 * own[i + 7]
     n = 0
     last = -length
     for i in range(count):
