@@ -175,6 +175,16 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
             out[k] += size * ((1.0 - share) * fine[j] + share * fine[j + 1])
 
 
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _products(rows, x, out):  # type: ignore[no-untyped-def]
+    """Scalar products of ``x`` and each row; so short that a call of BLAS costs more."""
+    for r in range(rows.shape[0]):
+        row, total = rows[r], 0.0
+        for i in range(row.shape[0]):
+            total += row[i] * x[i]
+        out[r] = total
+
+
 @njit(error_model="numpy")
 def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
     """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
@@ -183,6 +193,7 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
     """
     own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
     shifts, longest = bank.shape[0], fine.shape[0] // FINE
+    score, top = np.empty(shifts), np.empty(shifts)
     for c in range(count):
         index = found[c]
         echo[:] = 0.0
@@ -192,10 +203,13 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
                 break
             _echo(lag, out[back, 1], fine, echo)
         rings = n > 0 and index + offset - out[n - 1, 0] <= longest
-        loud = np.sqrt(np.sum((projector @ echo) ** 2)) if rings else 0.0
+        loud = 0.0
+        if rings:
+            _products(projector, echo, later)
+            loud = np.sqrt(np.sum(later**2))
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
-        score = bank @ own
+        _products(bank, own, score)
         best = min(max(int(np.argmax(score)), 1), shifts - 2)
         left, middle, right = score[best - 1], score[best], score[best + 1]
         place = index + offset + (best - SHIFTS) / FINE
@@ -209,11 +223,12 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
                 break
             for k in range(LENGTH):
                 own[k] = x[found[ahead] - LEAD + k]
-            top = bank @ own
+            _products(bank, own, top)
             far = int(np.argmax(top))
             later[:] = 0.0
             _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
-            leak = max(leak, np.dot(bank[best], later))
+            _products(bank[best : best + 1], later, top)
+            leak = max(leak, top[0])
         if middle - leak < max(limit, ECHO_MARGIN * leak):
             continue
         curvature = min(left - 2.0 * middle + right, -1e-300)
