@@ -7,18 +7,18 @@ sample 0 of the recording, whatever piece of it is handed in, masked or not.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from kernels import njit
+from daq.lock_in_kernel import accumulate, invert
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
-
-RESYNC = 512  # samples between exact restarts of the rotating phasors: rounding stays below 1e-13
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,33 @@ class ToneFit:
         """Standard deviation of each tone's amplitude, the rms over its two quadratures, shape (k,)."""
         variances: Floats = np.diag(self.covariance).reshape(-1, 2).mean(axis=1)
         return np.sqrt(variances)
+
+
+@dataclass(frozen=True)
+class ToneFits:
+    """Fits of ``k`` tones to each of ``m`` stretches, in the values' unit.
+
+    Attributes
+    ----------
+    frequencies_hz : array, shape (k,)
+    amplitudes : complex array, shape (m, k)
+    offsets : array, shape (m,)
+    rms : array, shape (m,)
+        As in `ToneFit`.
+    n : int array, shape (m,)
+    """
+
+    frequencies_hz: Floats
+    amplitudes: Complexes
+    offsets: Floats
+    rms: Floats
+    n: npt.NDArray[np.int64]
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Stretches of all parts, which share the tones, one after the other."""
+        each = zip(*((x.amplitudes, x.offsets, x.rms, x.n) for x in parts), strict=True)
+        return cls(parts[0].frequencies_hz, *(np.concatenate(own) for own in each))
 
 
 class LockIn:
@@ -150,7 +177,7 @@ class LockIn:
             raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")
         cycles = self.frequencies_hz / self.rate_hz
         self._forget()
-        _accumulate(
+        accumulate(
             np.ascontiguousarray(values),
             sort,
             int(first),
@@ -216,37 +243,37 @@ class LockIn:
     def solve(self, channel: int = 0) -> ToneFit:
         """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
         if channel not in self._fits:
-            squares = self._squares[:, channel].sum(keepdims=True)
-            self._fits[channel] = self._solved(
-                self.inverse()[None], self.rhs[None, :, channel], squares, np.array([self.n])
-            )[0]
-        return self._fits[channel]
-
-    def solve_each(self, channel: int = 0) -> list[ToneFit]:
-        """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
-        inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
-        return self._solved(inverses, self._sides[:, :, channel], self._squares[:, channel], self._counts)
-
-    def _solved(self, inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> list[ToneFit]:
-        """Fits from inverses (m, 2k + 1, 2k + 1), right sides (m, 2k + 1), sums of squares (m,), and counts (m,)."""
-        solutions = (inverses @ sides[:, :, None])[:, :, 0]
-        sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
-        variances = sums / (counts - sides.shape[1])
-        # column pairs are (cos, -sin), so the unknowns are Re z and Im z
-        return [
-            ToneFit(
+            sums = self.rhs[None, :, channel], self._squares[:, channel].sum(keepdims=True), np.array([self.n])
+            inverse = self.inverse()
+            (solution,), (variance,) = _solutions(inverse[None], *sums)
+            # column pairs are (cos, -sin), so the unknowns are Re z and Im z
+            self._fits[channel] = ToneFit(
                 frequencies_hz=self.frequencies_hz,
                 amplitudes=solution[1::2] + 1j * solution[2::2],
                 covariance=inverse[1:, 1:] * variance,
                 rms=math.sqrt(variance),
                 offset=float(solution[0]),
                 offset_uncertainty=math.sqrt(inverse[0, 0] * variance),
-                n=n,
+                n=self.n,
             )
-            for inverse, solution, variance, n in zip(
-                inverses, solutions, variances.tolist(), counts.tolist(), strict=True
-            )
-        ]
+        return self._fits[channel]
+
+    def solve_each(self, channel: int = 0) -> ToneFits:
+        """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
+        inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
+        sums = self._sides[:, :, channel], self._squares[:, channel], self._counts
+        solutions, variances = _solutions(inverses, *sums)
+        amplitudes = solutions[:, 1::2] + 1j * solutions[:, 2::2]
+        return ToneFits(self.frequencies_hz, amplitudes, solutions[:, 0], np.sqrt(variances), self._counts)
+
+
+def _solutions(
+    inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Unknowns (m, 2k + 1) and variances of the residuals (m,) from the sums of each of m fits."""
+    solutions = (inverses @ sides[:, :, None])[:, :, 0]
+    sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
+    return solutions, sums / (counts - sides.shape[1])
 
 
 def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floats) -> Floats:
@@ -255,7 +282,7 @@ def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floa
     if np.any(counts <= p):
         raise ValueError(f"{counts.min()} values cannot fix {p} unknowns")
     inverses = np.empty(grams.shape)
-    unfit = int(_invert(np.ascontiguousarray(grams), inverses))
+    unfit = int(invert(np.ascontiguousarray(grams), inverses))
     if unfit >= 0:
         raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit]} values")
     return inverses
@@ -297,7 +324,7 @@ def fit_tones(
 
 def fit_tones_each(
     x: npt.ArrayLike, edges: npt.NDArray[np.int64], rate_hz: float, frequencies_hz: npt.ArrayLike
-) -> list[ToneFit]:
+) -> ToneFits:
     """`fit_tones` of each of at most 127 successive stretches of the recording.
 
     Parameters
@@ -318,125 +345,3 @@ def fit_tones_each(
     lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(lengths))
     lock_in.add(x, int(edges[0]), np.repeat(np.arange(len(lengths), dtype=np.int8), lengths))
     return lock_in.solve_each()
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
-    """Add the normal equations of the rows of ``x`` to those of their sort.
-
-    In each stretch of `RESYNC` values those of one sort stand together, so that the sums run along memory.
-    """
-    n, channels = x.shape
-    k, sorts = cycles.shape[0], grams.shape[0]
-    p = 2 * k + 1
-    rows = np.empty((p + channels, RESYNC + 8))  # not a power of two: rows must not share cache lines' places
-    ends = np.empty(sorts + 1, dtype=np.int64)
-    step = np.exp(2j * np.pi * cycles)
-    phasor = np.empty(k, dtype=np.complex128)
-    for begin in range(0, n, RESYNC):
-        size = min(RESYNC, n - begin)
-        ends[:] = 0
-        for i in range(begin, begin + size):
-            if sort[i] >= 0:
-                ends[sort[i] + 1] += 1
-        for s in range(sorts):
-            counts[s] += ends[s + 1]
-            ends[s + 1] += ends[s]
-        for j in range(k):
-            phase = cycles[j] * (first + begin)
-            phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
-        for i in range(begin, begin + size):
-            s = sort[i]
-            if s >= 0:
-                at = ends[s]
-                ends[s] += 1
-                rows[0, at] = 1.0
-                for j in range(k):
-                    rows[2 * j + 1, at] = phasor[j].real
-                    rows[2 * j + 2, at] = -phasor[j].imag
-                for c in range(channels):
-                    rows[p + c, at] = x[i, c]
-            for j in range(k):
-                phasor[j] *= step[j]
-        start = 0
-        for s in range(sorts):
-            stop = ends[s]
-            if stop > start:
-                _add_products(rows, start, stop, grams[s], sides[s], squares[s])
-            start = stop
-    for s in range(sorts):
-        for a in range(p):
-            for b in range(a):
-                grams[s, b, a] = grams[s, a, b]
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-untyped-def]
-    """Add products summed over columns ``start`` to ``stop``: tones with tones, channels with tones and themselves."""
-    p = gram.shape[0]
-    for a in range(rows.shape[0]):
-        own = rows[a, start:stop]
-        for b in range(min(a + 1, p)):
-            other, total = rows[b, start:stop], 0.0
-            for i in range(own.size):
-                total += own[i] * other[i]
-            if a < p:
-                gram[a, b] += total
-            else:
-                side[b, a - p] += total
-        if a >= p:
-            total = 0.0
-            for i in range(own.size):
-                total += own[i] * own[i]
-            square[a - p] += total
-
-
-@njit(error_model="numpy")
-def _invert(grams, inverses):  # type: ignore[no-untyped-def]
-    """Inverses of normal matrices (m, p, p) by Cholesky factors, each scaled to a unit diagonal before.
-
-    Returns the first that has none in double precision (condition number of 1e10 or more), -1 where all have.
-    """
-    p = grams.shape[1]
-    scale, root, left = np.empty(p), np.zeros((p, p)), np.zeros((p, p))
-    for m in range(grams.shape[0]):
-        gram, inverse = grams[m], inverses[m]
-        for i in range(p):
-            scale[i] = 1.0 / np.sqrt(max(gram[i, i], 1e-300))
-        norm = 0.0
-        for i in range(p):
-            size = 0.0
-            for j in range(p):
-                size += abs(gram[i, j]) * scale[i] * scale[j]
-            norm = max(norm, size)
-        for j in range(p):
-            for i in range(j, p):
-                total = gram[i, j] * scale[i] * scale[j]
-                for k in range(j):
-                    total -= root[i, k] * root[j, k]
-                if i > j:
-                    root[i, j] = total / root[j, j]
-                elif total > 0.0:
-                    root[j, j] = np.sqrt(total)
-                else:
-                    return m
-        for j in range(p):  # rows of ``left``: columns of the factor's inverse
-            left[j, j] = 1.0 / root[j, j]
-            for i in range(j + 1, p):
-                total = 0.0
-                for k in range(j, i):
-                    total -= root[i, k] * left[j, k]
-                left[j, i] = total / root[i, i]
-        back = 0.0
-        for i in range(p):
-            size = 0.0
-            for j in range(p):
-                total = 0.0
-                for k in range(max(i, j), p):
-                    total += left[i, k] * left[j, k]
-                inverse[i, j] = total * scale[i] * scale[j]
-                size += abs(total)
-            back = max(back, size)
-        if not norm * back < 1e10:
-            return m
-    return -1
