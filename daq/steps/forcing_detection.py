@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,13 +123,14 @@ def _grouped(
 ) -> list[Region]:
     """Join active windows of like frequency, and let each region reach half-way into what lies between."""
     groups: list[list[int]] = []
-    for i in np.flatnonzero(active):
+    hz = frequency.tolist()
+    for i in np.flatnonzero(active).tolist():
         if groups and i - groups[-1][-1] <= 2:
-            reference = float(np.median(frequency[groups[-1][-9:]]))
-            if abs(frequency[i] - reference) < SAME_FREQUENCY * reference:
-                groups[-1].append(int(i))
+            reference = median(hz[j] for j in groups[-1][-9:])
+            if abs(hz[i] - reference) < SAME_FREQUENCY * reference:
+                groups[-1].append(i)
                 continue
-        groups.append([int(i)])
+        groups.append([i])
     groups = [g for g in groups if len(g) > 1 or len(starts) < 3]  # one window alone straddles a change
     found: list[Region] = []
     for j, group in enumerate(groups):

@@ -6,6 +6,7 @@ neither the sampling's phase nor a constant nor the other tone leaks in.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -219,10 +220,20 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     edges = _edges(region.start, region.stop, rate_hz, region.frequency_hz)
     if len(edges) < SHORTEST_WINDOWS + 1:
         return None
-    fits = _fits(read, edges, rate_hz, region.frequency_hz, forcing)
+    looked_at = np.unique(np.linspace(0, len(edges) - 2, _LOOKED_AT).astype(np.int64)).tolist()
+    windows: dict[int, Floats] = {}
+
+    def noted(start: int, stop: int) -> Floats:
+        """Volts, those of the windows that are looked at again kept."""
+        x = read(start, stop)
+        inside = (k for k in looked_at if start <= edges[k] and edges[k + 1] <= stop)
+        windows.update({k: x[edges[k] - start : edges[k + 1] - start].copy() for k in inside})
+        return x
+
+    fits = _fits(noted, edges, rate_hz, region.frequency_hz, forcing)
     z, rms, n = fits.amplitudes, fits.rms, fits.n
     amplitude = np.abs(z)
-    share = _independent_share(read, edges, fits, rate_hz)
+    share = _independent_share(windows, edges, fits, rate_hz)
     usual = _running(rms[:, None], 25, 0.8)  # a fade leaves much over, but that is short and no noise
     floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], (rms * np.sqrt(2.0 / n))[:, None])
     loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * rms * np.sqrt(2.0 / n))
@@ -233,14 +244,15 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     return _Track(edges, amplitude, floor, advance, main, loud)
 
 
-def _independent_share(read: Read, edges: NDArray[np.int64], fits: ToneFits, rate_hz: float) -> float:
+def _independent_share(
+    windows: Mapping[int, Floats], edges: NDArray[np.int64], fits: ToneFits, rate_hz: float
+) -> float:
     """Share of the samples that count as independent noise: hum or ringing repeats itself, white noise does not.
 
     From the median lag-one correlation r of what the fits leave over, ``(1 - r) / (1 + r)``.
     """
     correlations = []
-    for k in np.unique(np.linspace(0, len(fits.n) - 1, _LOOKED_AT).astype(np.int64)):
-        x = read(int(edges[k]), int(edges[k + 1]))
+    for k, x in windows.items():
         turns = np.outer(fits.frequencies_hz / rate_hz, np.arange(edges[k], edges[k + 1]))
         rest = x - fits.offsets[k] - (fits.amplitudes[k, :, None] * np.exp(2j * np.pi * turns)).sum(axis=0).real
         power = float(rest @ rest)
