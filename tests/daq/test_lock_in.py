@@ -116,3 +116,40 @@ def test_stretches_fitted_together_are_those_fitted_alone():
         assert own == (alone.n, pytest.approx(alone.offset), pytest.approx(alone.rms))
     with pytest.raises(ValueError, match="2 values cannot fix 5 unknowns"):
         fit_tones_each(x[:302], np.array([5000, 5300, 5302]), RATE, FREQUENCIES[:2])
+
+
+def test_what_was_solved_is_forgotten_when_values_are_added():
+    """A fit, a part and an inverse that were asked for before more values came are those of all values afterwards."""
+    n, sorts = np.arange(6000), np.repeat(np.arange(3, dtype=np.int8), 2000)
+    growing, whole = (LockIn(RATE, FREQUENCIES, sorts=3) for _ in range(2))
+    growing.add(tones(n[:3000]), 0, sorts[:3000])
+    early = growing.solve(), growing.part([0, 1]).solve(), growing.inverse()
+    growing.add(tones(n[3000:]), 3000, sorts[3000:])
+    whole.add(tones(n), 0, sorts)
+    np.testing.assert_allclose(growing.inverse(), whole.inverse(), rtol=1e-9)
+    np.testing.assert_allclose(growing.part([0, 1]).inverse(), whole.part([0, 1]).inverse(), rtol=1e-9)
+    assert (growing.solve().n, growing.part([0, 1]).solve().n) == (6000, 4000)
+    assert (early[0].n, early[1].n) == (3000, 3000)
+
+
+def test_inverses_are_those_of_the_normal_matrices():
+    """Sums by sort and their inverses agree with a design matrix written out, for tones of very different strength."""
+    rng = np.random.default_rng(3)
+    n, sort = np.arange(123, 3123), rng.integers(-1, 3, 3000).astype(np.int8)
+    fit = LockIn(RATE, FREQUENCIES, sorts=3)
+    fit.add(tones(n), 123, sort)
+    angle = 2 * np.pi * FREQUENCIES[:, None] * n / RATE
+    design = np.vstack([np.ones(n.size), *(row for a in angle for row in (np.cos(a), -np.sin(a)))])
+    for chosen in ([0], [2, 1]):
+        own = design[:, np.isin(sort, chosen)]
+        part = fit.part(chosen)
+        np.testing.assert_allclose(part.gram, own @ own.T, atol=1e-7)
+        np.testing.assert_allclose(part.inverse() @ (own @ own.T), np.eye(7), atol=1e-8)
+
+
+def test_tones_that_are_one_are_refused():
+    """Two tones a thousandth of a cycle apart over the values cannot be told apart, and the error says so."""
+    fit = LockIn(RATE, [25.37, 25.37001])
+    fit.add(tones(np.arange(2000)), 0)
+    with pytest.raises(ValueError, match="cannot be told apart in 2000 values"):
+        fit.solve()
