@@ -112,10 +112,10 @@ class LockIn:
         self._sides = np.zeros((sorts, p, channels))
         self._squares = np.zeros((sorts, channels))
         self._counts = np.zeros(sorts, dtype=np.int64)
-        self._forget()
+        self.forget()
 
-    def _forget(self) -> None:
-        """Drop what was solved before the sums changed."""
+    def forget(self) -> None:
+        """Drop what was solved, and keep the sums."""
         self._inverse: Floats | None = None
         self._fits: dict[int, ToneFit] = {}
         self._parts: dict[tuple[int, ...], LockIn] = {}
@@ -125,7 +125,7 @@ class LockIn:
         own = object.__new__(LockIn)  # the tones are known to be sound
         own.rate_hz, own.boxcar, own.frequencies_hz = self.rate_hz, self.boxcar, self.frequencies_hz
         own._grams, own._sides, own._squares, own._counts = grams, sides, squares, counts
-        own._forget()
+        own.forget()
         return own
 
     @property
@@ -176,7 +176,7 @@ class LockIn:
         if sort.shape[0] != values.shape[0]:
             raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")
         cycles = self.frequencies_hz / self.rate_hz
-        self._forget()
+        self.forget()
         accumulate(
             np.ascontiguousarray(values),
             sort,

@@ -79,6 +79,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     gamma = gamma_of(unmasked, multiples, setup, state.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
     forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], unmasked[rows])
+    total.forget()  # its sums stay with the step until the recording is read to its end
     return StepPlate(
         step=state.step,
         first_sample=state.first_sample,
