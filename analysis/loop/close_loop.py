@@ -98,11 +98,11 @@ def fit_loop(
 ) -> tuple[ClosedLoop, FittedLoop]:
     """`close_loop`, with the fitted model beside its result: next runs are ranked by it."""
     say = progress or (lambda what, part: None)
-    scans: list[tuple[Flights, NDArray[np.void]]] = []
+    scans: list[Flights] = []
 
-    def keep_first(recording: Recording, flights: Flights) -> None:
+    def keep_first(_: Recording, flights: Flights) -> None:
         if not scans:
-            scans.append((flights, recording.steps))
+            scans.append(flights)
 
     observations = observations_from(
         recordings,
@@ -139,7 +139,7 @@ def fit_loop(
         notes=_notes(observations, selection),
     )
     say("first bifurcations", 0.98)
-    first = first_bifurcations(*scans[0], result.setup, result.improved_effects())
+    first = first_bifurcations(scans[0], result.setup, result.improved_effects())
     return dataclasses.replace(result, first_bifurcations=first), FittedLoop(model, selection)
 
 
