@@ -7,18 +7,18 @@ sample 0 of the recording, whatever piece of it is handed in, masked or not.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from kernels import njit
+from daq.lock_in_kernel import accumulate, invert
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
-
-RESYNC = 512  # samples between exact restarts of the rotating phasors: rounding stays below 1e-13
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,33 @@ class ToneFit:
         return np.sqrt(variances)
 
 
+@dataclass(frozen=True)
+class ToneFits:
+    """Fits of ``k`` tones to each of ``m`` stretches, in the values' unit.
+
+    Attributes
+    ----------
+    frequencies_hz : array, shape (k,)
+    amplitudes : complex array, shape (m, k)
+    offsets : array, shape (m,)
+    rms : array, shape (m,)
+        As in `ToneFit`.
+    n : int array, shape (m,)
+    """
+
+    frequencies_hz: Floats
+    amplitudes: Complexes
+    offsets: Floats
+    rms: Floats
+    n: npt.NDArray[np.int64]
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Stretches of all parts, which share the tones, one after the other."""
+        each = zip(*((x.amplitudes, x.offsets, x.rms, x.n) for x in parts), strict=True)
+        return cls(parts[0].frequencies_hz, *(np.concatenate(own) for own in each))
+
+
 class LockIn:
     """Normal equations of a joint tone fit, accumulated in one pass over any number of pieces.
 
@@ -85,17 +112,31 @@ class LockIn:
         self._sides = np.zeros((sorts, p, channels))
         self._squares = np.zeros((sorts, channels))
         self._counts = np.zeros(sorts, dtype=np.int64)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop what was solved, and keep the sums."""
         self._inverse: Floats | None = None
+        self._fits: dict[int, ToneFit] = {}
+        self._parts: dict[tuple[int, ...], LockIn] = {}
+
+    def _of_sums(self, grams: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> LockIn:
+        """A fit of the same tones from other sums."""
+        own = object.__new__(LockIn)  # the tones are known to be sound
+        own.rate_hz, own.boxcar, own.frequencies_hz = self.rate_hz, self.boxcar, self.frequencies_hz
+        own._grams, own._sides, own._squares, own._counts = grams, sides, squares, counts
+        own.forget()
+        return own
 
     @property
     def gram(self) -> Floats:
         """Normal matrix over all sorts, shape (2k + 1, 2k + 1): constant, then cosine and sine of each tone."""
-        return np.asarray(self._grams.sum(axis=0))
+        return np.asarray(self._grams[0] if len(self._grams) == 1 else self._grams.sum(axis=0))
 
     @property
     def rhs(self) -> Floats:
         """Right sides over all sorts, shape (2k + 1, channels)."""
-        return np.asarray(self._sides.sum(axis=0))
+        return np.asarray(self._sides[0] if len(self._sides) == 1 else self._sides.sum(axis=0))
 
     @property
     def n(self) -> int:
@@ -135,8 +176,8 @@ class LockIn:
         if sort.shape[0] != values.shape[0]:
             raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")
         cycles = self.frequencies_hz / self.rate_hz
-        self._inverse = None
-        _accumulate(
+        self.forget()
+        accumulate(
             np.ascontiguousarray(values),
             sort,
             int(first),
@@ -149,14 +190,21 @@ class LockIn:
         )
 
     def part(self, sorts: npt.ArrayLike) -> LockIn:
-        """The fit of some sorts alone."""
+        """The fit of some sorts alone: one object for each choice until values are added, not to be added to."""
         chosen = np.asarray(sorts, dtype=np.int64)
-        own = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)
-        own._grams = self._grams[chosen].sum(axis=0, keepdims=True)
-        own._sides = self._sides[chosen].sum(axis=0, keepdims=True)
-        own._squares = self._squares[chosen].sum(axis=0, keepdims=True)
-        own._counts = self._counts[chosen].sum(keepdims=True)
-        return own
+        key = tuple(chosen.tolist())
+        if key not in self._parts:
+            self._parts[key] = self._summed(chosen)
+        return self._parts[key]
+
+    def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
+        """Sums over the chosen sorts as those of one sort."""
+        return self._of_sums(
+            np.add.reduce(self._grams[chosen], axis=0, keepdims=True),
+            np.add.reduce(self._sides[chosen], axis=0, keepdims=True),
+            np.add.reduce(self._squares[chosen], axis=0, keepdims=True),
+            np.add.reduce(self._counts[chosen], axis=0, keepdims=True),
+        )
 
     def with_tone(self, place: int, frequency_hz: float, rows: Floats, sides: Floats) -> LockIn:
         """The fit of the same values with tone number ``place`` at another frequency.
@@ -172,7 +220,7 @@ class LockIn:
         """
         frequencies = self.frequencies_hz.copy()
         frequencies[place] = frequency_hz
-        own, at = self.part(np.arange(len(self._counts))), slice(2 * place + 1, 2 * place + 3)
+        own, at = self._summed(np.arange(len(self._counts))), slice(2 * place + 1, 2 * place + 3)
         own.frequencies_hz = frequencies
         own._grams[0, at], own._grams[0, :, at], own._sides[0, at] = rows, rows.T, sides
         return own
@@ -194,34 +242,38 @@ class LockIn:
 
     def solve(self, channel: int = 0) -> ToneFit:
         """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
-        squares = self._squares[:, channel].sum(keepdims=True)
-        return self._solved(self.inverse()[None], self.rhs[None, :, channel], squares, np.array([self.n]))[0]
-
-    def solve_each(self, channel: int = 0) -> list[ToneFit]:
-        """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
-        inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
-        return self._solved(inverses, self._sides[:, :, channel], self._squares[:, channel], self._counts)
-
-    def _solved(self, inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> list[ToneFit]:
-        """Fits from inverses (m, 2k + 1, 2k + 1), right sides (m, 2k + 1), sums of squares (m,), and counts (m,)."""
-        solutions = (inverses @ sides[:, :, None])[:, :, 0]
-        sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
-        variances = sums / (counts - sides.shape[1])
-        # column pairs are (cos, -sin), so the unknowns are Re z and Im z
-        return [
-            ToneFit(
+        if channel not in self._fits:
+            sums = self.rhs[None, :, channel], self._squares[:, channel].sum(keepdims=True), np.array([self.n])
+            inverse = self.inverse()
+            (solution,), (variance,) = _solutions(inverse[None], *sums)
+            # column pairs are (cos, -sin), so the unknowns are Re z and Im z
+            self._fits[channel] = ToneFit(
                 frequencies_hz=self.frequencies_hz,
                 amplitudes=solution[1::2] + 1j * solution[2::2],
                 covariance=inverse[1:, 1:] * variance,
                 rms=math.sqrt(variance),
                 offset=float(solution[0]),
                 offset_uncertainty=math.sqrt(inverse[0, 0] * variance),
-                n=n,
+                n=self.n,
             )
-            for inverse, solution, variance, n in zip(
-                inverses, solutions, variances.tolist(), counts.tolist(), strict=True
-            )
-        ]
+        return self._fits[channel]
+
+    def solve_each(self, channel: int = 0) -> ToneFits:
+        """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
+        inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
+        sums = self._sides[:, :, channel], self._squares[:, channel], self._counts
+        solutions, variances = _solutions(inverses, *sums)
+        amplitudes = solutions[:, 1::2] + 1j * solutions[:, 2::2]
+        return ToneFits(self.frequencies_hz, amplitudes, solutions[:, 0], np.sqrt(variances), self._counts)
+
+
+def _solutions(
+    inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Unknowns (m, 2k + 1) and variances of the residuals (m,) from the sums of each of m fits."""
+    solutions = (inverses @ sides[:, :, None])[:, :, 0]
+    sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
+    return solutions, sums / (counts - sides.shape[1])
 
 
 def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floats) -> Floats:
@@ -229,18 +281,11 @@ def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floa
     p = grams.shape[1]
     if np.any(counts <= p):
         raise ValueError(f"{counts.min()} values cannot fix {p} unknowns")
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), 1e-300))
-    outer = scale[:, :, None] * scale[:, None, :]
-    scaled = grams * outer
-    try:
-        inverted = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        inverted = np.full(grams.shape, np.inf)
-    condition = np.abs(scaled).sum(axis=1).max(axis=1) * np.abs(inverted).sum(axis=1).max(axis=1)
-    unfit = ~(condition < 1e10)
-    if unfit.any():
-        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit][0]} values")
-    return inverted * outer
+    inverses = np.empty(grams.shape)
+    unfit = int(invert(np.ascontiguousarray(grams), inverses))
+    if unfit >= 0:
+        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit]} values")
+    return inverses
 
 
 def fit_tones(
@@ -279,7 +324,7 @@ def fit_tones(
 
 def fit_tones_each(
     x: npt.ArrayLike, edges: npt.NDArray[np.int64], rate_hz: float, frequencies_hz: npt.ArrayLike
-) -> list[ToneFit]:
+) -> ToneFits:
     """`fit_tones` of each of at most 127 successive stretches of the recording.
 
     Parameters
@@ -300,74 +345,3 @@ def fit_tones_each(
     lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(lengths))
     lock_in.add(x, int(edges[0]), np.repeat(np.arange(len(lengths), dtype=np.int8), lengths))
     return lock_in.solve_each()
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
-    """Add the normal equations of the rows of ``x`` to those of their sort.
-
-    In each stretch of `RESYNC` values those of one sort stand together, so that the sums run along memory.
-    """
-    n, channels = x.shape
-    k, sorts = cycles.shape[0], grams.shape[0]
-    p = 2 * k + 1
-    rows = np.empty((p + channels, RESYNC + 8))  # not a power of two: rows must not share cache lines' places
-    ends = np.empty(sorts + 1, dtype=np.int64)
-    step = np.exp(2j * np.pi * cycles)
-    phasor = np.empty(k, dtype=np.complex128)
-    for begin in range(0, n, RESYNC):
-        size = min(RESYNC, n - begin)
-        ends[:] = 0
-        for i in range(begin, begin + size):
-            if sort[i] >= 0:
-                ends[sort[i] + 1] += 1
-        for s in range(sorts):
-            counts[s] += ends[s + 1]
-            ends[s + 1] += ends[s]
-        for j in range(k):
-            phase = cycles[j] * (first + begin)
-            phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
-        for i in range(begin, begin + size):
-            s = sort[i]
-            if s >= 0:
-                at = ends[s]
-                ends[s] += 1
-                rows[0, at] = 1.0
-                for j in range(k):
-                    rows[2 * j + 1, at] = phasor[j].real
-                    rows[2 * j + 2, at] = -phasor[j].imag
-                for c in range(channels):
-                    rows[p + c, at] = x[i, c]
-            for j in range(k):
-                phasor[j] *= step[j]
-        start = 0
-        for s in range(sorts):
-            stop = ends[s]
-            if stop > start:
-                _add_products(rows, start, stop, grams[s], sides[s], squares[s])
-            start = stop
-    for s in range(sorts):
-        for a in range(p):
-            for b in range(a):
-                grams[s, b, a] = grams[s, a, b]
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-untyped-def]
-    """Add products summed over columns ``start`` to ``stop``: tones with tones, channels with tones and themselves."""
-    p = gram.shape[0]
-    for a in range(rows.shape[0]):
-        own = rows[a, start:stop]
-        for b in range(min(a + 1, p)):
-            other, total = rows[b, start:stop], 0.0
-            for i in range(own.size):
-                total += own[i] * other[i]
-            if a < p:
-                gram[a, b] += total
-            else:
-                side[b, a - p] += total
-        if a >= p:
-            total = 0.0
-            for i in range(own.size):
-                total += own[i] * own[i]
-            square[a - p] += total

@@ -19,7 +19,8 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Volts = npt.NDArray[np.float32]
 
-TILE = 64  # outputs of the filter computed together
+TILE = 256  # outputs of the filter computed together
+TAPS = 8  # of the filter, applied in one pass over a tile; the filter's length is a multiple of it
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
@@ -140,11 +141,14 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
         stop = min(start + TILE, count)
         total = out[start:stop]
         total[:] = np.float32(0.0)
-        for k in range(length):
-            tap = taps[k]
-            own = x[start + pad - LEAD + k : stop + pad - LEAD + k]
-            for i in range(stop - start):
-                total[i] += tap * own[i]
+        begin, n = start + pad - LEAD, stop - start
+        for k in range(0, length, TAPS):
+            t0, t1, t2, t3 = taps[k], taps[k + 1], taps[k + 2], taps[k + 3]
+            t4, t5, t6, t7 = taps[k + 4], taps[k + 5], taps[k + 6], taps[k + 7]
+            own = x[begin + k : begin + k + n + TAPS - 1]
+            for i in range(n):
+                first = t0 * own[i] + t1 * own[i + 1] + t2 * own[i + 2] + t3 * own[i + 3]
+                total[i] += first + t4 * own[i + 4] + t5 * own[i + 5] + t6 * own[i + 6] + t7 * own[i + 7]
     n = 0
     last = -length
     for i in range(count):
@@ -171,6 +175,16 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
             out[k] += size * ((1.0 - share) * fine[j] + share * fine[j + 1])
 
 
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _products(rows, x, out):  # type: ignore[no-untyped-def]
+    """Scalar products of ``x`` and each row; so short that a call of BLAS costs more."""
+    for r in range(rows.shape[0]):
+        row, total = rows[r], 0.0
+        for i in range(row.shape[0]):
+            total += row[i] * x[i]
+        out[r] = total
+
+
 @njit(error_model="numpy")
 def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
     """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
@@ -179,6 +193,7 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
     """
     own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
     shifts, longest = bank.shape[0], fine.shape[0] // FINE
+    score, top = np.empty(shifts), np.empty(shifts)
     for c in range(count):
         index = found[c]
         echo[:] = 0.0
@@ -188,10 +203,13 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
                 break
             _echo(lag, out[back, 1], fine, echo)
         rings = n > 0 and index + offset - out[n - 1, 0] <= longest
-        loud = np.sqrt(np.sum((projector @ echo) ** 2)) if rings else 0.0
+        loud = 0.0
+        if rings:
+            _products(projector, echo, later)
+            loud = np.sqrt(np.sum(later**2))
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
-        score = bank @ own
+        _products(bank, own, score)
         best = min(max(int(np.argmax(score)), 1), shifts - 2)
         left, middle, right = score[best - 1], score[best], score[best + 1]
         place = index + offset + (best - SHIFTS) / FINE
@@ -205,11 +223,12 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
                 break
             for k in range(LENGTH):
                 own[k] = x[found[ahead] - LEAD + k]
-            top = bank @ own
+            _products(bank, own, top)
             far = int(np.argmax(top))
             later[:] = 0.0
             _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
-            leak = max(leak, np.dot(bank[best], later))
+            _products(bank[best : best + 1], later, top)
+            leak = max(leak, top[0])
         if middle - leak < max(limit, ECHO_MARGIN * leak):
             continue
         curvature = min(left - 2.0 * middle + right, -1e-300)

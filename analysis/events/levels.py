@@ -57,9 +57,10 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
             length = before + PLATEAU_AFTER
             if volts.size < length:
                 continue
-            inside = np.convolve(side == wanted, np.ones(length))[length - 1 :] > length - 0.5
             if plateau.size < MIN_PLATEAU:
-                plateau = volts[before : before + inside.size][inside[: volts.size - before]]
+                there = np.concatenate([[0], np.cumsum(side == wanted)])
+                inside = there[length:] - there[:-length] == length
+                plateau = volts[before : before + inside.size][inside]
         if plateau.size < MIN_PLATEAU:
             levels.append(declared)
             continue

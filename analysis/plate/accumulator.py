@@ -41,6 +41,7 @@ from analysis.plate.windows import fit_windows, refined_hz
 from analysis.signals.stream import block_means
 from daq.lock_in import LockIn
 from daq.recording import Recording
+from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -189,14 +190,10 @@ class StepAccumulator:
 
     def _block_class(self, block: int, end: int, impacts: Ints, fraction: Volts) -> npt.NDArray[np.int8]:
         """Place and mask level of blocks; the mask begins `LEAD_S` before an impact."""
-        blocks = np.arange(block, end)
-        place = np.where(fraction > OPEN_ABOVE, FLIGHT, np.where(fraction < CLOSED_BELOW, CONTACT, NEITHER))
-        if not impacts.size:
-            return (place * N_MASK_LEVELS + N_MASK_LEVELS - 1).astype(np.int8)
         begins = (impacts - int(LEAD_S * self.rate_hz)) // self.width
-        last = np.searchsorted(begins, blocks, side="right") - 1
-        since = np.where(last >= 0, blocks - (impacts // self.width)[np.maximum(last, 0)], np.iinfo(np.int32).max)
-        return (place * N_MASK_LEVELS + np.searchsorted(self.masks, since, side="left")).astype(np.int8)
+        out = np.empty(end - block, dtype=np.int8)
+        _classify(block, fraction, begins, impacts // self.width, self.masks, out)
+        return out
 
     def flush_chunk(self, state: StepState) -> None:
         """Add the open spans to the normal equations, fit their windows, and forget them."""
@@ -302,3 +299,19 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
         if worst < 4.0 / whole * MAX_INFLATION**2:
             return level
     return 1
+
+
+@njit(error_model="numpy")
+def _classify(first, fraction, begins, impacts, masks, out):  # type: ignore[no-untyped-def]
+    """Place and mask level of blocks from ``first`` on, after impacts in the blocks ``impacts``, in order of time."""
+    last, levels = -1, masks.shape[0]
+    for i in range(out.shape[0]):
+        block = first + i
+        while last + 1 < begins.shape[0] and begins[last + 1] <= block:
+            last += 1
+        level = levels if last < 0 else 0
+        while level < levels and masks[level] < block - impacts[last]:
+            level += 1
+        open_part = fraction[i]
+        place = FLIGHT if open_part > OPEN_ABOVE else CONTACT if open_part < CLOSED_BELOW else NEITHER
+        out[i] = place * N_MASK_LEVELS + level

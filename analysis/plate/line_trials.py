@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate.step_state import Span, StepState
+from analysis.plate.step_state import StepState
 from daq.lock_in import LockIn, ToneFit
+from kernels import njit
 
 Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
-STRIDE = 64  # blocks between exact phasors
+RESYNC = 64  # blocks between exact restarts of the rotating phasors
 
 
 class LineTrials:
@@ -65,16 +65,29 @@ class LineTrials:
     def _rows_of(self, tones: LockIn) -> Floats:
         """Cosine and sine rows (2k, n) of all tones of ``tones``, the blocks' gain and delay included."""
         cycles, gains = tones.frequencies_hz / self._rate_hz, tones.response()
-        phasors = np.concatenate([_phasors(cycles, gains, span)[:, clear] for span, clear in self._clear], axis=1)
-        rows = np.empty((2 * len(cycles), phasors.shape[1]))
-        rows[::2], rows[1::2] = phasors.real, -phasors.imag
+        rows = np.empty((2 * len(cycles), self.values.size))
+        at = 0
+        for span, clear in self._clear:
+            at = _fill_rows(cycles, gains, span.first, clear, at, rows)
         return rows
 
 
-def _phasors(cycles: Floats, gains: Complexes, span: Span) -> Complexes:
-    """``gain exp(2 pi i cycles n)`` at the blocks of a span, (k, blocks)."""
-    n = len(span.values)
-    coarse = cycles[:, None] * (span.first + STRIDE * np.arange(-(-n // STRIDE)))
-    starts = np.exp(2j * np.pi * (coarse - np.floor(coarse))) * gains[:, None]
-    within = np.exp(2j * np.pi * cycles[:, None] * np.arange(STRIDE))
-    return np.asarray((starts[:, :, None] * within[:, None, :]).reshape(len(cycles), -1)[:, :n])
+@njit(error_model="numpy")
+def _fill_rows(cycles, gains, first, clear, at, rows):  # type: ignore[no-untyped-def]
+    """Put ``gain exp(2 pi i cycles n)`` of the ``clear`` blocks ``n`` from ``first`` on into ``rows`` from ``at`` on.
+
+    Rows ``2 k`` and ``2 k + 1`` are the real part of tone ``k`` and the negative imaginary part. Returns the column
+    after the last.
+    """
+    end = at
+    for k in range(cycles.shape[0]):
+        step, phasor, end = np.exp(2j * np.pi * cycles[k]), 0j, at
+        for i in range(clear.shape[0]):
+            if i % RESYNC == 0:
+                phase = cycles[k] * (first + i)
+                phasor = np.exp(2j * np.pi * (phase - np.floor(phase))) * gains[k]
+            if clear[i]:
+                rows[2 * k, end], rows[2 * k + 1, end] = phasor.real, -phasor.imag
+                end += 1
+            phasor *= step
+    return end

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,13 @@ from daq.lock_in import ToneFit
 EACH_VALUE = 4  # times that each value must come on average before the distances of values tell a converter's step
 
 
-def converter_step(values: NDArray[np.float64]) -> float:
-    """Distance of neighbouring values of a rounded signal, in its unit; 0 where they do not show one."""
-    different = np.unique(values)
+def converter_step(values: NDArray[Any]) -> float:
+    """Distance of neighbouring values of a rounded signal, codes or volts; 0 where they do not show one."""
+    in_order = np.sort(values)
+    different = in_order[np.append(True, np.diff(in_order) != 0)] if len(values) else in_order
     if len(different) < 2 or EACH_VALUE * len(different) > len(values):
         return 0.0
-    return float(np.median(np.diff(different)))
+    return float(np.median(np.diff(different.astype(np.float64))))
 
 
 def rounding_sigma(amplitude: float, step: float, noise: float) -> float:

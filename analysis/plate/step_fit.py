@@ -71,13 +71,15 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     noise_mps2 = min((float(c.noise[0]) for c in state.chunks), default=volts.rms) * abs(factor)
     acceleration = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
     acceleration = with_frequency_uncertainty(acceleration, state.mains, factor)
-    some_v = recording.read_v("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
-    acceleration = with_rounding(acceleration, converter_step(some_v) * abs(factor), noise_mps2)
+    some = recording.codes("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
+    step_v = converter_step(some) * abs(recording.scale("accelerometer")[0])
+    acceleration = with_rounding(acceleration, step_v * abs(factor), noise_mps2)
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
     gamma = gamma_of(unmasked, multiples, setup, state.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
     forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], unmasked[rows])
+    total.forget()  # its sums stay with the step until the recording is read to its end
     return StepPlate(
         step=state.step,
         first_sample=state.first_sample,

@@ -87,7 +87,8 @@ class ColumnWriter:
             else {"compression": "gzip", "compression_opts": 4, "shuffle": True}
         )
         self._disk = DiskFile(self.part)
-        self._file = h5py.File(self._disk, "w", libver=("v110", "v110"))
+        # whole chunks are written, each once: a cache of them would only copy
+        self._file = h5py.File(self._disk, "w", libver=("v110", "v110"), rdcc_nbytes=0)
         self._attributes = dict(attributes)
         self._sets = {"timestamp": self._dataset("timestamp", np.dtype("<i8"))}
         for name, dtype in dtypes.items():

@@ -12,6 +12,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels import njit
+
 Floats = NDArray[np.float64]
 LONGEST_SEGMENT = 192  # longest part that the search takes at once; longer ones are merged afterwards
 
@@ -32,11 +34,15 @@ class SegmentCosts:
         self._origin = origin
         self._w, self._wy, self._wyy = (_cumulative(x) for x in (weight, weight * shifted, weight * shifted**2))
 
-    def cost(self, starts: NDArray[np.int64], stop: int) -> Floats:
-        """Squared deviations of ``starts .. stop`` from their means, summed over the columns, shape of ``starts``."""
-        w, wy, wyy = (x[stop] - x[starts] for x in (self._w, self._wy, self._wyy))
-        cost: Floats = np.sum(wyy - wy**2 / w, axis=-1)
-        return cost
+    def cuts(self, penalty: float) -> list[int]:
+        """Ends of the cheapest partition, the first and the last included; each part costs ``penalty``."""
+        n = len(self._w) - 1
+        previous = np.zeros(n + 1, np.int64)
+        _partition(self._w, self._wy, self._wyy, penalty, previous)
+        ends = [n]
+        while ends[-1] > 0:
+            ends.append(int(previous[ends[-1]]))
+        return ends[::-1]
 
     def mean(self, start: int, stop: int) -> tuple[Floats, Floats]:
         """Mean of each column over ``start .. stop``, and its standard error."""
@@ -60,20 +66,8 @@ def segments(values: Floats, sigma: Floats, same: Floats, penalty: float) -> lis
     penalty
         Price of a part.
     """
-    n = len(values)
     costs = SegmentCosts(values, sigma)
-    best = np.zeros(n + 1)
-    previous = np.zeros(n + 1, np.int64)
-    for stop in range(1, n + 1):
-        starts = np.arange(max(0, stop - LONGEST_SEGMENT), stop)  # longer parts come back together below
-        total = best[starts] + costs.cost(starts, stop) + penalty
-        choice = int(np.argmin(total))
-        best[stop], previous[stop] = total[choice], starts[choice]
-    cuts = [n]
-    while cuts[-1] > 0:
-        cuts.append(int(previous[cuts[-1]]))
-    cuts.reverse()
-    return _merged(costs, list(pairwise(cuts)), same)
+    return _merged(costs, list(pairwise(costs.cuts(penalty))), same)
 
 
 def _merged(costs: SegmentCosts, parts: list[tuple[int, int]], same: Floats) -> list[tuple[int, int]]:
@@ -87,3 +81,18 @@ def _merged(costs: SegmentCosts, parts: list[tuple[int, int]], same: Floats) -> 
         else:
             kept.append((start, stop))
     return kept
+
+
+@njit(error_model="numpy")
+def _partition(w, wy, wyy, penalty, previous):  # type: ignore[no-untyped-def]
+    """Where the last part of the cheapest partition up to each place begins, from cumulative sums (n + 1, d)."""
+    n, d = w.shape[0] - 1, w.shape[1]
+    best = np.zeros(n + 1)
+    for stop in range(1, n + 1):
+        best[stop] = np.inf
+        for start in range(max(0, stop - LONGEST_SEGMENT), stop):  # longer parts come back together afterwards
+            cost = best[start] + penalty
+            for k in range(d):
+                cost += wyy[stop, k] - wyy[start, k] - (wy[stop, k] - wy[start, k]) ** 2 / (w[stop, k] - w[start, k])
+            if cost < best[stop]:
+                best[stop], previous[stop] = cost, start

@@ -58,7 +58,12 @@ class FoundStep:
 
     def settled(self, rate_hz: float) -> int:
         """First sample that counts as hold: two cycles after what moves, or the middle of a short step."""
-        return min(self.hold + round(SETTLE_CYCLES * rate_hz / self.frequency_hz), (self.hold + self.stop) // 2)
+        return _settled(self.hold, self.stop, self.frequency_hz, rate_hz)
+
+
+def _settled(hold: int, stop: int, frequency_hz: float, rate_hz: float) -> int:
+    """See `FoundStep.settled`."""
+    return min(hold + round(SETTLE_CYCLES * rate_hz / frequency_hz), (hold + stop) // 2)
 
 
 def find_steps(
@@ -189,8 +194,7 @@ def _continues(last: FoundStep, step: FoundStep, rate_hz: float) -> bool:
 def _refined(read: Read, still: SteadySegment, rate_hz: float, forcing: Forcing) -> FoundStep:
     """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
     frequency, sigma = still.frequency_hz, np.nan
-    rough = fit(read, still.hold, still.stop, rate_hz, frequency, forcing)
-    settled = FoundStep(still.start, still.hold, still.stop, frequency, sigma, rough).settled(rate_hz)
+    settled = _settled(still.hold, still.stop, frequency, rate_hz)
     for _ in range(2):
         correction, sigma = frequency_correction(read, settled, still.stop, rate_hz, frequency, forcing)
         frequency += correction

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ QUIET = 2e-3  # of the largest amplitude
 SAME_FREQUENCY = 0.05
 _PAD = 4
 _POINTS_A_CYCLE = 16
+_TOGETHER_SAMPLES = 1 << 17  # of windows whose spectra are taken in one go
 
 
 @dataclass(frozen=True)
@@ -67,36 +69,44 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
     if window // reduce < 8:  # far less than a cycle
         return []
     starts = np.arange(start, stop - window + 1, hop)
-    found = np.array([_look(read(int(s), int(s) + window), rate_hz, reduce, tones, hint_hz) for s in starts])
-    frequency, amplitude, share = found.T
+    many = max(_TOGETHER_SAMPLES // window, 1)
+    found = [_look(_windows(read, starts[i : i + many], window, reduce), rate_hz / reduce, tones, hint_hz)
+             for i in range(0, len(starts), many)]  # fmt: skip
+    frequency, amplitude, share = np.concatenate(found, axis=1)
     active = (share > TONE_SHARE) & (amplitude > QUIET * amplitude.max()) & (amplitude > 0)
     return _grouped(starts, window, frequency, active, (start, stop))
 
 
-def _look(x: Floats, rate_hz: float, reduce: int, tones: tuple[tuple[int, float], ...], hint_hz: float) -> Floats:
-    """Frequency, amplitude and share of the power of the best fitting forcing in one window."""
-    if reduce > 1:
-        x = x[: len(x) // reduce * reduce].reshape(-1, reduce).mean(axis=1)
-        rate_hz /= reduce
-    x = x - x.mean()
-    hann = np.hanning(len(x) + 2)[1:-1]
-    n_fft = 1 << int(np.ceil(np.log2(len(x) * _PAD)))
-    spectrum = np.abs(np.fft.rfft(x * hann, n_fft)) * (2.0 / hann.sum())
+def _windows(read: Read, starts: NDArray[np.int64], window: int, reduce: int) -> Floats:
+    """Windows from ``starts`` on, averaged over ``reduce`` samples, shape (m, window // reduce)."""
+    x = read(int(starts[0]), int(starts[-1]) + window)
+    n = window // reduce
+    return np.array([x[a : a + n * reduce].reshape(n, reduce).mean(axis=1) for a in (starts - starts[0]).tolist()])
+
+
+def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_hz: float) -> Floats:
+    """Frequency, amplitude and share of the power (3, m) of the best fitting forcing in each window ``x`` (m, n)."""
+    x = x - x.mean(axis=1, keepdims=True)
+    hann = np.hanning(x.shape[1] + 2)[1:-1]
+    n_fft = 1 << int(np.ceil(np.log2(x.shape[1] * _PAD)))
+    spectrum = np.abs(np.fft.rfft(x * hann, n_fft, axis=1)) * (2.0 / hann.sum())
     step = rate_hz / n_fft
     top = max(m for m, _ in tones)
     low = max(int(hint_hz / SPAN / step), 2 * _PAD)
-    high = min(int(hint_hz * SPAN / step), (len(spectrum) - 2) // top)
-    power = float(np.mean(x**2))
-    if high <= low or power == 0.0:
-        return np.zeros(3)
+    high = min(int(hint_hz * SPAN / step), (spectrum.shape[1] - 2) // top)
+    found = np.zeros((3, len(x)))
+    power = np.mean(x**2, axis=1)
+    if high <= low:
+        return found
     bins = np.arange(low, high + 1)
-    score = sum((w * spectrum[bins * m] for m, w in tones), np.zeros(len(bins)))
-    k = int(bins[np.argmax(score)])
-    strongest = max(tones, key=lambda tone: tone[0] * spectrum[k * tone[0]])[0]
-    frequency = _peak(spectrum, k * strongest, strongest) * step / strongest
-    amplitudes = [spectrum[k * m] for m, _ in tones]
-    amplitude = float(np.hypot.reduce(amplitudes))
-    return np.array([frequency, amplitude, 0.5 * amplitude**2 / power])
+    score = sum((w * spectrum[:, bins * m] for m, w in tones), np.zeros((len(x), len(bins))))
+    for i in np.flatnonzero(power > 0.0):
+        own, k = spectrum[i], int(bins[np.argmax(score[i])])
+        strongest = max(tones, key=lambda tone: tone[0] * own[k * tone[0]])[0]
+        frequency = _peak(own, k * strongest, strongest) * step / strongest
+        amplitude = float(np.hypot.reduce([own[k * m] for m, _ in tones]))
+        found[:, i] = frequency, amplitude, 0.5 * amplitude**2 / power[i]
+    return found
 
 
 def _peak(spectrum: Floats, around: int, reach: int) -> float:
@@ -113,13 +123,14 @@ def _grouped(
 ) -> list[Region]:
     """Join active windows of like frequency, and let each region reach half-way into what lies between."""
     groups: list[list[int]] = []
-    for i in np.flatnonzero(active):
+    hz = frequency.tolist()
+    for i in np.flatnonzero(active).tolist():
         if groups and i - groups[-1][-1] <= 2:
-            reference = float(np.median(frequency[groups[-1][-9:]]))
-            if abs(frequency[i] - reference) < SAME_FREQUENCY * reference:
-                groups[-1].append(int(i))
+            reference = median(hz[j] for j in groups[-1][-9:])
+            if abs(hz[i] - reference) < SAME_FREQUENCY * reference:
+                groups[-1].append(i)
                 continue
-        groups.append([int(i)])
+        groups.append([i])
     groups = [g for g in groups if len(g) > 1 or len(starts) < 3]  # one window alone straddles a change
     found: list[Region] = []
     for j, group in enumerate(groups):

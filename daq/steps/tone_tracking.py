@@ -6,13 +6,14 @@ neither the sampling's phase nor a constant nor the other tone leaks in.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.lock_in import ToneFit, fit_tones, fit_tones_each
+from daq.lock_in import ToneFit, ToneFits, fit_tones, fit_tones_each
 from daq.setup.setup import Forcing
 from daq.steps.changepoints import segments
 from daq.steps.forcing_detection import Read, Region, weights
@@ -73,16 +74,18 @@ def fit(read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, 
     return fit_tones(read(start, stop), start, rate_hz, tones_hz(frequency_hz, forcing))
 
 
-def _fits(read: Read, edges: NDArray[np.int64], rate_hz: float, frequency_hz: float, forcing: Forcing) -> list[ToneFit]:
+def _fits(read: Read, edges: NDArray[np.int64], rate_hz: float, frequency_hz: float, forcing: Forcing) -> ToneFits:
     """The forcing's tones in each of the windows between ``edges``."""
-    fits: list[ToneFit] = []
+    tones = tones_hz(frequency_hz, forcing)
+    nothing = np.zeros(0)
+    parts = [ToneFits(tones, np.zeros((0, len(tones)), np.complex128), nothing, nothing, np.zeros(0, np.int64))]
     while len(edges) > 1:
         n = int(np.searchsorted(edges, edges[0] + _TOGETHER_SAMPLES, side="right")) - 1
         n = min(max(n, 1), _TOGETHER_WINDOWS, len(edges) - 1)
         x = read(int(edges[0]), int(edges[n]))
-        fits += fit_tones_each(x, edges[: n + 1], rate_hz, tones_hz(frequency_hz, forcing))
+        parts.append(fit_tones_each(x, edges[: n + 1], rate_hz, tones))
         edges = edges[n:]
-    return fits
+    return ToneFits.join(parts)
 
 
 def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forcing) -> list[Region]:
@@ -96,7 +99,7 @@ def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forci
         low, high = max(left.start, left.stop - reach), min(right.stop, left.stop + reach)
         edges = _edges(low, high, rate_hz, min(left.frequency_hz, right.frequency_hz))
         misfit = np.array(
-            [[one.rms**2 for one in _fits(read, edges, rate_hz, side.frequency_hz, forcing)] for side in (left, right)]
+            [_fits(read, edges, rate_hz, side.frequency_hz, forcing).rms ** 2 for side in (left, right)]
         ).T.reshape(-1, 2)
         before = np.concatenate([[0.0], np.cumsum(misfit[:, 0])])
         after = np.concatenate([np.cumsum(misfit[::-1, 1])[::-1], [0.0]])
@@ -193,9 +196,9 @@ def frequency_correction(
     time = time - time.mean()
     estimates, information = [], []
     for k, (multiple, _) in enumerate(weights(forcing)):
-        z = np.array([one.amplitudes[k] for one in fits])
+        z = fits.amplitudes[:, k]
         phase = np.unwrap(np.angle(z))
-        noise = np.median([one.rms * np.sqrt(2.0 / one.n) for one in fits]) / max(float(np.abs(z).mean()), 1e-300)
+        noise = np.median(fits.rms * np.sqrt(2.0 / fits.n)) / max(float(np.abs(z).mean()), 1e-300)
         sigma = max(float(noise), 1e-12) / (multiple * 2.0 * np.pi * np.sqrt(time @ time))
         estimates.append(float(time @ phase / (time @ time)) / (2.0 * np.pi * multiple))
         information.append(sigma**-2)
@@ -217,31 +220,41 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     edges = _edges(region.start, region.stop, rate_hz, region.frequency_hz)
     if len(edges) < SHORTEST_WINDOWS + 1:
         return None
-    fits = _fits(read, edges, rate_hz, region.frequency_hz, forcing)
-    z = np.array([one.amplitudes for one in fits])
+    looked_at = np.unique(np.linspace(0, len(edges) - 2, _LOOKED_AT).astype(np.int64)).tolist()
+    windows: dict[int, Floats] = {}
+
+    def noted(start: int, stop: int) -> Floats:
+        """Volts, those of the windows that are looked at again kept."""
+        x = read(start, stop)
+        inside = (k for k in looked_at if start <= edges[k] and edges[k + 1] <= stop)
+        windows.update({k: x[edges[k] - start : edges[k + 1] - start].copy() for k in inside})
+        return x
+
+    fits = _fits(noted, edges, rate_hz, region.frequency_hz, forcing)
+    z, rms, n = fits.amplitudes, fits.rms, fits.n
     amplitude = np.abs(z)
-    rms, n = np.array([one.rms for one in fits]), np.array([one.n for one in fits])
-    share = _independent_share(read, edges, fits, rate_hz)
+    share = _independent_share(windows, edges, fits, rate_hz)
     usual = _running(rms[:, None], 25, 0.8)  # a fade leaves much over, but that is short and no noise
     floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], (rms * np.sqrt(2.0 / n))[:, None])
     loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * rms * np.sqrt(2.0 / n))
     main = int(np.argmax(np.median(amplitude, axis=0)))
-    advance = np.zeros(len(fits))
+    advance = np.zeros(len(z))
     advance[1:] = np.angle(z[1:, main] * np.conj(z[:-1, main]))
     advance[1:][~(loud[1:] & loud[:-1])] = 0.0
     return _Track(edges, amplitude, floor, advance, main, loud)
 
 
-def _independent_share(read: Read, edges: NDArray[np.int64], fits: list[ToneFit], rate_hz: float) -> float:
+def _independent_share(
+    windows: Mapping[int, Floats], edges: NDArray[np.int64], fits: ToneFits, rate_hz: float
+) -> float:
     """Share of the samples that count as independent noise: hum or ringing repeats itself, white noise does not.
 
     From the median lag-one correlation r of what the fits leave over, ``(1 - r) / (1 + r)``.
     """
     correlations = []
-    for k in np.unique(np.linspace(0, len(fits) - 1, _LOOKED_AT).astype(np.int64)):
-        x, one = read(int(edges[k]), int(edges[k + 1])), fits[k]
-        turns = np.outer(one.frequencies_hz / rate_hz, np.arange(edges[k], edges[k + 1]))
-        rest = x - one.offset - (one.amplitudes[:, None] * np.exp(2j * np.pi * turns)).sum(axis=0).real
+    for k, x in windows.items():
+        turns = np.outer(fits.frequencies_hz / rate_hz, np.arange(edges[k], edges[k + 1]))
+        rest = x - fits.offsets[k] - (fits.amplitudes[k, :, None] * np.exp(2j * np.pi * turns)).sum(axis=0).real
         power = float(rest @ rest)
         correlations.append(float(rest[1:] @ rest[:-1]) / power if power > 0 else 0.0)
     r = min(max(float(np.median(correlations)), 0.0), 0.999)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -105,10 +107,49 @@ def test_stretches_fitted_together_are_those_fitted_alone():
     """Fits of many stretches in one go are the fits of each, and one that is too short is refused."""
     edges = np.array([5000, 5800, 6100, 7900])
     x = tones(np.arange(edges[0], edges[-1])) + np.random.default_rng(2).normal(0.0, 0.1, edges[-1] - edges[0])
-    for one, a, b in zip(fit_tones_each(x, edges, RATE, FREQUENCIES[:2]), edges, edges[1:], strict=False):
+    each = fit_tones_each(x, edges, RATE, FREQUENCIES[:2])
+    assert each.amplitudes.shape == (3, 2)
+    for i, (a, b) in enumerate(pairwise(edges)):
         alone = fit_tones(x[a - edges[0] : b - edges[0]], a, RATE, FREQUENCIES[:2])
-        np.testing.assert_allclose(one.amplitudes, alone.amplitudes, rtol=1e-9)
-        np.testing.assert_allclose(one.covariance, alone.covariance, rtol=1e-7, atol=1e-14)
-        assert (one.n, one.offset, one.rms) == (alone.n, pytest.approx(alone.offset), pytest.approx(alone.rms))
+        np.testing.assert_allclose(each.amplitudes[i], alone.amplitudes, rtol=1e-9)
+        own = each.n[i], each.offsets[i], each.rms[i]
+        assert own == (alone.n, pytest.approx(alone.offset), pytest.approx(alone.rms))
     with pytest.raises(ValueError, match="2 values cannot fix 5 unknowns"):
         fit_tones_each(x[:302], np.array([5000, 5300, 5302]), RATE, FREQUENCIES[:2])
+
+
+def test_what_was_solved_is_forgotten_when_values_are_added():
+    """A fit, a part and an inverse that were asked for before more values came are those of all values afterwards."""
+    n, sorts = np.arange(6000), np.repeat(np.arange(3, dtype=np.int8), 2000)
+    growing, whole = (LockIn(RATE, FREQUENCIES, sorts=3) for _ in range(2))
+    growing.add(tones(n[:3000]), 0, sorts[:3000])
+    early = growing.solve(), growing.part([0, 1]).solve(), growing.inverse()
+    growing.add(tones(n[3000:]), 3000, sorts[3000:])
+    whole.add(tones(n), 0, sorts)
+    np.testing.assert_allclose(growing.inverse(), whole.inverse(), rtol=1e-9)
+    np.testing.assert_allclose(growing.part([0, 1]).inverse(), whole.part([0, 1]).inverse(), rtol=1e-9)
+    assert (growing.solve().n, growing.part([0, 1]).solve().n) == (6000, 4000)
+    assert (early[0].n, early[1].n) == (3000, 3000)
+
+
+def test_inverses_are_those_of_the_normal_matrices():
+    """Sums by sort and their inverses agree with a design matrix written out, for tones of very different strength."""
+    rng = np.random.default_rng(3)
+    n, sort = np.arange(123, 3123), rng.integers(-1, 3, 3000).astype(np.int8)
+    fit = LockIn(RATE, FREQUENCIES, sorts=3)
+    fit.add(tones(n), 123, sort)
+    angle = 2 * np.pi * FREQUENCIES[:, None] * n / RATE
+    design = np.vstack([np.ones(n.size), *(row for a in angle for row in (np.cos(a), -np.sin(a)))])
+    for chosen in ([0], [2, 1]):
+        own = design[:, np.isin(sort, chosen)]
+        part = fit.part(chosen)
+        np.testing.assert_allclose(part.gram, own @ own.T, atol=1e-7)
+        np.testing.assert_allclose(part.inverse() @ (own @ own.T), np.eye(7), atol=1e-8)
+
+
+def test_tones_that_are_one_are_refused():
+    """Two tones a thousandth of a cycle apart over the values cannot be told apart, and the error says so."""
+    fit = LockIn(RATE, [25.37, 25.37001])
+    fit.add(tones(np.arange(2000)), 0)
+    with pytest.raises(ValueError, match="cannot be told apart in 2000 values"):
+        fit.solve()

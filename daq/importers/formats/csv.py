@@ -183,7 +183,7 @@ class CsvSource:
             while True:
                 try:
                     block = file.read(_BLOCK_BYTES)
-                    n = block.count(b"\n")
+                    n = int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
                     rest = self._line(file, first + n)
                 except (OSError, EOFError, zlib.error) as error:
                     raise InputError(f"{self.path}: breaks off: {error}.") from error

@@ -24,6 +24,7 @@ class Hdf5Source(ArraySource):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._fields: dict[str, tuple[str, str]] = {}
+        self._open: dict[str, tuple[Any, int | None]] = {}
         self._n_objects = 0
         try:
             self._file = h5py.File(path, "r")
@@ -80,11 +81,17 @@ class Hdf5Source(ArraySource):
         if name in self._fields:
             dataset, field = self._fields[name]
             return np.asarray(self._file[dataset].fields(field)[start:stop])
-        stem, column = split_index(name)
-        if name in self._file:
-            item = self._file[name]
+        item, column = self._opened(name)
+        if column is None:
             return np.asarray(item[start:stop] if item.ndim == 1 or item.shape[1] == 1 else item[0, start:stop]).ravel()
-        return np.asarray(self._file[stem][start:stop, column])
+        return np.asarray(item[start:stop, column])
+
+    def _opened(self, name: str) -> tuple[Any, int | None]:
+        """The dataset of a column and the column's number in a matrix; each stays open and keeps its last chunks."""
+        if name not in self._open:
+            stem, column = (name, None) if name in self._file else split_index(name)
+            self._open[name] = self._file[stem], column
+        return self._open[name]
 
 
 def _small_attribute(item: Any, key: str) -> float | str | None:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.formats.arrays import MOST_PACKED, READ_ERRORS, SMALL_BYTES, HeldSource, split_index
+from daq.importers.formats.arrays import MOST_PACKED, READ_ERRORS, SMALL_BYTES, HeldSource
 from daq.importers.formats.hdf5 import Hdf5Source
 from daq.setup.errors import InputError
 
@@ -25,8 +25,7 @@ class Mat73Source(Hdf5Source):
             super()._offer(name, shape[::-1], dtype)
 
     def _read(self, name: str, start: int, stop: int) -> NDArray[Any]:
-        stem, column = (name, None) if name in self._file else split_index(name)
-        item = self._file[stem]
+        item, column = self._opened(name)
         if column is None:
             return np.asarray(item[start:stop] if item.shape[0] > 1 else item[0, start:stop]).ravel()
         return np.asarray(item[column, start:stop])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.impact_detection import ImpactScan
+from analysis.events.impact_detection import ImpactScan, _match
 from analysis.events.impact_template import LEAD, ImpactTemplate, echo_samples, template_from_snippets
 from analysis.signals.stream import PAD
 
@@ -42,3 +42,13 @@ def test_no_impact_is_detected_before_itself_at_the_end_of_a_piece(waveform: Imp
     scan.add(volts[: middle + PAD], PAD, PAD, middle - PAD)
     scan.add(volts[middle - PAD :], middle, PAD, 4000 - middle - PAD)
     assert scan.impacts().time_s * RATE_HZ == pytest.approx([2000.3], abs=0.3)
+
+
+def test_the_filter_is_the_correlation_with_its_taps(waveform: ImpactTemplate) -> None:
+    """What the filter gives at every sample, over tiles whole and broken, is NumPy's correlation."""
+    rng = np.random.default_rng(8)
+    volts = rng.normal(0.0, 1.0, 2 * PAD + 777).astype(np.float32)
+    out, found = np.empty(777, np.float32), np.empty(800, np.int64)
+    _match(volts, PAD, 777, waveform.taps, np.float32(1e9), out, found)
+    own = volts[PAD - LEAD : PAD - LEAD + 777 + waveform.taps.size - 1]
+    np.testing.assert_allclose(out, np.correlate(own.astype(np.float64), waveform.taps), rtol=0, atol=2e-5)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from analysis.flights.scan import plate_of
-from analysis.plate.accumulator import PlatePiece, block_width
+from analysis.plate.accumulator import PlatePiece, _classify, block_width
+from analysis.plate.step_state import CONTACT, FLIGHT, N_MASK_LEVELS, NEITHER
 from daq.files.tables import Block
 from daq.recording import RecordingWriter, open_recording
 
@@ -45,3 +46,18 @@ def test_a_tone_keeps_its_phase_over_two_gaps(make, tmp_path: Path, lost: tuple[
     assert whole is not None and step is not None
     assert step.acceleration.rms == pytest.approx(whole.acceleration.rms, rel=0.05)
     assert abs(step.tone(1)[0] - whole.tone(1)[0]) < 5.0 * whole.acceleration.amplitude_sigma()[0]
+
+
+def test_blocks_know_the_place_and_the_time_since_the_last_impact() -> None:
+    """Each block's class is its place by the contact voltage, and how many masks it is clear of, written out."""
+    rng = np.random.default_rng(4)
+    first, masks = 1000, np.array([2, 3, 5, 7, 10])
+    impacts = np.sort(rng.integers(990, 1400, 25))
+    begins, fraction = impacts - 1, rng.choice([0.0, 0.05, 0.5, 0.95, 1.0], 420).astype(np.float32)
+    found = np.empty(420, np.int8)
+    _classify(first, fraction, begins, impacts, masks, found)
+    for i, part in enumerate(fraction.tolist()):
+        before = impacts[begins <= first + i]
+        level = int(np.sum(masks < first + i - before[-1])) if before.size else N_MASK_LEVELS - 1
+        place = FLIGHT if part > 0.9 else CONTACT if part < 0.1 else NEITHER
+        assert found[i] == place * N_MASK_LEVELS + level

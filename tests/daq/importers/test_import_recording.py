@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
 from daq.export.export import export
-from daq.importers.formats.columns import assign, parse_map, split_name
+from daq.importers.formats.columns import PIECE_ROWS, assign, parse_map, split_name
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
 from daq.recording import open_recording, verify
@@ -76,6 +76,22 @@ def test_csv_plain_and_packed(tmp_path: Path, setup: Setup, columns: Columns) ->
     check(tmp_path / "a.h5", columns, bring_in(raw, tmp_path / "a.h5", setup))
     (tmp_path / "b.csv.gz").write_bytes(gzip.compress(raw.read_bytes()))
     check(tmp_path / "b.h5", columns, bring_in(tmp_path / "b.csv.gz", tmp_path / "b.h5", setup))
+
+
+def test_a_chunk_longer_than_a_piece_is_unpacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns of an HDF5 file are opened once each, so that HDF5 keeps the chunk that two pieces share."""
+    path, n = tmp_path / "foreign.h5", 4 * PIECE_ROWS
+    with h5py.File(path, "w") as file:
+        file.create_dataset("accelerometer_v", data=np.arange(n, dtype=np.int16), chunks=(n,), compression="gzip")
+        file.create_dataset("pair", data=np.arange(2 * n).reshape(n, 2), chunks=(n, 2))
+    source = open_source(path)
+    opened: list[str] = []
+    get = h5py.File.__getitem__
+    monkeypatch.setattr(h5py.File, "__getitem__", lambda file, name: (opened.append(name), get(file, name))[1])
+    rows = [piece.columns for piece in source.pieces(["accelerometer_v", "pair[1]"])]
+    assert len(rows) == 4
+    np.testing.assert_array_equal(np.concatenate([r["pair[1]"] for r in rows]), np.arange(1, 2 * n, 2))
+    assert opened.count("accelerometer_v") <= 2 and opened.count("pair") <= 2  # before reading, and for it
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t"])

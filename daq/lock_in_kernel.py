@@ -1,0 +1,141 @@
+"""Inner loops of `daq.lock_in`: sums over values, and inverses of normal matrices.
+
+Sums run along memory, so that the processor takes several values at a time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kernels import njit
+
+RESYNC = 512  # samples between exact restarts of the rotating phasors: rounding stays below 1e-13
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
+    """Add the normal equations of the rows of ``x`` to those of their sort.
+
+    In each stretch of `RESYNC` values those of one sort stand together, so that the sums run along memory.
+    """
+    n, channels = x.shape
+    k, sorts = cycles.shape[0], grams.shape[0]
+    p = 2 * k + 1
+    rows = np.empty((p + channels, RESYNC + 8))  # not a power of two: rows must not share cache lines' places
+    ends = np.empty(sorts + 1, dtype=np.int64)
+    order = np.empty(RESYNC, dtype=np.uint64)  # unsigned: signed indices may count from the end, and are not vectorised
+    cosine, sine = np.empty((k, RESYNC)), np.empty((k, RESYNC))  # of the turn since a stretch's first value
+    for j in range(k):
+        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
+        for i in range(min(RESYNC, n)):
+            cosine[j, i], sine[j, i] = turn.real, turn.imag
+            turn *= step
+    for begin in range(0, n, RESYNC):
+        size = min(RESYNC, n - begin)
+        ends[:] = 0
+        for i in range(begin, begin + size):
+            if sort[i] >= 0:
+                ends[sort[i] + 1] += 1
+        for s in range(sorts):
+            counts[s] += ends[s + 1]
+            ends[s + 1] += ends[s]
+        used = ends[sorts]
+        for i in range(size):
+            s = sort[begin + i]
+            if s >= 0:
+                order[ends[s]] = i
+                ends[s] += 1
+        rows[0, :used] = 1.0
+        for j in range(k):
+            phase = cycles[j] * (first + begin)
+            start = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
+            a, b = start.real, start.imag
+            for at in range(used):
+                c, d = cosine[j, order[at]], sine[j, order[at]]
+                rows[2 * j + 1, at] = a * c - b * d
+                rows[2 * j + 2, at] = -(a * d + b * c)
+        for c in range(channels):
+            for at in range(used):
+                rows[p + c, at] = x[begin + order[at], c]
+        start_at = 0
+        for s in range(sorts):
+            stop = ends[s]
+            if stop > start_at:
+                _add_products(rows, start_at, stop, grams[s], sides[s], squares[s])
+            start_at = stop
+    for s in range(sorts):
+        for a in range(p):
+            for b in range(a):
+                grams[s, b, a] = grams[s, a, b]
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-untyped-def]
+    """Add products summed over columns ``start`` to ``stop``: tones with tones, channels with tones and themselves."""
+    p = gram.shape[0]
+    for a in range(rows.shape[0]):
+        own = rows[a, start:stop]
+        for b in range(min(a + 1, p)):
+            other, total = rows[b, start:stop], 0.0
+            for i in range(own.size):
+                total += own[i] * other[i]
+            if a < p:
+                gram[a, b] += total
+            else:
+                side[b, a - p] += total
+        if a >= p:
+            total = 0.0
+            for i in range(own.size):
+                total += own[i] * own[i]
+            square[a - p] += total
+
+
+@njit(error_model="numpy")
+def invert(grams, inverses):  # type: ignore[no-untyped-def]
+    """Inverses of normal matrices (m, p, p) by Cholesky factors, each scaled to a unit diagonal before.
+
+    Returns the first that has none in double precision (condition number of 1e10 or more), -1 where all have.
+    """
+    p = grams.shape[1]
+    scale, root, left = np.empty(p), np.zeros((p, p)), np.zeros((p, p))
+    for m in range(grams.shape[0]):
+        gram, inverse = grams[m], inverses[m]
+        for i in range(p):
+            scale[i] = 1.0 / np.sqrt(max(gram[i, i], 1e-300))
+        norm = 0.0
+        for i in range(p):
+            size = 0.0
+            for j in range(p):
+                size += abs(gram[i, j]) * scale[i] * scale[j]
+            norm = max(norm, size)
+        for j in range(p):
+            for i in range(j, p):
+                total = gram[i, j] * scale[i] * scale[j]
+                for k in range(j):
+                    total -= root[i, k] * root[j, k]
+                if i > j:
+                    root[i, j] = total / root[j, j]
+                elif total > 0.0:
+                    root[j, j] = np.sqrt(total)
+                else:
+                    return m
+        for j in range(p):  # rows of ``left``: columns of the factor's inverse
+            left[j, j] = 1.0 / root[j, j]
+            for i in range(j + 1, p):
+                total = 0.0
+                for k in range(j, i):
+                    total -= root[i, k] * left[j, k]
+                left[j, i] = total / root[i, i]
+        back = 0.0
+        for i in range(p):
+            size = 0.0
+            for j in range(p):
+                total = 0.0
+                for k in range(max(i, j), p):
+                    total += left[i, k] * left[j, k]
+                inverse[i, j] = total * scale[i] * scale[j]
+                size += abs(total)
+            back = max(back, size)
+        if not norm * back < 1e10:
+            return m
+    return -1
