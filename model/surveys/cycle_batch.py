@@ -60,6 +60,7 @@ CHAOTIC = 5
 OUTCOME_SIZE = 6
 OPEN = -1  # FLIGHTS of an orbit that is left to `model.orbits.attractor`
 BLOCK = 512  # rows whose tables are made at once
+FIRST_LOOK = 64  # flights after which a locked cycle is looked for first: many orbits have arrived by then
 
 
 @compiled
@@ -143,25 +144,26 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
         count = whole[COUNT, lane]
         phases, speeds = flights[PHASES, lane], flights[SPEEDS, lane]
         near = False
-        unstable = 0  # flights of an unstable cycle found: only its doublings can be what the orbit is near
+        tried = 0  # flights of a cycle found where the orbit is not: only its doublings can be what the orbit is near
         for n in range(1, LONGEST_LOCKED + 1):
-            if n == 2 * unstable:
-                unstable = n
-            elif unstable > 0:
+            if n == 2 * tried:
+                tried = n
+            elif tried > 0:
                 continue
             if not repeating(phases, speeds, count, n, NEAR):
                 continue
             near = True
             ok, periods, multiplier = close(tones, turning, work, lane, both, n, cycle)
+            if ok:
+                tried = n
             if not ok or not multiplier < 1.0:
-                unstable = n if ok else unstable
                 continue
             off, start = math.inf, 0
             for k in range(n):
                 off = min(off, abs(fold(cycle[PHASES, k] - phases[count - 1] + math.pi, 0.0) - math.pi))
                 if fold(cycle[PHASES, k], 0.0) < fold(cycle[PHASES, start], 0.0):
                     start = k
-            if off < ARRIVED or (multiplier > SLOW and off < NEAR):
+            if off < ARRIVED or (count >= FEW_FLIGHTS and multiplier > SLOW and off < NEAR):
                 outcome[LOCKED], outcome[PERIOD], outcome[FLIGHTS] = 1, periods, n
                 for k in range(min(n, kept.shape[0])):
                     kept[k] = cycle[TAUS, (start + k) % n]
@@ -212,7 +214,7 @@ def _fly_of(leave: Callable[..., Any], advance: Callable[..., Any], finish: Call
         work, whole, flights, marks, cycle = arrays
         stride = TABLE * (turning.shape[0] + 2)
         highest = np.sum(np.abs(tones[:, 1]))
-        limit = min(FEW_FLIGHTS, flights.shape[2]) if closes else flights.shape[2]
+        limit = min(FIRST_LOOK, flights.shape[2]) if closes else flights.shape[2]
         taken = flown = 0
         whole[STATUS] = IDLE
         while True:
