@@ -19,7 +19,7 @@ from model.flight.edge_table import TABLE, fill_tables
 from model.flight.numerics import Floats, compiled
 from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
 from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, NEAR, SLOW
-from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, repeating
+from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, nearest_turn, repeating
 from model.orbits.lane_state import (
     CLOSED,
     COUNT,
@@ -144,6 +144,7 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
         count = whole[COUNT, lane]
         phases, speeds = flights[PHASES, lane], flights[SPEEDS, lane]
         near = False
+        stable = False
         tried = 0  # flights of a cycle found where the orbit is not: only its doublings can be what the orbit is near
         for n in range(1, LONGEST_LOCKED + 1):
             if n == 2 * tried:
@@ -154,8 +155,11 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
                 continue
             near = True
             ok, periods, multiplier = close(tones, turning, work, lane, both, n, cycle)
+            again = abs(nearest_turn(cycle[PHASES, 0] - cycle[PHASES, n // 2])) < ARRIVED and n > 1
+            if ok and again and stable:
+                break  # the double of a stable cycle is that cycle
             if ok:
-                tried = n
+                tried, stable = n, multiplier < 1.0
             if not ok or not multiplier < 1.0:
                 continue
             off, start = math.inf, 0
