@@ -8,10 +8,10 @@ a lane whose orbit is done takes the next.
 from __future__ import annotations
 
 from kernels.lanes import WIDTH, select, spread, store
+from model.flight.branch_walk import branch_at, fold_onto
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.friction import MOST_SEGMENTS, fall, rebound_or_rest, rise
-from model.flight.branch_walk import branch_at, fold_onto
 from model.flight.friction_lanes import end_of_segment, hang_in_lanes
 from model.flight.numerics import Floats, compiled, inlined
 from model.flight.records import Segment

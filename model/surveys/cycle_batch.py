@@ -149,8 +149,8 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
         count = whole[COUNT, lane]
         phases, speeds = flights[PHASES, lane], flights[SPEEDS, lane]
         near = False
-        stable = False
-        tried = 0  # flights of a cycle found where the orbit is not: only its doublings can be what the orbit is near
+        # flights of a cycle found where the orbit is not: only its doublings can be what the orbit is near
+        tried, stable = 0, False
         for n in range(1, LONGEST_LOCKED + 1):
             if n == 2 * tried:
                 tried = n
@@ -160,12 +160,12 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
                 continue
             near = True
             ok, periods, multiplier = close(tones, turning, work, lane, both, n, cycle)
-            again = abs(nearest_turn(cycle[PHASES, 0] - cycle[PHASES, n // 2])) < ARRIVED and n > 1
-            if ok and again and stable:
+            if not ok:
+                continue
+            if stable and abs(nearest_turn(cycle[PHASES, 0] - cycle[PHASES, n // 2])) < ARRIVED:
                 break  # the double of a stable cycle is that cycle
-            if ok:
-                tried, stable = n, multiplier < 1.0
-            if not ok or not multiplier < 1.0:
+            tried, stable = n, multiplier < 1.0
+            if not stable:
                 continue
             off, start = math.inf, 0
             for k in range(n):
@@ -299,7 +299,7 @@ def _batch_of(
         """`fly` with arrays whose references are not counted: its caller owns them."""
         both, work, whole, flights, marks, cycle = lanes
         made, n_up, n_down, scaled, found = tables
-        return fly(  # type: ignore[no-any-return]
+        return fly(
             borrowed(tones), borrowed(turning), borrowed(gammas), borrowed(laws), closes, borrowed(outcome),
             borrowed(kept), (
                 borrowed(both), borrowed(work), borrowed(whole), borrowed(flights), borrowed(marks), borrowed(cycle)
@@ -327,7 +327,7 @@ def _batch_of(
         )  # fmt: skip
         outcome[:] = 0
         kept[:] = math.nan
-        return fly_lent(tones, turning, gammas, laws, closes, outcome, kept, lanes, tables)  # type: ignore[no-any-return]
+        return fly_lent(tones, turning, gammas, laws, closes, outcome, kept, lanes, tables)
 
     return cycle_batch
 
