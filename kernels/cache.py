@@ -8,6 +8,7 @@ the versions of numba, llvmlite, Python and this package.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import pickle
 from collections.abc import Callable
@@ -15,12 +16,13 @@ from types import FunctionType
 from typing import Any, cast
 
 import numba
-from numba.core import compiler, config, serialize
+from numba.core import compiler, config, event, serialize
 from numba.core.caching import NullCache
 from numba.extending import is_jitted
 
 from kernels import folder
 from kernels.fingerprint import fingerprint, fingerprint_of_closure
+from kernels.nested import for_callers
 
 DIGEST_BYTES = 32
 _CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
@@ -44,12 +46,37 @@ def njit(**options: Any) -> Any:
         if isinstance(function, FunctionType) and function.__closure__:
             # the machine code of two of one name must not share a symbol
             function.__qualname__ = f"{function.__qualname__}_{fingerprint_of_closure(function)[:12]}"
-        dispatcher = numba.njit(**{**options, "cache": False})(function)
+        dispatcher = numba.njit(**{**options, "cache": False, "no_cfunc_wrapper": True})(function)
         if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
             cast(Any, dispatcher)._cache = KernelCache(dispatcher)
+            for_callers(dispatcher, function, options)
         return dispatcher
 
     return compiled
+
+
+class _NoOldGarbage(event.Listener):
+    """Compiling makes millions of objects: the collector need not look again and again at all that was there before."""
+
+    def __init__(self) -> None:
+        self._deep, self._ours = 0, False
+
+    def on_start(self, started: Any) -> None:
+        """Set aside what is there when the outermost kernel begins, unless somebody has."""
+        if self._deep == 0:
+            self._ours = gc.get_freeze_count() == 0
+            if self._ours:
+                gc.freeze()
+        self._deep += 1
+
+    def on_end(self, ended: Any) -> None:
+        """Take it back when that kernel is done."""
+        self._deep -= 1
+        if self._deep == 0 and self._ours:
+            gc.unfreeze()
+
+
+cast(Any, event).register("numba:compile", _NoOldGarbage())
 
 
 class KernelCache(NullCache):

@@ -95,11 +95,13 @@ class Judge:
 
         The penalty counts its parameters and the prior of the calibrations that it moves.
         """
-        passing = [x for x in found if self.refusal(best, x, depth, chance) is None]
-        if not passing:
+        ranked = sorted(found, key=lambda x: float(x.per_step[self.train].sum()))
+        passing = (x for x in ranked if self.refusal(best, x, depth, chance) is None)
+        top = next(passing, None)
+        if top is None:
             return None
-        top = min(passing, key=lambda x: float(x.per_step[self.train].sum()))
-        close = [x for x in passing if self.tied(top, x)]
+        after = ranked[ranked.index(top) + 1 :]  # what chance does is drawn for those alone that could be chosen
+        close = [top, *(x for x in after if self.tied(top, x) and self.refusal(best, x, depth, chance) is None)]
         costs = [x.fitted.prior_penalty + self.limits.tie_nats * len(x.free) for x in close]
         return close[penalised_best(top.per_step, [x.per_step for x in close], costs, self.train)]
 

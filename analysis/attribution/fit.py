@@ -107,8 +107,8 @@ class Fitter:
         start
             Where to begin; missing ones begin at their prior's mean or null value.
         slopes
-            Known derivatives of the bare residuals, for parameters that are not free: they save predictions where the
-            point has not moved far.
+            Known derivatives of the bare residuals: they save predictions where the point has not moved far. Those of
+            free parameters count for the first step alone.
         """
         always = [k for k in self.priors if k not in free]
         keys = [*free, *always]
@@ -121,7 +121,7 @@ class Fitter:
         bare = np.zeros((len(raw), len(keys)))
         known = dict(slopes or {})
         for j, key in enumerate(keys):
-            if key in known and j >= len(free):
+            if key in known:
                 bare[:, j] = known[key]
             else:
                 state.fill(bare, x, raw, (j,))
@@ -149,7 +149,8 @@ class Fitter:
     ) -> tuple[float, dict[ParameterId, float]]:
         """Gain in nats of freeing ``free`` if residuals were linear, and the values there.
 
-        Shape parameters stay where ``shapes`` puts them.
+        What ``best`` itself would gain by another step is not counted. Shape parameters stay where ``shapes`` puts
+        them.
         """
         keys = [*free, *(k for k in best.keys if k not in free)]
         at = {**best.values, **(shapes or {})}
@@ -159,8 +160,11 @@ class Fitter:
         sizes = [j for j, k in enumerate(free) if not parameter_of(k).is_shape]
         state.fill(bare, x, best.raw, sizes, kept=True)
         normal, gradient = state.normal(bare, best.raw, x, state.mask)
-        step = _solve(normal, gradient, 1e-6, state.low - x, state.high - x)
-        return float(step @ gradient - 0.5 * step @ normal @ step), self.values(keys, x + step)
+        low, high, rest = state.low - x, state.high - x, slice(len(free), None)
+        step = _solve(normal, gradient, 1e-6, low, high)
+        without = _solve(normal[rest, rest], gradient[rest], 1e-6, low[rest], high[rest])
+        gain = _linear_gain(normal, gradient, step) - _linear_gain(normal[rest, rest], gradient[rest], without)
+        return gain, self.values(keys, x + step)
 
     def slope(self, best: Fitted, key: ParameterId, shapes: Mapping[ParameterId, float] | None = None) -> Array:
         """Derivative of the bare residuals to one parameter beyond ``best``, its shapes where ``shapes`` puts them."""
@@ -269,6 +273,11 @@ def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: 
         step[beyond] = np.clip(step, below, above)[beyond]
         loose &= ~beyond
     return step
+
+
+def _linear_gain(normal: Array, gradient: Array, step: Array) -> float:
+    """Gain of a step in the quadratic model, nats."""
+    return float(step @ gradient - 0.5 * step @ normal @ step)
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,12 @@ from analysis.parallel import THREADS
 from analysis.residuals.forward_model import TREND, ParameterId, plate_effects
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
-from model.effects.registry import trend_name
+from model.effects.registry import effect, trend_name
 
 Tried = Callable[[Candidate], None]
 
 MOST_DRIFTING, DRIFTING_NATS = 4, 100.0  # strong candidates of a round that are tried with a drift; their least gain
+SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
@@ -74,7 +75,8 @@ class Proposals:
 
         with ThreadPoolExecutor(THREADS) as pool:
             found = [x for x in pool.map(one, options) if x is not None]
-            found += self._from_afar(best, far, pool, tried) if far else []
+            if far and not self._settled(found):
+                found += self._from_afar(best, far, pool, tried)
             return found + self._drifting(best, found, pool)
 
     def _drifting(self, best: Hypothesis, found: Sequence[Hypothesis], pool: ThreadPoolExecutor) -> list[Hypothesis]:
@@ -82,14 +84,9 @@ class Proposals:
 
         Without it, a cause that drifts widely loses to another cause that happens to follow the drift.
         """
-        train = self.refits.train
-
-        def loss(x: Hypothesis) -> float:
-            return float(x.per_step[train].sum())
-
         strong: dict[tuple[str, ...], Hypothesis] = {}
-        for x in sorted(found, key=loss):
-            if loss(best) - loss(x) > DRIFTING_NATS:
+        for x in sorted(found, key=self._loss):
+            if self._loss(best) - self._loss(x) > DRIFTING_NATS:
                 strong.setdefault(x.names, x)
         if not strong or self.refits.noise_like(next(iter(strong.values())), self.noise_like_ratio):
             return []
@@ -102,6 +99,15 @@ class Proposals:
 
         return [x for x in pool.map(drifting, list(strong.values())[:MOST_DRIFTING]) if x is not None]
 
+    def _loss(self, x: Hypothesis) -> float:
+        """Held-out loss."""
+        return float(x.per_step[self.refits.train].sum())
+
+    def _settled(self, found: Sequence[Hypothesis]) -> bool:
+        """Whether the best of the fits from nearby has found the lost landings and leaves no more than noise."""
+        top = min(found, key=self._loss, default=None)
+        return top is not None and not top.whitener.lost and self.refits.noise_like(top, self.noise_like_ratio)
+
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here."""
         taken = set(best.free)
@@ -113,14 +119,16 @@ class Proposals:
         starts = sorted([*listed, *led], key=lambda pair: pair[0])
         level = self.refits.profile_loss(best.whitener, best.fitted.values)
         added = (*best.candidates, Candidate(candidate.names, free))
-        plate_only = set(candidate.names) <= plate_effects()  # cheap: no flight has to be predicted anew
+        plate_only = set(candidate.names) <= plate_effects()
         if level - starts[0][0] >= self.least_nats:
             two = (listed[0], starts[0]) if plate_only and led else distinct_starts(starts, free, with_size=plate_only)
             fits = [self._fitted_from(best, (*best.free, *free), p) for _, p in two]
             return self.refits.scored(added, min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values)))
-        if not plate_only and promised < self.least_nats:
+        cheap = plate_only and (not best.free or bool(SQUARED_HOOKS & effect(candidate.names[0]).hooks.keys()))
+        if not cheap and promised < self.least_nats:
             return None
-        fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], best.fitted.slopes)
+        known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
+        fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
         gained = max(best.fitted.loss - fitted.loss, level - self.refits.profile_loss(best.whitener, fitted.values))
         if gained < self.least_nats:
             return Hypothesis(added, fitted, best.whitener, fitted.held_out(best.whitener))

@@ -70,7 +70,7 @@ class StepwiseSelection:
         """Add effects one after the other while held-out steps gain."""
         before = self.declared()
         best, rounds, tried = before, list[str](), list[Hypothesis]()
-        rivals: list[Hypothesis] = []
+        rivals, found = list[Hypothesis](), list[Hypothesis]()
         refused: list[Rejected] = []
         chance: list[ChanceTest] = []
         rng = generator_of(self.world)
@@ -80,7 +80,10 @@ class StepwiseSelection:
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
             options = remaining_candidates(self.library, best) if depth else self.library
+            plain = self._special_case(best, found) if depth else None
             found = self._round(best, options, depth)
+            if plain is not None:
+                found += self._round(plain, remaining_candidates(self.library, plain, best.names), depth)
             tried = tried if depth else found
             accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
@@ -88,7 +91,7 @@ class StepwiseSelection:
             if accepted is None:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best_by_chance(chance, depth)}")
                 break
-            gain, added = self.judge.gain(best, accepted), " + ".join(accepted.candidates[-1].names)
+            gain, added = self.judge.gain(best, accepted), _added(best, accepted)
             rounds.append(
                 f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats "
                 f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
@@ -121,6 +124,16 @@ class StepwiseSelection:
             self.progress(name, (depth + part) / self.limits.most_effects)
 
         return self.proposals.round(best, options, progress)
+
+    def _special_case(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+        """Of a round the best hypothesis with a special case in place of the one that was added; None without one.
+
+        A fuller form may stand in for its special case and a second cause; no step leads from there to both of them.
+        """
+        last = best.candidates[-1].names
+        cases = contained_in(last) - set(last)
+        same = [x for x in found if x.candidates[:-1] == best.candidates[:-1] and set(x.candidates[-1].names) <= cases]
+        return min(same, key=lambda x: float(x.per_step[self.train].sum()), default=None)
 
     def _accepted(
         self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, null: ChanceGains
@@ -157,6 +170,14 @@ class StepwiseSelection:
         return tuple(out)
 
 
+def _added(best: Hypothesis, accepted: Hypothesis) -> str:
+    """What an accepted hypothesis adds to the best one, in words, and what it replaces."""
+    gone = [name for name in best.names if name not in accepted.names]
+    if not gone:
+        return " + ".join(accepted.candidates[-1].names)
+    return f"{' + '.join(n for n in accepted.names if n not in best.names)} in place of {' + '.join(gone)}"
+
+
 def _probability(test: ChanceTest) -> str:
     """The probability in words; where no draw gained so much, the bound."""
     return f"p < {test.p:.1g}" if test.p < 1.5 / DRAWS else f"p = {test.p:.2g}"
@@ -170,8 +191,8 @@ def _best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
     return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {_probability(best)} by chance)"
 
 
-def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis) -> list[Candidate]:
-    """Candidates that are not named yet, fuller forms of those that are, and trends of what is free."""
+def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis, without: Sequence[str] = ()) -> list[Candidate]:
+    """Candidates not named yet nor ``without``, fuller forms of those that are, and trends of what is free."""
     taken, names = set(best.free), set(best.names)
     own = {name: {k for k in taken if k[0] == name} for name in names}
     more = [
@@ -179,4 +200,4 @@ def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis) -> list[Ca
         for c in pool
         if not set(c.names) & names or (len(c.names) == 1 and own[c.names[0]] and own[c.names[0]] < set(c.free))
     ]
-    return more + trends_of(best.free)
+    return [c for c in more if not set(c.names) & set(without)] + trends_of(best.free)

@@ -158,8 +158,8 @@ def divergences(total: Array, known: Weighed, some: Sequence[Explanation]) -> Ar
     k = len(known.keys)
     out = np.zeros((len(some), len(some)))
     for j, rival in enumerate(some):
-        rows = np.array([i for i, key in enumerate(known.keys) if i < known.shared or key in rival.free])
-        inner = known.information[np.ix_(rows, rows)] + total[np.ix_(rows, rows)]
+        rows, inner = known.known_under(rival)
+        inner = inner + total[np.ix_(rows, rows)]
         for i in range(len(some)):
             if i == j:
                 continue
@@ -177,8 +177,8 @@ def mutual_information(probability: Array, divergence: Array) -> float:
 
 def sharpened(total: Array, known: Weighed, wanted: Sequence[ParameterId]) -> float:
     """Nats gained about the parameters ``wanted``: logarithms of the ratio of their deviations before and after."""
-    some = [i for i, key in enumerate(known.keys) if i < known.shared or key in known.explanations[0].free]
-    before = known.information[np.ix_(some, some)] + 1e-9 * np.eye(len(some))
+    rows, before = known.known_under(known.explanations[0])
+    some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
     after = before + total[np.ix_(some, some)]
     places = [
         some.index(known.keys.index(key)) for key in wanted if key in known.keys and known.keys.index(key) in some
@@ -197,9 +197,9 @@ def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[
     tuple
         Calibrations, each of which would at least halve that deviation, were it known exactly.
     """
-    some = [i for i, k in enumerate(known.keys) if i < known.shared or k in known.explanations[0].free]
+    rows, before = known.known_under(known.explanations[0])
+    some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
     own = [known.keys[i] for i in some].index(key)
-    before = known.information[np.ix_(some, some)] + 1e-9 * np.eye(len(some))
     every = np.sum([pool.products.sum(axis=0)[np.ix_(some, some)] for pool in pools], axis=0)
     now, then = np.linalg.inv(before), np.linalg.inv(before + ENDLESS * every)
     given = then[own, own] - then[own] ** 2 / np.diag(then)  # variance, were the other known

@@ -12,7 +12,7 @@ D. J. C. MacKay, Neural Comput. 4, 415 (1992): evidence of linear models with no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,19 +63,28 @@ class Weighed:
     keys
         Calibrations and nuisances first (``shared`` of them), then what explanations free; K in all.
     information
-        Of the coordinates of ``keys`` from the recordings and the priors of what is shared, (K, K).
+        Of the coordinates of ``keys`` from the recordings alone, (K, K).
+    stiffness
+        What the calibrations tell about them, one over their variances, (K,); 0 for what has none.
     """
 
     explanations: tuple[Explanation, ...]
     keys: tuple[ParameterId, ...]
     shared: int
     information: Array
+    stiffness: Array
 
-    @property
-    def entropy(self) -> float:
-        """Of the probabilities, nats: what is not known yet."""
-        p = np.array([x.probability for x in self.explanations])
-        return float(-np.sum(p * np.log(np.maximum(p, 1e-300))))
+    def known_under(self, x: Explanation) -> tuple[NDArray[np.int64], Array]:
+        """Places in ``keys`` of what ``x`` leaves open, and the information on them: it frees its own calibrations."""
+        rows = np.array([i for i, key in enumerate(self.keys) if i < self.shared or key in x.free], dtype=np.int64)
+        own = np.array([self.keys[i] in x.free for i in rows], dtype=bool)
+        return rows, self.information[np.ix_(rows, rows)] + np.diag(np.where(own, 0.0, self.stiffness[rows]))
+
+    def among(self, names: Sequence[tuple[str, ...]]) -> Weighed:
+        """The same with the explanations ``names`` alone, where the others are not in question."""
+        some = [x for x in self.explanations if x.names in names]
+        total = sum(x.probability for x in some)
+        return replace(self, explanations=tuple(replace(x, probability=x.probability / total) for x in some))
 
 
 def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequence[Hypothesis] = ()) -> Weighed:
@@ -94,17 +103,22 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     at = {**_shapes(library), **best.fitted.values}
     sizes = [tuple(k for k in c.free if not parameter_of(k).is_shape) for c in library]
     shared = tuple(dict.fromkeys((*fitter.priors, *best.free)))
-    keys = (*shared, *dict.fromkeys(k for own in sizes for k in own))
+    keys = tuple(dict.fromkeys((*shared, *(k for own in sizes for k in own))))
     raw, slopes = slopes_of(world, fitter, best.whitener, at, keys)
     gradient, information = gradient_and_information(best.whitener, raw, slopes)
-    stiffness = _prior_widths(fitter, shared, frozenset(best.free))
-    information[np.diag_indices(len(shared))] += stiffness
-    gradient[: len(shared)] -= stiffness * [_off_prior(fitter, key, at) for key in shared]
+    stiffness = _prior_widths(fitter, keys)
+    fit = _Fit(
+        information,
+        gradient,
+        stiffness=np.where([k in best.free for k in keys], 0.0, stiffness),
+        off=np.array([_off_prior(fitter, key, at) for key in keys]),
+        shared=len(shared),
+    )
     logs, found = [0.0], [Explanation(best.names, best.free, best.fitted.values, 0.0)]
     for candidate, own in zip(library, sizes, strict=True):
-        rows = np.array([len(shared) + keys[len(shared) :].index(k) for k in own], dtype=np.int64)
-        log, mean, deviation = _evidence(information, gradient, np.arange(len(shared)), rows)
+        nulls = np.array([fitter.to_x(k, null_value_of(k)) for k in own])
         x = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in own])
+        log, mean, deviation = fit.evidence(np.array([keys.index(k) for k in own], dtype=np.int64), x - nulls)
         x = x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation
         bounds = np.array([fitter.bounds(k, released=True) for k in own])
         values = {**at, **fitter.values(own, np.clip(x, bounds[:, 0], bounds[:, 1]))}
@@ -114,7 +128,7 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
         if rival.names != best.names:
             logs.append(0.0)
             found.append(Explanation(rival.names, rival.free, rival.fitted.values, 0.0))
-    return Weighed(_normalised(found, np.array(logs)), keys, len(shared), information)
+    return Weighed(_normalised(found, np.array(logs)), keys, len(shared), information, stiffness)
 
 
 def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
@@ -127,12 +141,12 @@ def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
     }
 
 
-def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> Array:
+def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId]) -> Array:
     """Inverse squared prior widths in coordinates; 0 for what has none."""
     out = np.zeros(len(keys))
     for i, key in enumerate(keys):
         prior = fitter.priors.get(key)
-        if prior is not None and key not in released:
+        if prior is not None:
             out[i] = (fitter.scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)) ** 2
     return out
 
@@ -143,23 +157,57 @@ def _off_prior(fitter: Fitter, key: ParameterId, at: Values) -> float:
     return 0.0 if prior is None else float(fitter.to_x(key, at[key]) - fitter.to_x(key, prior.mean))
 
 
-def _evidence(
-    information: Array, gradient: Array, shared: NDArray[np.int64], own: NDArray[np.int64]
-) -> tuple[float, Array, Array]:
-    """Log evidence of freeing ``own`` over not freeing it, and mean and deviation of its coordinates.
+@dataclass(frozen=True)
+class _Fit:
+    """The linear model around a fit of K coordinates.
 
-    A fit leaves a gradient of its own precision; the shared coordinates follow it first, else a candidate that they
-    nearly replace would seem to explain it.
+    Attributes
+    ----------
+    information, gradient
+        Of the data, (K, K) and (K,).
+    stiffness, off
+        One over the variance of each calibration that the fit holds to, and its distance from what is stated, (K,).
+    shared
+        How many of the coordinates the fit varies; they come first.
     """
-    inner = information[np.ix_(shared, shared)]
-    cross = information[np.ix_(shared, own)]
-    follow = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
-    profiled, score = information[np.ix_(own, own)] - cross.T @ follow, gradient[own] - follow.T @ gradient[shared]
-    precision = 0.5 * (profiled + profiled.T) + np.eye(len(own))  # a normal prior of one unit: the size that matters
-    covariance = np.linalg.inv(precision)
-    mean = covariance @ score
-    log = 0.5 * float(score @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
-    return log, mean, np.sqrt(np.diag(covariance))
+
+    information: Array
+    gradient: Array
+    stiffness: Array
+    off: Array
+    shared: int
+
+    def evidence(self, own: NDArray[np.int64], at: Array) -> tuple[float, Array, Array]:
+        """Log evidence of freeing ``own`` over not freeing it, and how far its coordinates then move, and deviations.
+
+        Each has a normal prior of one unit, the size that matters, around nothing; the fit has it ``at`` so much. A
+        calibration that is freed no longer has its own prior. A fit leaves a gradient of its own precision; what is
+        shared follows it first, else a candidate that it nearly replaces would seem to explain it.
+        """
+        shared = np.setdiff1d(np.arange(self.shared), own)
+        inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
+        cross = self.information[np.ix_(shared, own)]
+        follow = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+        profiled = self.information[np.ix_(own, own)] - cross.T @ follow
+        score = self.gradient[own] - follow.T @ (self.gradient - self.stiffness * self.off)[shared]
+        held = own < self.shared  # calibrations that the fit varies, too, by their own priors
+        places = own[held]
+        before = _log_evidence(profiled[np.ix_(held, held)], score[held], self.stiffness[places], self.off[places])
+        after = _log_evidence(profiled, score, np.ones(len(own)), at)
+        return after[0] - before[0], after[1], after[2]
+
+
+def _log_evidence(information: Array, score: Array, precision: Array, off: Array) -> tuple[float, Array, Array]:
+    """Log evidence of a linear model with normal priors ``off`` from here, and mean and deviation of its coordinates.
+
+    MacKay (1992), equation 2.5; without the factor that all models of the same data share.
+    """
+    known = 0.5 * (information + information.T) + np.diag(precision)
+    pull = score - precision * off
+    covariance = np.linalg.inv(known)
+    mean = covariance @ pull
+    log = pull @ mean - np.linalg.slogdet(known)[1] + np.sum(np.log(precision)) - np.sum(precision * off**2)
+    return 0.5 * float(log), mean, np.sqrt(np.diag(covariance))
 
 
 def _normalised(found: Sequence[Explanation], logs: Array) -> tuple[Explanation, ...]:

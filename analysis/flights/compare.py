@@ -6,6 +6,8 @@ accelerometer shows no impacts, the model's flights are passed through the conta
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +34,8 @@ CYCLES_SHOWN = 4  # cycles passed through the contact sensor's limits
 MATCH_SAMPLES = 1.0  # distance to a predicted flight time that counts as a match
 BOUNCE_PART = 0.02  # longest bounce, in units of the longest predicted flight
 BIFURCATION_STEPS = 200
+BIFURCATION_SHARP, NARROWEST = 1e-6, 1e-4  # gamma: of a predicted change, and of windows; a ramp's steps are coarser
+SAME_WITHIN = 2.0  # factor in gamma beyond which a change of the measured type is another one
 STARTS = ("take-off", "rest")  # changes of the model at its start; an integrated ball may come back to rest there
 HARMONIC_SIGMAS = 4.0  # amplitude over its uncertainty from which a harmonic belongs to the motion
 SENSITIVE_SAMPLES = 1.0 / 3.0  # shift of a flight time by the uncertainty of gamma that is too large to judge
@@ -87,7 +91,7 @@ class FirstBifurcation:
     """The first change of the motion after take-off: measured bracket, prediction, and their ratio.
 
     ``predicted_gamma`` is the model's first change of any type after its take-off, ``same_type_gamma`` its first of the
-    measured type (NaN: none in the range). Ratios are of the bracket's middle.
+    measured type (NaN: none up to `SAME_WITHIN` times the measured gamma). Ratios are of the bracket's middle.
     """
 
     measured: Change | None
@@ -208,9 +212,7 @@ def compare(
         last = found.last
         unfit = _unfit_reason(found, around, SENSITIVE_SAMPLES / flights.plate.rate_hz * plate.omega_radps, settled)
         steps.append(_step(flights, plate, own, found, forcing, unfit))
-    gammas = np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
-    order = _order(gammas)
-    seen = changes(tuple(classes[i] for i in order), gammas[order])
+    seen = _changes(flights, classes)
     chosen = [s for s in steps if s.periodic and s.measured.flights and s.predicted_s.size and not s.unfit_reason]
     count = sum(s.measured.flights for s in chosen)
     inside = sum(s.within_sample * s.measured.flights for s in chosen if np.isfinite(s.within_sample))
@@ -228,6 +230,32 @@ def compare(
         flights.plate.rate_hz,
         flights.plate.ratio,
     )
+
+
+def first_bifurcation(flights: Flights, setup: Setup, effects: Effects) -> FirstBifurcation:
+    """The first bifurcation alone, as `compare` has it: the model's motion in each step is not needed for it.
+
+    Parameters
+    ----------
+    flights : Flights
+    setup : Setup
+    effects : dict
+        Effects of the model by name.
+
+    Raises
+    ------
+    ValueError
+        For effects that the model does not know, or a plate beyond `MAX_GAMMA`.
+    """
+    _check_plausible(flights)
+    return _first(flights, setup, _changes(flights, classify(flights)), resolve(effects))
+
+
+def _changes(flights: Flights, classes: Sequence[StepClass]) -> tuple[Change, ...]:
+    """Changes of the measured motion along the ramp."""
+    gammas = np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
+    order = _order(gammas)
+    return changes(tuple(classes[i] for i in order), gammas[order])
 
 
 def _order(gammas: Floats) -> npt.NDArray[np.int64]:
@@ -322,9 +350,13 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
     ball, _, _ = ball_on(plates[-1], setup, effects)
     low, high = min(p.gamma for p in plates), BIFURCATION_RANGE * max(p.gamma for p in plates)
     wanted, found = "" if measured is None else measured.type, None
-    for change in each_observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS):
+    farthest = math.inf if measured is None else SAME_WITHIN * max(measured.gamma_before, measured.gamma_after)
+    fine = {"narrowest": NARROWEST, "sharp": BIFURCATION_SHARP}
+    for change in each_observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS, **fine):
         if change.type in STARTS:
             continue
+        if found is not None and change.gamma > farthest:
+            break
         found = found or change
         if wanted not in TYPES or change.type == wanted:
             same = change.gamma if change.type == wanted else nan

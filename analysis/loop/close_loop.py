@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,17 +98,37 @@ def fit_loop(
 ) -> tuple[ClosedLoop, FittedLoop]:
     """`close_loop`, with the fitted model beside its result: next runs are ranked by it."""
     say = progress or (lambda what, part: None)
-    scans: list[tuple[Flights, NDArray[np.void]]] = []
+    scans: list[Flights] = []
 
-    def keep_first(recording: Recording, flights: Flights) -> None:
+    def keep_first(_: Recording, flights: Flights) -> None:
         if not scans:
-            scans.append((flights, recording.steps))
+            scans.append(flights)
 
+    loop, fitted = judge_loop(recordings, setup=setup, limits=limits, progress=progress, on_flights=keep_first)
+    say("first bifurcations", 0.98)
+    return completed(loop, fitted, scans[0]), fitted
+
+
+def judge_loop(
+    recordings: Sequence[Path],
+    *,
+    setup: Setup | None = None,
+    limits: Thresholds = FROZEN,
+    progress: Progress | None = None,
+    on_flights: Callable[[Recording, Flights], None] | None = None,
+    known: MutableMapping[Path, Observations] | None = None,
+) -> tuple[ClosedLoop, FittedLoop]:
+    """`fit_loop` without what no verdict depends on, the discovered term and the bifurcations: see `completed`.
+
+    ``on_flights`` and ``known`` are those of `analysis.residuals.observations.observations_from`.
+    """
+    say = progress or (lambda what, part: None)
     observations = observations_from(
         recordings,
         setup=setup,
         progress=lambda name, part: say(f"reading {name}", 0.15 * part),
-        on_flights=keep_first,
+        on_flights=on_flights,
+        known=known,
     )
     if len(observations.steps) < 2 * limits.reserve_every or not len(observations.plate):
         names = ", ".join(p.name for p in recordings)
@@ -130,6 +150,7 @@ def fit_loop(
         **_selected(model, selection),
         detection=detection,
         not_identifiable=unidentifiable,
+        discovered=None,
         first_bifurcations=None,
         steps=step_table(model, train),
         setup=observations.setup,
@@ -138,13 +159,27 @@ def fit_loop(
         paths=observations.sources,
         notes=_notes(observations, selection),
     )
-    say("first bifurcations", 0.98)
-    first = first_bifurcations(*scans[0], result.setup, result.improved_effects())
-    return dataclasses.replace(result, first_bifurcations=first), FittedLoop(model, selection)
+    return result, FittedLoop(model, selection)
+
+
+def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedLoop:
+    """The loop with a term discovered where it is unexplained, and the first bifurcations of its first recording.
+
+    Parameters
+    ----------
+    loop, fitted
+        Of `judge_loop`.
+    flights
+        Of the first recording.
+    """
+    best = fitted.selection.best
+    found = discover(fitted.model, best.fitted.fitter, best, loop.limits) if loop.verdict == "unexplained" else None
+    first = first_bifurcations(flights, loop.setup, loop.improved_effects())
+    return dataclasses.replace(loop, discovered=found, first_bifurcations=first)
 
 
 def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:
-    """Verdict, errors on the held-out steps, remainder, and a term discovered where the verdict is unexplained."""
+    """Verdict, errors on the held-out steps, and remainder."""
     best, train = selection.best, fitter.train
     values = best.fitted.values
     left = goodness_of_fit(model, values, limits)
@@ -153,11 +188,9 @@ def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limi
     floors, chance = noise_floors_us(model, values, rows), noise_quantiles_us(model, values, rows, limits.chance_p)
     given = given_openings(model, values, rows, limits.chance_p)
     tests = (best is not selection.before, left, after, floors, limits, chance, given)
-    verdict = verdict_of(*tests)
     return {
-        "verdict": verdict,
+        "verdict": verdict_of(*tests),
         "failed": failed_tests(*tests),
-        "discovered": discover(model, fitter, best, limits) if verdict == "unexplained" else None,
         "before": held_out_errors(model, selection.before.fitted.values, rows, left_out),
         "after": after,
         "noise_floor_us": floors[0],

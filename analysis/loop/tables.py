@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.flights.compare import FirstBifurcation, compare
+from analysis.flights.compare import FirstBifurcation, first_bifurcation
 from analysis.flights.table import Flights
 from analysis.loop.result import (
     Bifurcation,
@@ -82,14 +82,12 @@ def source_of(path: Path) -> Source:
         return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened))
 
 
-def first_bifurcations(
-    flights: Flights, steps_table: NDArray[np.void], setup: Setup, improved: Effects
-) -> FirstBifurcations | None:
+def first_bifurcations(flights: Flights, setup: Setup, improved: Effects) -> FirstBifurcations | None:
     """First bifurcation in the data, by the declared model and by the improved one; None without enough flights.
 
     Parameters
     ----------
-    flights, steps_table
+    flights
         Of the first recording.
     setup
         Its measuring setup, with the declared effects.
@@ -98,10 +96,8 @@ def first_bifurcations(
     """
     declared = resolve(setup.declared_values())
     try:
-        before = compare(flights, setup, effects=declared, steps_table=steps_table).first
-        after = (
-            before if improved == declared else compare(flights, setup, effects=improved, steps_table=steps_table).first
-        )
+        before = first_bifurcation(flights, setup, declared)
+        after = before if improved == declared else first_bifurcation(flights, setup, improved)
     except (ValueError, InputError):
         return None
     change, measured = before.measured, None

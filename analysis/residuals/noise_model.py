@@ -55,8 +55,14 @@ def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[fl
 
 
 def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
-    """Uncertainty of plate data with each kind's own excess noise, and its logarithm relative to the bare one."""
-    out = _scaled(kind, residual, np.ascontiguousarray(sigma))  # numba compiles each layout anew
+    """Uncertainty of plate data with each kind's likeliest excess noise, and its logarithm relative to the bare one."""
+    out = sigma.copy()
+    for k in np.unique(kind):
+        rows = np.flatnonzero(kind == k)
+        own = sigma[rows]
+        grid = EXCESSES_OF_PLATE * np.median(own)
+        best = grid[np.argmin(_losses(grid, residual[rows], own, np.zeros(len(own))))]
+        out[rows] = np.sqrt(own * own + best * best)
     return out, np.log(out / sigma)
 
 
@@ -77,20 +83,4 @@ def _losses(excess: Array, residual: Array, sigma: Array, outlier: Array) -> Arr
                 out[g] -= np.log(product)
                 product = 1.0
         out[g] -= np.log(product)
-    return out
-
-
-@njit(error_model="numpy", nogil=True)
-def _scaled(kind: NDArray[np.int64], residual: Array, sigma: Array) -> Array:
-    """Uncertainty of plate data with the likeliest excess noise of each kind."""
-    out = sigma.copy()
-    for k in range(kind.max() + 1 if len(kind) else 0):
-        rows = np.flatnonzero(kind == k)
-        if len(rows) == 0:
-            continue
-        own = sigma[rows]
-        grid = EXCESSES_OF_PLATE * np.median(own)
-        best = grid[np.argmin(_losses(grid, residual[rows], own, np.zeros(len(own))))]
-        for i in rows:
-            out[i] = np.sqrt(sigma[i] * sigma[i] + best * best)
     return out

@@ -5,7 +5,7 @@ These are measured numbers; no model enters. Several recordings stand in one tab
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -135,6 +135,7 @@ def observations_from(
     setup: Setup | None = None,
     progress: Callable[[str, float], None] | None = None,
     on_flights: Callable[[Recording, Flights], None] | None = None,
+    known: MutableMapping[Path, Observations] | None = None,
 ) -> Observations:
     """Reduce recordings to observations.
 
@@ -148,6 +149,8 @@ def observations_from(
         Called with the file's name and the fraction done.
     on_flights
         Called with each recording and its flights, so that nobody reads it a second time for them.
+    known
+        Recordings that were reduced before, with the same setup; those that were not are added.
 
     Raises
     ------
@@ -155,16 +158,18 @@ def observations_from(
         Where a file is no recording or holds no flights and no plate motion, or two hold the same samples.
     """
     refuse_repeated(paths)
-    parts = []
+    parts = {} if known is None else known
     for path in paths:
+        if path in parts:
+            continue
         with open_recording(path) as recording:
             if setup is not None:
                 recording.measure_with(setup)
             flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
             if on_flights is not None:
                 on_flights(recording, flights)
-            parts.append(observed(recording, flights))
-    return parts[0] if len(parts) == 1 else join(parts)
+            parts[path] = observed(recording, flights)
+    return parts[paths[0]] if len(paths) == 1 else join([parts[path] for path in paths])
 
 
 def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float], None]:

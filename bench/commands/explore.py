@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,10 @@ import typer
 from bench.outputs import Overwrite
 
 if TYPE_CHECKING:
-    from bench.jobs.explore import Chosen, Explored
+    from bench.jobs.blocks import Chosen, Driven
+    from bench.jobs.explore import Explored
+    from bench.live.beside import OnePage
+    from bench.terminal.orders import TypedLines
 
 
 def command(
@@ -24,6 +28,10 @@ def command(
     steps: int = typer.Option(4, "--steps", min=2, help="Steps of each block."),
     hold_cycles: int = typer.Option(10, "--hold", min=8, help="Cycles for which each step is held."),
     ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
+    real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),
+    live: bool = typer.Option(False, "--live", help="Serve a page on which the blocks are watched, held and replaced."),
+    host: str = typer.Option("127.0.0.1", "--host", help="Of the page; other machines need the token in its address."),
+    port: int | None = typer.Option(None, "--port", min=0, max=65535, help="Of the page; by default a free one."),
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
     seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The outcome for a machine; - prints it."),
@@ -32,19 +40,21 @@ def command(
     """Let the rig choose its own steps: each block is the one that tells most for a second of rig time.
 
     Every block is planned, limited and recorded as by bench ramp; Ctrl-C ramps down and keeps what was recorded. Given
-    again with the same folder, it goes on there.
+    again with the same folder, it goes on there. Within a block, type Enter to hold after the present step; then g to
+    go on, other gammas to drive those next, n for another block, or s to stop, each with a reason after a colon.
 
     Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.005
 
     Exits 0 when an aim was reached or the budget is spent, 1 when a block failed or was stopped, 2 when the call was
     wrong.
     """
-    from functools import partial
-
-    from bench.jobs.explore import Aims, explore, run_seconds
+    from bench.jobs.blocks import Aims, run_seconds
+    from bench.jobs.explore import explore
+    from bench.live.beside import OnePage
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.terminal.orders import typed_lines
     from daq.setup.errors import InputError
 
     quiet = json == "-"
@@ -59,8 +69,10 @@ def command(
             _numbers(frequencies, "--frequencies", float), steps, hold_cycles,
         )  # fmt: skip
         out.mkdir(parents=True, exist_ok=True)
-        drive = partial(_drive, scenario, seed, quiet)
-        found = explore(text, out, aims, drive, say=say, ask=_asked if ask else None)
+        typed = typed_lines()
+        with OnePage(out, (host, port) if live else None) as page:
+            driver = Driver(scenario, seed, quiet, real_time or live, typed, page)
+            found = explore(text, out, aims, driver, say=say, ask=Asker(typed) if ask else None)
         complete = quiet or _report(found, out, run_seconds(checked))
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
@@ -123,32 +135,74 @@ def _numbers(text: str, option: str, kind: Any) -> tuple[Any, ...]:
     return found
 
 
-def _drive(scenario: Path | None, seed: int, quiet: bool, block: Chosen, path: Path, number: int) -> str:
-    """Drive and record a block; why it could not be completed, empty where it was."""
-    from bench.jobs.run_ramp import make_backend, record
-    from rig.profile import parse_profile
+@dataclass(frozen=True)
+class Driver:
+    """Drives and records blocks of a rig, heeding what a person types or does on the page meanwhile.
 
-    profile = parse_profile(block.text, "block")
-    backend = make_backend(profile, scenario=scenario, seed=seed + number)
-    done = record(profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=quiet)
-    return "" if done.how == "complete" else f"{done.how}: {done.why}"
+    Attributes
+    ----------
+    scenario, seed
+        Of a simulated rig.
+    quiet
+        Whether nothing is shown.
+    paced
+        Whether a simulated rig keeps to the clock.
+    typed, page
+        Where a person is; None without a terminal or page.
+    """
+
+    scenario: Path | None = None
+    seed: int = 0
+    quiet: bool = False
+    paced: bool = False
+    typed: TypedLines | None = None
+    page: OnePage | None = None
+
+    def __call__(self, block: Chosen, path: Path, number: int) -> Driven:
+        """Drive a block into the new recording ``path``; ``number`` are recorded before it."""
+        from contextlib import nullcontext
+        from functools import partial
+
+        from bench.jobs.blocks import Driven, by_person
+        from bench.jobs.run_ramp import make_backend, record
+        from rig.execution.operator import StopRequest
+        from rig.profile import parse_profile
+
+        profile = parse_profile(block.text, "block")
+        backend = make_backend(profile, scenario=self.scenario, seed=self.seed + number, real_time=self.paced)
+        request = StopRequest(partial(by_person, block))
+        with nullcontext() if self.page is None else self.page.beside(profile, block.text, block.reason) as onlooker:
+            done = record(
+                profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=self.quiet,
+                paced=self.paced, onlooker=onlooker, request=request, typed=self.typed,
+            )  # fmt: skip
+        if done.how == "complete":
+            return Driven()
+        return Driven(f"{done.how}: {done.why}", request.then if done.asked else None)  # a trip outranks a person
 
 
-def _asked(block: Chosen) -> Chosen | None:
-    """A person's answer before a block is driven."""
-    from bench.jobs.explore import with_gammas
-    from daq.setup.errors import InputError
+@dataclass(frozen=True)
+class Asker:
+    """Asks a person before a block is driven."""
 
-    while True:
-        answer = typer.prompt("Enter: drive it; gammas with commas between: these instead; s: stop", default="").strip()
-        if not answer:
-            return block
-        if answer.lower() in ("s", "stop"):
-            return None
-        try:
-            return with_gammas(block, _numbers(answer, "gammas", float))
-        except InputError as error:
-            typer.echo(str(error))
+    typed: TypedLines | None
+
+    def __call__(self, block: Chosen) -> Chosen | None:
+        """The block, one with the person's steps, or None to stop."""
+        from bench.jobs.blocks import by_person
+        from bench.terminal.orders import steps_from
+        from daq.setup.errors import InputError
+
+        while True:
+            prompt = "Enter: drive it; gammas with commas between: these instead; s: stop"
+            answer = typer.prompt(prompt, default="") if self.typed is None else self.typed.answer(prompt)
+            if answer is None or answer.strip().lower() in ("s", "stop"):
+                return None
+            try:
+                wanted = steps_from(answer)
+                return by_person(block, wanted) if wanted.gammas else block
+            except InputError as error:
+                typer.echo(str(error))
 
 
 def _report(found: Explored, folder: Path, standard_s: float) -> bool:

@@ -6,70 +6,39 @@ alone. Why its steps were chosen is kept in the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.profiles.edit import with_values
-from bench.profiles.plan import planned, refusal
+from bench.jobs.blocks import (
+    LEAST_STEPS,
+    Aims,
+    Chosen,
+    Driven,
+    as_driven,
+    block_text,
+    by_person,
+    forcing_in_words,
+    offers,
+    run_seconds,
+    tells,
+)
 from daq.recording import open_recording
-from daq.setup.errors import InputError
-from rig.profile import Profile, parse_profile
-from rig.programme.ramp import plan
-from rig.programme.sequencer import stop_fade_samples
+from rig.profile import parse_profile
 
 if TYPE_CHECKING:
-    from analysis.attribution.fit import Fitter
     from analysis.attribution.hypothesis import Hypothesis
     from analysis.explore.choice import Block, Option, Pool
     from analysis.explore.explanations import Weighed
+    from analysis.loop.close_loop import FittedLoop
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel, ParameterId
+    from analysis.residuals.observations import Observations
 
-GAMMAS = 10  # offered for each forcing
-FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
-LEAST_STEPS = 2  # held, of a block that is gone on with
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time
-
-
-@dataclass(frozen=True)
-class Aims:
-    """When to stop, and what may be changed.
-
-    Attributes
-    ----------
-    budget_s
-        Rig time.
-    until
-        Standard deviation asked for, by effect and parameter.
-    limit
-        Size down to which "nothing missing" is to be shown, in units of the size at which each effect would matter.
-    ratios, frequencies_hz
-        Values of c, and of the first tone, that may be driven.
-    steps, hold_cycles
-        Of each block.
-    """
-
-    budget_s: float
-    until: Mapping[ParameterId, float] = field(default_factory=dict)
-    limit: float = 1.0
-    ratios: tuple[int, ...] = (1, 2, 3)
-    frequencies_hz: tuple[float, ...] = ()
-    steps: int = 4
-    hold_cycles: int = 10
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A block to be driven: its profile as text, its rig time, and the reason in words."""
-
-    text: str
-    seconds: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -98,8 +67,8 @@ class Explored:
     failed: bool = False
 
 
-Drive = Callable[[Chosen, Path, int], str]
-"""Drives and records a block; returns why it could not be completed, empty where it was."""
+Drive = Callable[[Chosen, Path, int], Driven]
+"""Drives and records a block."""
 Asked = Callable[[Chosen], Chosen | None]
 """A person's answer to a choice: the same, another one, or None to stop."""
 
@@ -132,158 +101,121 @@ def explore(
     """
     options = offers(text, aims)
     there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
-    made = [path for path in there if _tells(path)]
+    made = [path for path in there if tells(path)]
     if left_out := [path.name for path in there if path not in made]:
         say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
     number = max((int(path.stem[6:]) for path in there), default=0)
-    blocks = [_as_driven(path) for path in made]
+    blocks = [as_driven(path) for path in made]
 
-    def ended(why: str, loop: ClosedLoop | None, *, failed: bool = False) -> Explored:
+    known: dict[Path, Observations] = {}
+    judged: _Judged | None = None
+
+    def ended(why: str, *, failed: bool = False) -> Explored:
+        loop = None if judged is None else judged.completed(made[0])
         return Explored(tuple(made), tuple(blocks), loop, sum(block.seconds for block in blocks), why, failed)
 
+    own: Chosen | None = None
     while True:
-        loop, chosen, why = _next(text, made, blocks, options, aims)
-        if chosen is None:
-            return ended(why, loop)
+        if own is None:
+            judged = _judge(made, known) if made else None
+            own, why = _next(text, judged, blocks, options, aims)
+            if own is None:
+                return ended(why)
+            say(f"\nblock {number + 1}: {own.reason}")
+            own = own if ask is None else ask(own)
+            if own is None:
+                return ended("a person stopped it")
         number += 1
-        say(f"\nblock {number}: {chosen.reason}")
-        answer = chosen if ask is None else ask(chosen)
-        if answer is None:
-            return ended("a person stopped it", loop)
-        path = folder / f"block-{number:02d}.h5"
-        if failure := drive(answer, path, number - 1):
-            return ended(f"block {number}: {failure}", loop, failed=True)
-        made.append(path)
-        blocks.append(answer)
+        path, block, own = folder / f"block-{number:02d}.h5", own, None
+        driven = drive(block, path, number - 1)
+        if driven.why and driven.then is None:
+            return ended(f"block {number}: {driven.why}", failed=True)
+        if tells(path):
+            made.append(path)
+            blocks.append(replace(block, seconds=as_driven(path).seconds))
+        else:
+            say(f"stopped before {LEAST_STEPS} steps were held, and left out: {path.name}")
+        if driven.then is not None and driven.then.gammas:
+            own = by_person(block, driven.then)
+            say(f"\nblock {number + 1}: {own.reason}")
 
 
-def with_gammas(block: Chosen, gammas: Sequence[float]) -> Chosen:
-    """The block with a person's gammas; raises `InputError` where a limit forbids one."""
-    text = with_values(block.text, {"ramp.gamma": list(gammas), "ramp.order": "up"}, "the block")
-    profile = parse_profile(text, "the block")
-    if faults := planned(profile)[2]:
-        raise InputError(refusal("these gammas", faults))
-    return Chosen(text, run_seconds(profile), f"gamma {', '.join(f'{g:g}' for g in gammas)}: chosen by a person")
+# -- what was found so far ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Judged:
+    """The best set on all blocks so far, what it is a fit of, and the verdict; ``loop`` is None with too few steps."""
+
+    world: ForwardModel
+    best: Hypothesis
+    ties: Sequence[Hypothesis]
+    loop: ClosedLoop | None = None
+    fitted: FittedLoop | None = None
+
+    def completed(self, first: Path) -> ClosedLoop | None:
+        """The closed loop with what no choice depends on; ``first`` is the first recording."""
+        from analysis.flights.assemble import flights_of
+        from analysis.loop.close_loop import completed
+
+        if self.loop is None or self.fitted is None:
+            return None
+        with open_recording(first) as opened:
+            return completed(self.loop, self.fitted, flights_of(opened))
 
 
-def _tells(path: Path) -> bool:
-    """Whether enough steps of a block were held to their end."""
-    with open_recording(path) as opened:
-        held = [row for row in opened.steps if int(row["first_sample"] + row["n_samples"]) <= opened.n_samples]
-        return len(held) >= LEAST_STEPS
+def _judge(made: Sequence[Path], known: dict[Path, Observations]) -> _Judged:
+    """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
+    from analysis.attribution.fit import Fitter
+    from analysis.attribution.priors import priors_of
+    from analysis.attribution.selection import StepwiseSelection
+    from analysis.loop.close_loop import judge_loop
+    from analysis.residuals.forward_model import ForwardModel
+    from analysis.residuals.observations import observations_from
+    from analysis.thresholds import FROZEN
+    from model.effects.registry import resolve
 
-
-def _as_driven(path: Path) -> Chosen:
-    """The block that a recording holds."""
-    with open_recording(path) as opened:
-        reason = str(opened.attrs["extra"].get("chosen_because", "recorded before"))
-        return Chosen(str(opened.attrs.get("profile_text", "")), opened.n_samples / opened.rate_hz, reason)
-
-
-# -- what may be driven ------------------------------------------------------------------------------------------------
-def offers(text: str, aims: Aims) -> list[Option]:
-    """Every forcing that may be driven, up and down, with the gammas that the limits allow.
-
-    Raises
-    ------
-    InputError
-        Where the limits allow none.
-    """
-    from analysis.explore.choice import Option
-
-    profile = parse_profile(text, "profile")
-    found = []
-    for ratio in aims.ratios:
-        for frequency_hz in aims.frequencies_hz or (profile.forcing.frequency_hz,):
-            allowed = [g for g in _gammas(profile, ratio) if _allowed(text, aims, ratio, frequency_hz, g)]
-            if len(allowed) < aims.steps:
-                continue
-            setup = parse_profile(_block_text(text, aims, ratio, frequency_hz, allowed)).setup()
-            for gammas in (allowed, allowed[::-1]):
-                seconds = partial(_block_seconds, text, aims, ratio, frequency_hz, tuple(gammas))
-                found.append(Option(setup, tuple(gammas), aims.hold_cycles, seconds))
-    if not found:
-        raise InputError(
-            f"the limits of this profile allow no block of {aims.steps} steps: raise [limits], or give fewer"
-        )
-    return found
-
-
-def _gammas(profile: Profile, ratio: int) -> list[float]:
-    """Gammas for a ratio: the range of the profile's ramp over its take-off, and farther."""
-
-    def takeoff(c: int) -> float:
-        return 0.5 if c == 1 else 1.0 / (1.0 + c**2)
-
-    own = profile.ramp.gammas()
-    scale = takeoff(ratio) / takeoff(profile.forcing.ratio)
-    low, high = max(min(own) * scale, 1.1 * takeoff(ratio)), FARTHER * max(own) * scale
-    return [float(f"{g:.4g}") for g in np.linspace(low, high, GAMMAS)]
-
-
-def _block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:
-    """The profile ``text`` with the ramp of a block, its gammas in the order given."""
-    values = {
-        "forcing.ratio": ratio,
-        "forcing.frequency_hz": frequency_hz,
-        "ramp.gamma": list(gammas),
-        "ramp.order": "down" if len(gammas) > 1 and gammas[-1] < gammas[0] else "up",
-        "ramp.hold_cycles": aims.hold_cycles,
-    }
-    return with_values(text, values, "the profile")
-
-
-def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: float) -> bool:
-    """Whether the rig's limits allow a step."""
-    try:
-        return not planned(parse_profile(_block_text(text, aims, ratio, frequency_hz, [gamma])))[2]
-    except InputError:
-        return False
-
-
-def _block_seconds(
-    text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: tuple[float, ...], places: Sequence[int]
-) -> float:
-    """Rig time of a block, its fades and the end at rest included."""
-    return run_seconds(parse_profile(_block_text(text, aims, ratio, frequency_hz, [gammas[i] for i in places])))
-
-
-def run_seconds(profile: Profile) -> float:
-    """Rig time of a profile's ramp, from the first sample to rest."""
-    programme = plan(profile)
-    rest = stop_fade_samples(programme.clock) + programme.clock.cycle_start(1)
-    return (programme.n_samples + rest) / programme.rate_hz
+    observations = observations_from(made, known=known)
+    if len(observations.steps) < 2 * FROZEN.reserve_every:
+        world = ForwardModel(observations, resolve(observations.setup.declared_values()))
+        fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
+        found = StepwiseSelection(world, fitter).run()
+        return _Judged(world, found.best, found.ties)
+    loop, fitted = judge_loop(made, known=known)
+    return _Judged(fitted.model, fitted.selection.best, fitted.selection.ties, loop, fitted)
 
 
 # -- what to drive next ------------------------------------------------------------------------------------------------
 def _next(
-    text: str, made: Sequence[Path], blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
-) -> tuple[ClosedLoop | None, Chosen | None, str]:
-    """Verdict so far, and the next block; or why there is none."""
+    text: str, judged: _Judged | None, blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
+) -> tuple[Chosen | None, str]:
+    """The next block; or why there is none."""
     from analysis.explore.choice import Pool, best_block
     from analysis.explore.explanations import weighed
 
-    if not made:
-        return None, _spread(text, options, (), aims, "nothing is known yet"), ""
-    loop, world, fitter, best, ties = _judged(made)
-    known = weighed(world, fitter, best, ties)
+    if judged is None:
+        return _farthest(text, options, (), aims, "nothing is known yet"), ""
+    loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
     if loop is not None and (why := _reached(loop, best, aims)):
-        return loop, None, why
+        return None, why
+    known = weighed(world, fitter, best, judged.ties)
+    if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
+        known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
-        return loop, None, why
+        return None, why
     block = best_block(pools, known, wanted, aims.steps)
     if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
+    elif loop is not None and loop.verdict == "explained" and len(loop.ties) > 1:
+        others = ", ".join(" + ".join(names) for names in loop.ties[1:])
+        return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
     elif loop is not None and loop.verdict == "nothing_missing":
-        return loop, None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
+        return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
-        visited = [(p.forcing.ratio, g) for p in map(_profile_of, blocks) for g in p.ramp.gammas()]
-        chosen = _spread(text, options, visited, aims, "no known explanation is left to be tested")
+        chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
     if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
-        return loop, None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
-    return loop, chosen, ""
+        return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
+    return chosen, ""
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
@@ -297,34 +229,6 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
         side = "below" if block.option.rising else "above"
         words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
     return words
-
-
-def _profile_of(block: Chosen) -> Profile:
-    return parse_profile(block.text, "block")
-
-
-def _judged(
-    made: Sequence[Path],
-) -> tuple[ClosedLoop | None, ForwardModel, Fitter, Hypothesis, Sequence[Hypothesis]]:
-    """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
-    from analysis.attribution.fit import Fitter
-    from analysis.attribution.priors import priors_of
-    from analysis.attribution.selection import StepwiseSelection
-    from analysis.loop.close_loop import fit_loop
-    from analysis.residuals.forward_model import ForwardModel
-    from analysis.residuals.observations import observations_from
-    from analysis.thresholds import FROZEN
-    from model.effects.registry import resolve
-
-    observations = observations_from(made)
-    if len(observations.steps) < 2 * FROZEN.reserve_every:
-        world = ForwardModel(observations, resolve(observations.setup.declared_values()))
-        fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
-        found = StepwiseSelection(world, fitter).run()
-        return None, world, fitter, found.best, found.ties
-    loop, fitted = fit_loop(made)
-    best = fitted.selection.best
-    return loop, fitted.model, best.fitted.fitter, best, fitted.selection.ties
 
 
 def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
@@ -370,17 +274,15 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
 def _chosen(text: str, option: Option, gammas: Sequence[float], aims: Aims, reason: str) -> Chosen:
     """A block in words: what is driven, and why."""
     forcing = option.setup.forcing
-    profile = _block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
+    profile = block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
     seconds = run_seconds(parse_profile(profile))
-    listed = ", ".join(f"{g:g}" for g in gammas)
-    what = f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {listed}"
-    return Chosen(profile, seconds, f"{what}: {reason}")
+    return Chosen(profile, seconds, f"{forcing_in_words(parse_profile(profile))}: {reason}")
 
 
-def _spread(
-    text: str, options: Sequence[Option], visited: Sequence[tuple[int, float]], aims: Aims, reason: str
-) -> Chosen:
+def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], aims: Aims, reason: str) -> Chosen:
     """Steps as far as can be from those driven, of the forcing with the fewest of them."""
+    profiles = [parse_profile(block.text, "block") for block in blocks]
+    visited = [(p.forcing.ratio, g) for p in profiles for g in p.ramp.gammas()]
     rising = [option for option in options if option.rising]
 
     def driven(option: Option) -> list[float]:

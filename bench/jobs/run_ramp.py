@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from bench.profiles.find import find_scenario
+from bench.terminal.orders import TypedLines
 from bench.terminal.run_display import run_display
 from bench.terminal.signals import stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
@@ -69,8 +70,12 @@ def record(
     quiet: bool = False,
     paced: bool = False,
     onlooker: Onlooker | None = None,
+    request: StopRequest | None = None,
+    typed: TypedLines | None = None,
 ) -> RunSummary:
     """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly.
+
+    Lines ``typed`` meanwhile are obeyed; ``request`` is for whoever wants to know what was asked of the run.
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
     An ``onlooker`` needs such a process.
@@ -90,7 +95,7 @@ def record(
     if not backend.simulated:
         warm_up(profile)
     first = nullcontext() if backend.simulated else before_other_work()
-    with stop_on_signals() as request, first, run_display(quiet) as progress:
+    with stop_on_signals(request) as request, first, run_display(quiet) as progress:
         if paced or not backend.simulated:
             patience_s = 10.0 if backend.simulated else 0.0
             block_samples = largest_block(programme.clock, profile.backend.block_samples)
@@ -102,6 +107,8 @@ def record(
             writer = RecordingWriter(out, profile.setup(), **options)
         if onlooker is not None and isinstance(writer, RecorderProcess):
             progress = onlooker.begin(writer, backend, request, progress)
+        if typed is not None:
+            progress = typed.obeyed(request, progress)
         summary: RunSummary | None = None
         try:
             summary = run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)

@@ -8,16 +8,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from rig.profile import Profile
 
 if TYPE_CHECKING:
     from bench.jobs.run_ramp import Onlooker
+    from bench.live.board import Board
+    from bench.live.serving import PageProcess
     from rig.execution.operator import Status
 
 POLL_EVERY = 16  # blocks between two looks for a verdict
 LAST_WORD_S = 20.0  # for the verdict after the last step
+LONGEST = 480  # characters of a reason on the page
 
 
 @contextmanager
@@ -66,6 +70,67 @@ def onlooking(
         if served is not None:
             served.close()
         board.close()
+
+
+class OnePage:
+    """One page beside several runs, one after another.
+
+    Parameters
+    ----------
+    folder
+        Of the recordings.
+    page
+        Address and port; None for no page.
+    """
+
+    def __init__(self, folder: Path, page: tuple[str, int | None] | None) -> None:
+        self._folder, self._page = folder, page
+        self._served: PageProcess | None = None
+        self._boards: list[Board] = []
+        self._profiles: TemporaryDirectory[str] | None = None
+
+    def __enter__(self) -> OnePage:
+        if self._page is not None:
+            self._profiles = TemporaryDirectory()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._served is not None:
+            self._served.close()
+        for board in self._boards:
+            board.close()
+        if self._profiles is not None:
+            self._profiles.cleanup()
+
+    @contextmanager
+    def beside(self, profile: Profile, text: str, why: str) -> Iterator[Onlooker | None]:
+        """An onlooker for the next run, of ``profile`` with its ``text``; ``why`` it is driven is said on the page.
+
+        Raises
+        ------
+        InputError
+            When the page cannot be served.
+        """
+        if self._page is None or self._profiles is None:
+            yield None
+            return
+        from bench.live.board import Board
+        from bench.live.run_side import RunSide
+
+        board = Board()
+        self._boards.append(board)
+        if self._served is None:
+            from bench.live.serving import PageProcess
+
+            self._served = PageProcess(profile, board, self._folder, *self._page)
+            _print(f"watch it at {self._served.url}")
+        else:
+            path = Path(self._profiles.name) / f"{len(self._boards)}.toml"
+            path.write_text(text, encoding="utf-8")
+            self._boards[-2].events.put(
+                {"kind": "next", "board": board.name, "profile": str(path), "why": why[:LONGEST]}
+            )
+        yield RunSide(board)
 
 
 class _Watcher:

@@ -20,10 +20,10 @@ from bench.live.watch import Watch
 from bench.profiles.find import find_profile, load, scenario_names, shipped_names
 from bench.web.hub import Browser, Hub
 from daq.setup.errors import InputError
-from rig.profile import Profile
+from rig.profile import Profile, load_profile
 
 TICK_S = 0.05
-COMMANDS = ("finish", "ramp_down", "now", "pause", "go_on", "note")
+COMMANDS = ("finish", "ramp_down", "now", "pause", "go_on", "note", "next")
 LONGEST_NOTE = 480
 
 
@@ -76,9 +76,22 @@ class Desk:
                 self.hub.tell_lease()
             if self.watch is not None:
                 self.watch.tick()
+                self._follow(self.watch)
             self._look_at_check()
             due = max(due + TICK_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
+
+    def _follow(self, watch: Watch) -> None:
+        """Watch the run that follows the one watched so far, where it was announced."""
+        told = watch.successor
+        if told is None:
+            return
+        watch.successor = None
+        with contextlib.suppress(OSError, InputError):  # it is over, or gone: what was watched stays
+            profile, board = load_profile(told["profile"])[0], Board(told["board"])
+            self.hub.tell({"kind": "started", "profile": profile.name, "out": "", "why": told["why"]})
+            self.watch = Watch(profile, board, self.hub.tell)
+            watch.close()
 
     async def talk(self, browser: Browser) -> None:
         """Serve one browser until it is gone."""

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from bench.live.board import Board, Message
+from bench.terminal.orders import steps_from
 from daq.recorder.recorder_process import RecorderProcess
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.backends.base import Backend
 from rig.execution.operator import RunSummary, Status, StopRequest
@@ -22,6 +24,7 @@ from rig.programme.sequencer import Stop
 
 EVERY_S = 0.05  # between two states of the run
 STOPS = {"finish": Stop.FINISH_STEP, "ramp_down": Stop.RAMP_DOWN, "now": Stop.NOW}
+PAGE = "page"
 WORDS = {"finish": "page: step finished", "ramp_down": "page: ramped down", "now": "page: stopped now"}
 
 
@@ -78,6 +81,7 @@ class RunSide:
                 "channels": list(backend.channels),
                 "scales": {name: list(scale) for name, scale in backend.scales.items()},
                 "ring": [ring.slots, ring.block_samples, ring.channels, ring.name],
+                "leads": request.leads,
             }
         )
         return self._after_block
@@ -113,16 +117,23 @@ class RunSide:
 
     def _obey(self, command: Message) -> None:
         """Do what the page asks; what is not known is left alone."""
-        wanted, request = command.get("do"), self._request
+        wanted, text, request = command.get("do"), str(command.get("text", "")), self._request
         if wanted in STOPS:
             request.ask(STOPS[wanted], WORDS[wanted])
-        elif wanted in ("pause", "go_on"):
-            request.pause = wanted == "pause"
-        elif wanted == "note" and str(command.get("text", "")).strip():
-            request.notes = [*request.notes, str(command["text"]).strip()]
+        elif wanted == "pause":
+            request.hold(PAGE)
+        elif wanted == "go_on":
+            request.go_on(PAGE)
+        elif wanted == "note" and text.strip():
+            request.notes = [*request.notes, text.strip()]
+        elif wanted == "next":
+            try:
+                request.take_over(PAGE, steps_from(text))
+            except InputError as error:
+                wanted, text = "refused", str(error)
         else:
             return
-        self._board.events.put({"kind": "taken", "do": wanted, "text": str(command.get("text", ""))[:480]})
+        self._board.events.put({"kind": "taken", "do": wanted, "text": text[:480]})
 
 
 def _silent(status: Status) -> None:

@@ -36,11 +36,19 @@ class Watch:
         Of the run.
     tell
         Sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may miss.
+
+    Attributes
+    ----------
+    ended
+        How the run ended; None before.
+    successor
+        Board, profile (path) and reason of the run that follows; None before it was announced.
     """
 
     def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:
         self.profile, self.board, self._tell = profile, board, tell
         self.ended: Message | None = None
+        self.successor: Message | None = None
         self._kept: dict[str, str] = {}  # the last message of each kind
         self._models: list[str] = []
         self._steps: dict[int, tuple[bytes, str]] = {}
@@ -129,6 +137,8 @@ class Watch:
         elif kind == "ended":
             self.ended = event
             self._say(event)
+        elif kind == "next":
+            self.successor = event
         elif kind == "state":
             self._say(event)
 

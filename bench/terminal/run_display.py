@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, TextIO, cast
 
+from rig.programme.sequencer import State
+
 if TYPE_CHECKING:
     from rig.execution.operator import Status
 
@@ -78,12 +80,14 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
     lines = Text(overflow="fold")
     screen = Console(file=cast("IO[str]", Screen(sys.stderr)))
     narrow = screen.width < WIDTH
-    with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4):
+    with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4) as live:
 
         def show(status: Status) -> None:
             done = min(status.sample, status.n_samples)
             bar.update(task, total=status.n_samples, completed=done, description=step_line(status))
             lines.plain = narrow_lines(status) if narrow else f"{health_line(status)}\n{limits_line(status)}"
+            if (status.state is State.PAUSED) is live.is_started:
+                live.stop() if live.is_started else live.start()  # while it holds, nothing is drawn over what is typed
 
         yield show
 

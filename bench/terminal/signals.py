@@ -22,9 +22,9 @@ def _numbers() -> list[signal.Signals]:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
+def stop_on_signals(request: StopRequest | None = None) -> Iterator[StopRequest]:
     """A `StopRequest` that SIGINT, SIGTERM and SIGHUP set while the block runs; in the main thread only."""
-    request = StopRequest()
+    request = request or StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield request  # Python delivers signals to the main thread alone
         return

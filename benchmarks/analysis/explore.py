@@ -1,10 +1,11 @@
 """Rig seconds to a verdict: steps chosen by information, steps drawn by chance, and the standard ramp, on sealed rigs.
 
-    python -m benchmarks.analysis.explore RESULTS --rigs 40 --seed-base 5000 [--plant other] [--minutes 60]
+    python -m benchmarks.analysis.explore RESULTS --rigs 40 --seed-base 5000 --workers 2 [--plant other] [--minutes 60]
     python -m benchmarks.analysis.explore RESULTS --show
 
 Every strategy meets the same sealed rigs. The ramp is judged once, when it is over; a strategy that chooses stops by
-itself, at the ramp's rig time at the latest. One rig in five hides nothing.
+itself, at the ramp's rig time at the latest. One rig in five hides nothing. Results are kept as they come in, by the
+version of the code: the same call goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -13,21 +14,27 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binom
 
-from bench.jobs.explore import Aims, Chosen, Explored, explore, offers, run_seconds, with_gammas
+from bench.jobs.blocks import Aims, Chosen, Driven, by_person, offers, run_seconds
+from bench.jobs.explore import Drive, Explored, explore
 from benchmarks.plants import other_plant
+from benchmarks.scoring.tables import rate
 from benchmarks.scoring.truth import OTHER_NAMED
+from benchmarks.scoring.version import code_version
 from daq.files.journal import Journal
+from model.surveys.workers import outcomes
+from rig.execution.operator import NextSteps
 from rig.profile import parse_profile
 
 STRATEGIES = ("chosen", "random", "ramp")
-Drive = Callable[[Chosen, Path, int], str]
+DRIVING = ("bench/jobs", "rig/programme", "rig/execution")  # of the code, what decides beside the analysis
 
 
 def rig(plant: str, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Drive]:
@@ -46,13 +53,13 @@ def _own(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> tu
     sealed = folder / "sealed.toml"
     sealed.write_text(scenario.to_toml(), encoding="utf-8")
 
-    def drive(block: Chosen, path: Path, number: int) -> str:
+    def drive(block: Chosen, path: Path, number: int) -> Driven:
         from bench.jobs.run_ramp import make_backend, record
 
         profile = parse_profile(block.text)
         backend = make_backend(profile, scenario=sealed, seed=1000 * seed + number)
         done = record(profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=True)
-        return "" if done.how == "complete" else done.why
+        return Driven("" if done.how == "complete" else done.why)
 
     return load("simulated")[1], tuple(scenario.effects), drive
 
@@ -67,7 +74,7 @@ def _other(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> 
     gammas = np.round(np.linspace(0.4, 2.6, 23), 4).tolist()
     text = with_values(other_plant.profile_of(plain), {"ramp.gamma": gammas, "ramp.hold_cycles": 20}, "profile")
 
-    def drive(block: Chosen, path: Path, number: int) -> str:
+    def drive(block: Chosen, path: Path, number: int) -> Driven:
         from daq.importers.formats.open import open_source
         from daq.importers.import_recording import import_recording
 
@@ -80,7 +87,7 @@ def _other(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> 
         with tempfile.TemporaryDirectory() as name:
             raw = other_plant.write(run, Path(name))
             import_recording(open_source(raw), path, profile.setup(), block.text)
-        return ""
+        return Driven()
 
     return text, () if nothing else (OTHER_NAMED[effect],), drive
 
@@ -112,19 +119,16 @@ def _ramp(text: str, folder: Path, drive: Drive, seconds: float) -> Explored:
     from analysis.loop.close_loop import close_loop
 
     block = Chosen(text, seconds, "the standard ramp")
-    why = drive(block, folder / "ramp.h5", 0)
-    return Explored((folder / "ramp.h5",), (block,), close_loop([folder / "ramp.h5"]), seconds, why)
+    driven = drive(block, folder / "ramp.h5", 0)
+    return Explored((folder / "ramp.h5",), (block,), close_loop([folder / "ramp.h5"]), seconds, driven.why)
 
 
 def _at_random(text: str, aims: Aims, rng: np.random.Generator, block: Chosen) -> Chosen:
     """A block of the same size, its forcing and gammas drawn by chance."""
-    from bench.profiles.edit import with_values
-
     options = [option for option in offers(text, aims) if option.rising]
     option = options[int(rng.integers(len(options)))]
     gammas = sorted(rng.choice(option.gammas, aims.steps, replace=False).tolist())
-    changed = with_values(block.text, {"forcing.ratio": option.setup.forcing.ratio}, "block")
-    return with_gammas(Chosen(changed, 0.0, ""), gammas)
+    return by_person(block, NextSteps(tuple(gammas), option.setup.forcing.ratio, "by chance"))
 
 
 def closed(row: dict[str, Any]) -> bool:
@@ -133,23 +137,60 @@ def closed(row: dict[str, Any]) -> bool:
     return bool(row["verdict"] == wanted and set(row["named"]) == set(row["hidden"]))
 
 
+def false_names(row: dict[str, Any]) -> bool:
+    """Whether something is named that is not hidden."""
+    return bool(set(row["named"]) - set(row["hidden"]))
+
+
+def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Median, and its 95 % interval from order statistics alone (the ends themselves where there are fewer than 6)."""
+    ordered = sorted(values)
+    low = max(int(binom.ppf(0.025, len(ordered), 0.5)) - 1, 0)
+    return float(np.median(ordered)), ordered[low], ordered[-1 - low]
+
+
 def show(rows: list[dict[str, Any]]) -> None:
     """Rig seconds and verdicts by strategy, on the rigs that every strategy has met."""
+    for row in rows:
+        if "failed" in row:
+            print(f"{row['key']}: {row['failed']}")
+    rows = [row for row in rows if "failed" not in row]
     seeds = set.intersection(*({(r["plant"], r["seed"]) for r in rows if r["strategy"] == s} for s in STRATEGIES))
     rows = [r for r in rows if (r["plant"], r["seed"]) in seeds]
-    print(f"{len(seeds)} sealed rigs\n")
-    print("| plant | strategy | right and closed | false names | rig time over the ramp's, median |")
-    print("|---|---|---|---|---|")
+    clean = len({(r["plant"], r["seed"]) for r in rows if not r["hidden"]})
+    print(f"{len(seeds)} sealed rigs that every strategy has met, {clean} of them hide nothing\n")
+    print(
+        "| plant | strategy | right and closed | false names | false alarms where nothing is hidden "
+        "| rig time over the ramp's, median (95 %) | processor s a rig |"
+    )
+    print("|---|---|---|---|---|---|---|")
     for plant in sorted({r["plant"] for r in rows}):
         for strategy in STRATEGIES:
             own = [r for r in rows if r["strategy"] == strategy and r["plant"] == plant]
-            false = sum(bool(set(r["named"]) - set(r["hidden"])) for r in own)
-            ratio = float(np.median([r["rig_s"] / r["standard_s"] for r in own]))
-            print(f"| {plant} | {strategy} | {sum(map(closed, own))} of {len(own)} | {false} | {ratio:.2f} |")
+            ratio, low, high = median_interval([r["rig_s"] / r["standard_s"] for r in own])
+            cells = (
+                rate(own, closed),
+                rate(own, false_names),
+                rate([r for r in own if not r["hidden"]], lambda r: r["verdict"] != "nothing_missing"),
+                f"{ratio:.2f} ({low:.2f} to {high:.2f})",
+                f"{np.mean([r['processor_s'] for r in own]):.0f}",
+            )
+            print(f"| {plant} | {strategy} | {' | '.join(cells)} |")
     for r in rows:
         if not closed(r):
             told = f"{r['verdict']} {' + '.join(r['named'])}; {r['why']}"
-            print(f"\n{r['plant']} {r['seed']} {r['strategy']}: hidden {' + '.join(r['hidden'])}, {told}")
+            print(f"\n{r['plant']} {r['seed']} {r['strategy']}: hidden {' + '.join(r['hidden']) or 'nothing'}, {told}")
+
+
+def missing(args: argparse.Namespace, journal: Journal, end: float) -> Iterator[tuple[str, tuple[str, str, int]]]:
+    """Trials without a row of this version, a rig's one after another, until the time is over."""
+    for seed in range(args.seed_base, args.seed_base + args.rigs):
+        for strategy in STRATEGIES:
+            key = f"{code_version(*DRIVING)}:{args.plant}/{seed}/{strategy}"
+            if time.monotonic() > end:
+                return
+            if key not in journal.rows:
+                yield key, (args.plant, strategy, seed)
 
 
 def main() -> None:
@@ -160,16 +201,17 @@ def main() -> None:
     options.add_argument("--seed-base", type=int, default=5000)
     options.add_argument("--plant", choices=("own", "other"), default="own")
     options.add_argument("--minutes", type=float, default=60.0, help="no trial is begun later")
-    options.add_argument("--show", action="store_true")
+    options.add_argument("--workers", type=int, default=1, help="processes")
+    options.add_argument("--show", action="store_true", help="only print, of the version that ran last")
     args = options.parse_args()
-    journal, end = Journal(args.results), time.monotonic() + 60.0 * args.minutes
-    for seed in range(args.seed_base, args.seed_base + (0 if args.show else args.rigs)):
-        for strategy in STRATEGIES:
-            key = f"{args.plant}/{seed}/{strategy}"
-            if key not in journal.rows and time.monotonic() < end:
-                journal.add(key, json.loads(json.dumps(trial(args.plant, strategy, seed))))
-    if journal.rows:
-        show(list(journal.rows.values()))
+    journal = Journal(args.results)
+    if not args.show:
+        todo = missing(args, journal, time.monotonic() + 60.0 * args.minutes)
+        for outcome in outcomes(trial, todo, workers=args.workers):
+            row = outcome.result or {"key": outcome.key, "failed": str(outcome.error)}
+            journal.add(outcome.key, json.loads(json.dumps(row)))
+    last = list(journal.rows)[-1].partition(":")[0] if journal.rows else ""
+    show([row for key, row in journal.rows.items() if key.startswith(f"{last}:")])
 
 
 if __name__ == "__main__":

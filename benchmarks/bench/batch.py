@@ -2,8 +2,10 @@
 
     python -m benchmarks.bench.batch --recordings 12 --workers 1 2 4 --kill
 
-A cluster is started and its workers are warmed by one recording each before the clock begins. Processor seconds are
-those of the examinations themselves. A machine with fewer free cores than workers gives no more speed-up than it has.
+A cluster is started and its workers are warmed by one recording each before the clock begins. Speed-up is the ratio of
+times by the clock, of the same recordings on the same machine; a worker's part is the speed-up over the number of
+workers. Processor seconds are those of the examinations themselves, and what of the workers' time they are says whether
+the cores were free: a machine with fewer free cores than workers gives no more speed-up than it has.
 """
 
 from __future__ import annotations
@@ -79,7 +81,8 @@ def main() -> None:
         folder = Path(name)
         paths = recordings(folder, args.recordings)
         print(f"{len(paths)} recordings, {os.cpu_count()} cores, load {psutil.getloadavg()[0]:.1f} before\n")
-        print("| workers | clock, s | processor, s | speed-up | table |\n|---|---|---|---|---|")
+        print("| workers | clock, s | processor, s | speed-up | for each worker | workers computing | table |")
+        print("|---|---|---|---|---|---|---|")
         first: tuple[list[Row], float] | None = None
         cases = [(n, False) for n in args.workers] + ([(max(args.workers), True)] if args.kill else [])
         for workers, kill in cases:
@@ -88,7 +91,9 @@ def main() -> None:
             processor_s = sum(row["processor_s"] for row in rows)
             same = "the same" if table(rows) == table(first[0]) else "DIFFERS"
             words = f"{workers}, one killed" if kill else str(workers)
-            print(f"| {words} | {seconds:.1f} | {processor_s:.1f} | {first[1] / seconds:.2f} | {same} |", flush=True)
+            gain, busy = first[1] / seconds, processor_s / (seconds * workers)
+            figures = f"{seconds:.1f} | {processor_s:.1f} | {gain:.2f} | {gain / workers:.2f} | {busy:.0%}"
+            print(f"| {words} | {figures} | {same} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,16 @@
     python -m benchmarks.scoring.score_loop RESULTS --against OLD_RESULTS
 
 Every result is kept at once, by its trial and the version of the code; a run that is started again goes on where it
-stopped. ``--conditions`` varies noise, rate, c, and length as well. Sizes are drawn from the seed; how strong an effect
-is, is measured: see `benchmarks.scoring.tables`.
+stopped, on this machine or a cluster whose workers have the same code (``docs/how-to/error-rates.md``).
+``--conditions`` varies noise, rate, c, and length as well. Sizes are drawn from the seed; how strong an effect is, is
+measured: see `benchmarks.scoring.tables`.
 """
 
 from __future__ import annotations
 
 import argparse
+import socket
+import sys
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -28,9 +31,17 @@ from benchmarks.scoring.version import code_version
 from daq.files.journal import Journal
 from model.surveys.workers import outcomes
 
+TELL_EVERY = 50  # trials
 
-def trial(job: Job) -> dict[str, Any]:
-    """The row of one trial; a failure is a row with its reason."""
+
+class OtherVersionError(Exception):
+    """A worker has another version of the code."""
+
+
+def trial(job: Job, version: str) -> dict[str, Any]:
+    """The row of one trial by ``version`` of the code; a failure is a row with its reason."""
+    if code_version() != version:
+        raise OtherVersionError(f"{socket.gethostname()} has version {code_version()} of the code, wanted {version}")
     try:
         return run(job)
     except (ValueError, RuntimeError, ArithmeticError) as error:
@@ -44,14 +55,33 @@ def rows_of(journal: Journal, version: str = "") -> dict[str, dict[str, Any]]:
     return {row["job"]: row for key, row in journal.rows.items() if key.startswith(f"{wanted}:")}
 
 
-def missing(wanted: Sequence[Job], journal: Journal, end: float) -> Iterator[tuple[str, tuple[Job]]]:
-    """Trials without a row of this version, until the time is over."""
+def missing(wanted: Sequence[Job], journal: Journal, end: float) -> Iterator[tuple[str, tuple[Job, str]]]:
+    """Trials without a row of this version, until the time is over; what a dead worker left is tried again."""
     for job in wanted:
         key = f"{code_version()}:{job.key}"
         if time.monotonic() > end:
             return
-        if key not in journal.rows:
-            yield key, (job,)
+        if "kind" not in journal.rows.get(key, {}):
+            yield key, (job, code_version())
+
+
+def score(wanted: Sequence[Job], journal: Journal, end: float, *, workers: int = 1, cluster: str | None = None) -> int:
+    """Run trials that are missing, each row on the disk as it comes; how many were run.
+
+    Raises
+    ------
+    OtherVersionError
+        Where a worker of the cluster would run other code; rows so far are kept.
+    """
+    done = 0
+    for done, outcome in enumerate(outcomes(trial, missing(wanted, journal, end), workers=workers, cluster=cluster), 1):
+        if isinstance(outcome.error, OtherVersionError):
+            raise outcome.error
+        job = outcome.key.partition(":")[2]
+        journal.add(outcome.key, outcome.result or {"job": job, "failed": str(outcome.error)})
+        if done % TELL_EVERY == 0:
+            sys.stderr.write(f"{len(rows_of(journal, code_version()))} of {len(wanted)} trials\n")
+    return done
 
 
 def _options() -> argparse.Namespace:
@@ -84,10 +114,8 @@ def main() -> None:
             if (not kinds or job.kind in kinds) and args.plant in ("", job.plant)
             and (not args.hidden or args.hidden in job.effects)
         ]  # fmt: skip
-        todo = missing(wanted[: args.most], journal, time.monotonic() + 60.0 * args.minutes)
-        for outcome in outcomes(trial, todo, workers=args.workers, cluster=args.cluster):
-            job = outcome.key.partition(":")[2]
-            journal.add(outcome.key, outcome.result or {"job": job, "failed": str(outcome.error)})
+        wanted = wanted[: args.most]
+        score(wanted, journal, time.monotonic() + 60.0 * args.minutes, workers=args.workers, cluster=args.cluster)
     rows = rows_of(journal, args.version or ("" if args.show or args.against else code_version()))
     if args.against is not None:
         compare(rows_of(Journal(args.against)), rows)

@@ -18,6 +18,7 @@ from benchmarks.scoring.truth import AT_ONE, OTHER_PARAMETERS, expected_covariat
 Row = dict[str, Any]
 
 STRONG, WEAK = 5.0, (1.0, 3.0)
+MANY = 300  # trials, from which an interval is narrow enough for tenths of a percent
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:
@@ -30,10 +31,11 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 
 
 def rate(rows: Sequence[Row], hit: Callable[[Row], bool]) -> str:
-    """``k of n (low to high)``."""
+    """``k of n (low to high)``; of many, to a tenth of a percent."""
     k, n = sum(map(hit, rows)), len(rows)
     low, high = wilson(k, n)
-    return f"{k} of {n} ({100 * low:.0f} to {100 * high:.0f} %)"
+    digits = 1 if n >= MANY else 0
+    return f"{k} of {n} ({100 * low:.{digits}f} to {100 * high:.{digits}f} %)"
 
 
 def strength(row: Row, key: str = "size_left") -> float:

@@ -15,10 +15,10 @@ PLANTS = ("rig/sim", "benchmarks/plants", "benchmarks/scoring/trial.py")
 
 
 @functools.cache
-def code_version() -> str:
-    """Twelve hexadecimal digits of the hash of the sources that judge, and of those that make the recordings."""
+def code_version(*beside: str) -> str:
+    """Twelve hexadecimal digits of the hash of the sources that judge, of those that make the recordings, and more."""
     found = hashlib.sha256()
-    for place in (*ROOMS, *PLANTS):
+    for place in (*ROOMS, *PLANTS, *beside):
         path = ROOT / place
         for file in [path] if path.is_file() else sorted(path.rglob("*.py")):
             found.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")

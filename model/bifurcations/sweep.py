@@ -44,7 +44,7 @@ COARSER = 4  # times fewer steps for an integrated ball, each of whose orbits co
 class _Sweep:
     ball: Ball
     carry: bool
-    exact: bool
+    sharp: float
 
     def look(self, gamma: float, start: State) -> Attractor:
         return attractor(self.ball, gamma, start if self.carry else AT_REST, MOST_FLIGHTS)
@@ -74,13 +74,23 @@ def observed_bifurcations(
 
 
 def each_observed(
-    ball: Ball, low: float, high: float, *, sweep: str | None = None, steps: int = STEPS, narrowest: float = 1e-6
+    ball: Ball,
+    low: float,
+    high: float,
+    *,
+    sweep: str | None = None,
+    steps: int = STEPS,
+    narrowest: float = 1e-6,
+    sharp: float = 0.0,
 ) -> Iterator[Bifurcation]:
-    """Changes one by one as `observed_bifurcations` lists them: who needs the first ones pays for no more."""
+    """Changes one by one as `observed_bifurcations` lists them: who needs the first ones pays for no more.
+
+    ``sharp``: width, in gamma, to which a change is bisected where less will do than the ball allows.
+    """
     check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
-    walk = _Sweep(ball, sweep is not None, exact)
+    walk = _Sweep(ball, sweep is not None, max(sharp, SHARP if exact else ROUGHLY))
     grid = np.linspace(*ends, (steps if exact else steps // COARSER) + 1)
     here = walk.look(float(grid[0]), AT_REST)
     for a, b in pairwise(grid):
@@ -112,7 +122,7 @@ def key(found: Attractor) -> tuple[object, ...]:
 def _bisect(walk: _Sweep, a: float, b: float, at: Attractor) -> tuple[float, float, Attractor, Attractor]:
     """The first change met from ``a`` towards ``b``: gamma, the first gamma beyond, and both attractors."""
     left, right = at, walk.look(b, at.last)
-    while abs(b - a) > (SHARP if walk.exact else ROUGHLY):
+    while abs(b - a) > walk.sharp:
         middle = 0.5 * (a + b)
         found = walk.look(middle, left.last)
         if key(found) == key(at):

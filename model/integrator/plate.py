@@ -206,6 +206,29 @@ def strike(mode: Mode, s: float, impact: float, p: Floats) -> tuple[float, float
     return x, v - ratio / (1.0 + ratio) * (1.0 + rebound(impact, p)) * impact
 
 
+@inlined
+def _exp(z: complex) -> complex:
+    """``exp(z)``; numpy's own takes long to compile."""
+    return math.exp(z.real) * complex(math.cos(z.imag), math.sin(z.imag))
+
+
+@inlined
+def _conjugate(z: complex) -> complex:
+    return complex(z.real, -z.imag)
+
+
+@compiled
+def _first_ending_after(t: float, span_s: Floats, first: int, last: int) -> int:
+    """The first of the intervals ``span_s[first:last]``, in order, that does not end before t."""
+    while first < last:
+        middle = (first + last) // 2
+        if span_s[middle, 1] < t:
+            first = middle + 1
+        else:
+            last = middle
+    return first
+
+
 @compiled
 def _integral(rate: complex, before: complex, after: complex, length: float) -> complex:
     """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
@@ -231,8 +254,8 @@ def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, p
     size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
     firsts, span_s, omega, projection, observed_s = probe
     first, last = firsts[m], firsts[m + 1]
-    r = first + np.searchsorted(span_s[first:last, 1], t0)
-    own, ends = np.empty((2, tones.shape[0], 2), dtype=np.complex128)
+    r = _first_ending_after(t0, span_s, first, last)
+    own, ends = np.empty((tones.shape[0], 2), np.complex128), np.empty((tones.shape[0], 2), np.complex128)
     moving = 0  # tones that press on the mode through the ball, their rates and what they answer
     for j in range(tones.shape[0] if resting else 0):
         if tones[j, 1] == 0.0 and tones[j, 2] == 0.0:
@@ -245,17 +268,17 @@ def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, p
     while r < last and span_s[r, 0] < t1:
         a, b = max(t0, span_s[r, 0]), min(t1, span_s[r, 1])
         observed_s[r] += b - a
-        free_a, free_b = size * np.exp(decay * (a - t0)), size * np.exp(decay * (b - t0))
+        free_a, free_b = size * _exp(decay * (a - t0)), size * _exp(decay * (b - t0))
         for j in range(moving):
-            ends[j, 0], ends[j, 1] = own[j, 1] * np.exp(own[j, 0] * a), own[j, 1] * np.exp(own[j, 0] * b)
+            ends[j, 0], ends[j, 1] = own[j, 1] * _exp(own[j, 0] * a), own[j, 1] * _exp(own[j, 0] * b)
         for k in range(omega.shape[1]):
             back = complex(0.0, -omega[m, k])
-            at_a, at_b = np.exp(back * a), np.exp(back * b)
+            at_a, at_b = _exp(back * a), _exp(back * b)
             total = _integral(decay + back, free_a * at_a, free_b * at_b, b - a)
-            total += _integral(np.conj(decay) + back, np.conj(free_a) * at_a, np.conj(free_b) * at_b, b - a)
+            total += _integral(_conjugate(decay) + back, _conjugate(free_a) * at_a, _conjugate(free_b) * at_b, b - a)
             for j in range(moving):
                 turn, own_a, own_b = own[j, 0], ends[j, 0], ends[j, 1]
                 total += _integral(turn + back, own_a * at_a, own_b * at_b, b - a)
-                total += _integral(back - turn, np.conj(own_a) * at_a, np.conj(own_b) * at_b, b - a)
+                total += _integral(back - turn, _conjugate(own_a) * at_a, _conjugate(own_b) * at_b, b - a)
             projection[r, k] += 0.5 * total
         r += 1

@@ -17,6 +17,7 @@ from model.integrator.plate import (
     with_state,
 )
 from model.integrator.records import (
+    Bools,
     Chain,
     Events,
     Floats,
@@ -104,6 +105,13 @@ def _measured(
 
 
 @compiled
+def _wanted_soon(i: int, wanted: Bools) -> bool:
+    """Whether one of the two events after i is wanted."""
+    n = len(wanted)
+    return bool((i + 1 < n and wanted[i + 1]) or (i + 2 < n and wanted[i + 2]))
+
+
+@compiled
 def one_ahead(
     events: Events,
     steps: Steps,
@@ -133,7 +141,7 @@ def one_ahead(
         if len(rows) > 1:
             om, ze, ratio = plate_mode(p)
         # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
-        needed = ratio != 0.0 or (bounces and np.any(events.wanted[i + 1 : i + 3]))
+        needed = ratio != 0.0 or (bounces and _wanted_soon(i, events.wanted))
         if not (events.wanted[i] or needed):  # nothing leans on it but its landing
             out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
             last = Chain(landing, last.impact, 0.0, 0.0, True, 0)

@@ -29,6 +29,20 @@ def inlined(function: _F) -> _F:
     return cast(_F, njit(error_model="numpy", forceinline=True)(function))
 
 
+@compiled
+def clear(values: Floats) -> None:
+    """Set numbers (n,) to zero: an assignment to a slice takes seconds to compile."""
+    for j in range(len(values)):
+        values[j] = 0.0
+
+
+@compiled
+def clear_rows(values: Floats) -> None:
+    """Set numbers (m, n) to zero."""
+    for i in range(len(values)):
+        clear(values[i])
+
+
 class Mode(NamedTuple):
     """A free damped oscillator: displacement, velocity, angular frequency, damping ratio."""
 

@@ -15,7 +15,7 @@ from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode, rebound
 from model.integrator.plate import between_steps, mode_at, mode_under_ball, step_length, strike, with_state
 from model.integrator.predict import AS_PREDICTED, TWO_POINTS, begin_chain
-from model.integrator.records import Chain, Events, Floats, Law, Mode, Plate, Steps, compiled
+from model.integrator.records import Chain, Events, Floats, Law, Mode, Plate, Steps, clear, clear_rows, compiled
 from model.integrator.takeoff_slopes import (
     KICK,
     KICK_RATE,
@@ -84,13 +84,15 @@ def slopes_ahead(
     om, ze, ratio = plate_mode(p)
     for i in range(len(events.landing)):
         m, landing = events.step[i], events.landing[i]
-        out[i], info[i] = 0.0, 0.0
+        clear_rows(out[i])
+        clear(info[i])
         if len(rows) > 1:
-            p[:] = rows[i]
+            for k in range(len(p)):
+                p[k] = rows[i, k]
             om, ze, ratio = plate_mode(p)
         if not events.wanted[i] and found[i, 11] == 0.0:
             last, sound = Chain(landing, last.impact, last.q, last.qd, True, 0), True
-            carried.hit[:] = 0.0
+            clear(carried.hit)
             continue
         tones, length = steps.tones[m], lengths[m]
         if events.share[i] > 0.0:
@@ -102,7 +104,7 @@ def slopes_ahead(
             before, sound = last.t, True
             last = begin_chain(i, events, steps.period[m], last, bare, p)
             last = Chain(last.t, last.impact, last.q + kick[0], last.qd + kick[1], False, 0)
-            carried.hit[:] = 0.0
+            clear(carried.hit)
             if ratio != 0.0:
                 _begun(before, last, tones, om, ze, ratio, p, carried)
         elif events.wanted[i] and _is_direct(found[i], ratio):
@@ -111,7 +113,9 @@ def slopes_ahead(
                 info[i, 0] = 0.0
         if found[i, 11] == 0.0:
             last, sound = Chain(landing, last.impact, last.q, last.qd, True, 0), True
-            carried.hit[:], carried.q[:], carried.qd[:] = 0.0, 0.0, 0.0
+            clear(carried.hit)
+            clear(carried.q)
+            clear(carried.qd)
             continue
         last, sound = _measured(landing, last, bare, law, carried, columns, found[i], room, work)
 
@@ -173,7 +177,7 @@ def _measured(
     resting, leaving, by = with_state(bare, last.q, last.qd), work.leaving, work.elementary
     start = (last.t, 0.0, begun, 0.0, 0 if begun > last.t else 1, 1e9)
     at_takeoff(start, resting, law, carried, columns, work, leaving, work.info)
-    leaving.launch[:] = 0.0  # it is found from both ends of the flight
+    clear(leaving.launch)  # it is found from both ends of the flight
     q, qd = mode_under_ball(last.t, begun - last.t, resting, p)
     flying = with_state(bare, q, qd)
     law.nodes[0, 0] = 0.0
@@ -184,7 +188,8 @@ def _measured(
         usable = usable and abs(begun + lasts - landing) < SAME_S and by[0, LAUNCH] > 0.0
         _chained(by[0], leaving, work.hits)
         if usable:
-            leaving.launch[:] = -work.hits / by[0, LAUNCH]
+            for j in range(len(work.hits)):
+                leaving.launch[j] = -work.hits[j] / by[0, LAUNCH]
             own_hit = by[1, LAUNCH] / by[0, LAUNCH]
     _chained(by[1], leaving, carried.hit)
     _after(landing - begun, hit, own_hit, flying, leaving, carried, p)
@@ -208,8 +213,10 @@ def _begun(before: float, last: Chain, tones: Floats, om: float, ze: float, rati
             q, qd = at.q[j] - then[0, j], at.qd[j] - then[1, j]
             at.q[j], at.qd[j] = q * one[0] + qd * two[0], q * one[1] + qd * two[1]
     else:
-        at.q[:], at.qd[:] = 0.0, 0.0
-    at.q[LANDING : LANDING_BEFORE + 1], at.qd[LANDING : LANDING_BEFORE + 1] = 0.0, 0.0
+        clear(at.q)
+        clear(at.qd)
+    for j in (LANDING, LANDING_BEFORE):
+        at.q[j], at.qd[j] = 0.0, 0.0
     for j in range(d):
         at.q[j] += now[0, j]
         at.qd[j] += now[1, j]
@@ -230,7 +237,8 @@ def _after(lasts: float, hit: float, own_hit: float, flying: Plate, at: Leaving,
     last.hit[LANDING_BEFORE], last.hit[LANDING] = last.hit[LANDING], own_hit
     om, ze, ratio = plate_mode(p)
     if ratio == 0.0:
-        last.q[:], last.qd[:] = 0.0, 0.0
+        clear(last.q)
+        clear(last.qd)
         return
     one, two = mode_at(lasts, Mode(1.0, 0.0, om, ze)), mode_at(lasts, Mode(0.0, 1.0, om, ze))
     _, rate, acceleration = mode_at(lasts, flying.mode)

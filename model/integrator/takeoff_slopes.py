@@ -10,7 +10,7 @@ import numpy as np
 from model.integrator.flight import pull
 from model.integrator.hooks import dry_friction, force, plate_mode, rebound, takeoff_threshold
 from model.integrator.plate import loaded, mode_at, mode_under_ball, with_state
-from model.integrator.records import Floats, Law, Mode, Plate, compiled
+from model.integrator.records import Floats, Law, Mode, Plate, clear, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
 from model.integrator.variation import SPEED_MPS, TONES, Columns
 
@@ -110,7 +110,10 @@ def at_takeoff(
     """
     t, impact, off, launched, kind, more = at
     p, since = law.p, off - t
-    out.off[:], out.launch[:], out.q[:], out.qd[:] = 0.0, 0.0, 0.0, 0.0
+    clear(out.off)
+    clear(out.launch)
+    clear(out.q)
+    clear(out.qd)
     under = loaded(t, resting, p)
     _plate_at(off, under.tones, work)
     ratio = plate_mode(p)[2]
@@ -142,7 +145,8 @@ def at_takeoff(
 @compiled
 def _plate_at(off: float, tones: Floats, work: Work) -> None:
     """Derivatives of the plate's velocity and acceleration at a take-off by its tones."""
-    work.velocity[:], work.acceleration[:] = 0.0, 0.0
+    clear(work.velocity)
+    clear(work.acceleration)
     for k in range(tones.shape[0]):
         w = tones[k, 0]
         if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:

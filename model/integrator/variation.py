@@ -21,7 +21,7 @@ from model.integrator.flight import _effects
 from model.integrator.hermite import hermite5, standstill
 from model.integrator.hooks import dry_friction_of, force_of
 from model.integrator.plate import mode_at
-from model.integrator.records import Floats, Integers, Law, Mode, Plate, StepEnds, compiled
+from model.integrator.records import Floats, Integers, Law, Mode, Plate, StepEnds, clear, clear_rows, compiled
 
 TAKEOFF, LAUNCH, SHIFT, RATE, TONES = 0, 1, 2, 3, 4
 """Places of a variation: of the take-off's time and speed, of a mode's displacement and velocity then; the two
@@ -281,6 +281,14 @@ def _end(row: Floats, began: float, walk: Walk, height: Floats, speed: Floats) -
 
 
 @compiled
+def _begin_segment(walk: Walk) -> None:
+    """Nothing is carried yet, and the fundamental matrix is the unit matrix."""
+    clear_rows(walk.phi)
+    walk.phi[0, 0], walk.phi[1, 1] = 1.0, 1.0
+    clear_rows(walk.room.carried)
+
+
+@compiled
 def flight_variations(
     t0: float, v0: float, opened: float, plate: Plate, law: Law, columns: Columns, room: Room, out: Floats
 ) -> tuple[bool, float, float]:
@@ -292,9 +300,12 @@ def flight_variations(
     nodes, count = law.nodes, int(law.nodes[0, 0])
     if count == 0 or count >= nodes.shape[0] or nodes[count, 11] != 1.0:
         return False, 0.0, 0.0
-    room.height[:], room.speed[:], room.start[:], room.now[:] = 0.0, 0.0, 0.0, 0.0
+    clear(room.height)
+    clear(room.speed)
+    clear_rows(room.start)
+    clear_rows(room.now)
     room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, 4], 1.0
-    walk = Walk(t0, plate, law, columns, room, np.eye(2), np.zeros(len(columns.place)))
+    walk = Walk(t0, plate, law, columns, room, np.empty((2, 2)), np.empty(len(columns.place)))
     height, speed = np.empty(len(room.height)), np.empty(len(room.height))
     opening_speed, began, begins = 0.0, 0.0, True
     for r in range(1, count + 1):
@@ -302,8 +313,7 @@ def flight_variations(
         if begins:
             began = row[0]
             plate_response(t0 + began, began, plate, room.start)
-            walk.phi[:] = np.eye(2)
-            room.carried[:] = 0.0
+            _begin_segment(walk)
         opening_speed += _walk_step(row, began, opened, walk)
         begins = row[11] != 0.0
         if not begins:
@@ -313,9 +323,9 @@ def flight_variations(
             return v < 0.0 and _landed(height, speed, v, net, opening_speed, room, out), net, v
         if abs(net) < STEEP_MPS2:
             return False, net, v
-        room.height[:], room.speed[:] = height, 0.0  # held on the rod, it leaves when the forces let it
-        if nodes[r + 1, 0] - s <= HANGS_S:
-            room.speed[:] = speed * (nodes[r + 1, 4] / net)
+        left = nodes[r + 1, 4] / net if nodes[r + 1, 0] - s <= HANGS_S else 0.0  # held, it leaves when forces let it
+        for e in range(len(height)):
+            room.height[e], room.speed[e] = height[e], left * speed[e]
     return False, 0.0, 0.0
 
 

@@ -2,37 +2,106 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from daq.setup.errors import InputError
 from rig.programme.ramp import Step
 from rig.programme.sequencer import State, Stop
 
 
+@dataclass(frozen=True)
+class NextSteps:
+    """What a person wants driven next, in place of the steps that are left.
+
+    Attributes
+    ----------
+    gammas
+        Empty where whoever chose the steps so far is to choose again.
+    ratio
+        c; None keeps it.
+    why
+        The person's reason.
+    """
+
+    gammas: tuple[float, ...] = ()
+    ratio: int | None = None
+    why: str = ""
+
+
 class StopRequest:
-    """What the operator asks of a run, by a signal, a page or a test; of several stops the strongest counts.
+    """What the operator asks of a run, by a signal, a page, a terminal or a test; the strongest stop counts.
+
+    Parameters
+    ----------
+    check
+        Raises `daq.setup.errors.InputError` for next steps that cannot be driven. None where nothing follows a run
+        but its end.
 
     Attributes
     ----------
     wanted, why
         The stop asked for, and the reason that the recording keeps.
+    then
+        What is to be driven after that stop; None where it is the end.
     pause
         Whether to pause at the end of the present step.
     notes
         Texts to be kept with the sample at which they are read; the run empties the list.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, check: Callable[[NextSteps], object] | None = None) -> None:
+        self._check = check
         self.wanted: Stop | None = None
         self.why = ""
+        self.then: NextSteps | None = None
         self.pause = False
         self.notes: list[str] = []
 
-    def ask(self, how: Stop, why: str) -> None:
-        """Ask for a stop; a weaker request than the present one is ignored."""
-        if self.wanted is None or how > self.wanted:
-            self.wanted, self.why = how, why
+    def ask(self, how: Stop, why: str, then: NextSteps | None = None) -> None:
+        """Ask for a stop; a weaker request than the present one is ignored, of equal ones the last counts."""
+        if self.wanted is None or how >= self.wanted:
+            self.wanted, self.why, self.then = how, why, then
+
+    @property
+    def leads(self) -> bool:
+        """Whether a person may choose what is driven next."""
+        return self._check is not None
+
+    def hold(self, who: str, why: str = "") -> None:
+        """Hold the drive as it is at the end of the present step, until told to go on; kept as a note."""
+        self._pause(True, f"{who}: hold after this step", why)
+
+    def go_on(self, who: str, why: str = "") -> None:
+        """Go on after a hold; kept as a note."""
+        self._pause(False, f"{who}: go on", why)
+
+    def take_over(self, who: str, steps: NextSteps) -> None:
+        """Finish the present step, and drive ``steps`` instead of what is left.
+
+        Raises
+        ------
+        InputError
+            For steps that cannot be driven, and where nothing can follow this run.
+        """
+        if self._check is None:
+            raise InputError("steps to be driven next: a ramp drives what was planned; stop it and start another")
+        if steps.gammas:
+            self._check(steps)
+        words = _with_reason(
+            f"{who}: step finished, {'own steps' if steps.gammas else 'another choice'} next", steps.why
+        )
+        self.ask(Stop.FINISH_STEP, words, steps)
+
+    def _pause(self, wanted: bool, words: str, why: str) -> None:
+        if wanted is not self.pause:
+            self.pause = wanted
+            self.notes = [*self.notes, _with_reason(words, why)]
+
+
+def _with_reason(words: str, why: str) -> str:
+    return f"{words}: {why}" if why else words
 
 
 @dataclass(frozen=True)
@@ -58,10 +127,11 @@ class Status:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """Outcome of a run."""
+    """Outcome of a run; ``asked`` where the operator ended it, and nothing else did."""
 
     how: Literal["complete", "stopped", "failed"]
     why: str
+    asked: bool
     n_samples: int
     steps_driven: int
     steps_planned: int

@@ -28,7 +28,7 @@ from rig.execution.plate_monitor import Motion, MotionWatch
 from rig.execution.tone_meter import MeterBlock, ToneMeter
 from rig.profile import Profile
 from rig.programme.ramp import Programme, Step, plan
-from rig.programme.sequencer import Sequencer, State, Stop, change_rows, largest_block
+from rig.programme.sequencer import LONGEST_PAUSE_S, Sequencer, State, Stop, change_rows, largest_block
 
 BATCH_SAMPLES = 8192  # of a simulated rig that are written together
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
@@ -140,6 +140,7 @@ class _Run:
     ) -> None:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
+        self._asked = False
         self._profile, self._backend, self._writer = profile, backend, writer
         self._instruments, self._watcher = instruments, watcher
         self._sequencer, self._meter, self._interlock = instruments.sequencer, instruments.meter, instruments.interlock
@@ -158,10 +159,12 @@ class _Run:
         self._steps = 0
         self._block = largest_block(instruments.programme.clock, profile.backend.block_samples)
 
-    def end(self, how: Literal["stopped", "failed"], why: str) -> None:
-        """Keep the first reason for which the run is not complete; a failure outranks a stop."""
+    def end(self, how: Literal["stopped", "failed"], why: str, *, asked: bool = False) -> None:
+        """Keep the first reason for which the run is not complete; a failure outranks a stop, a trip is added to it."""
         if self.how == "complete" or (how == "failed" and self.how == "stopped"):
-            self.how, self.why = how, why
+            self.how, self.why, self._asked = how, why, asked
+        elif self._asked and not asked:
+            self.why, self._asked = f"{self.why}; then {why}", False
 
     def drive(self) -> None:
         """Exchange blocks until the drive rests at zero."""
@@ -172,6 +175,8 @@ class _Run:
                 self._apply_requests()
                 self._exchange()
                 self._watcher.progress(self._status())
+            if self._sequencer.given_up:
+                self.end("stopped", f"held for {LONGEST_PAUSE_S:g} s, and nobody went on")
         finally:
             self._ramp_down()
             self._release(everything=True)
@@ -181,6 +186,7 @@ class _Run:
         return RunSummary(
             self.how,
             self.why,
+            self._asked,
             self._writer.n_samples,
             self._steps,
             len(self._instruments.programme.steps),
@@ -215,7 +221,7 @@ class _Run:
         if wanted is not None and wanted != self._applied_stop:
             self._applied_stop = wanted
             zero = f"; drive zero from sample {self._sequencer.position}" if wanted is Stop.NOW else ""
-            self.end("stopped", f"{request.why}{zero}")
+            self.end("stopped", f"{request.why}{zero}", asked=True)
             self._sequencer.stop(wanted)
 
     def _note(self, texts: list[str]) -> None:

@@ -107,6 +107,8 @@ class Sequencer:
         The step under way (the last one when stopping).
     marks : list of Step
         Steps begun (as planned) and ended (with the samples they really had) since the caller last emptied the list.
+    given_up : bool
+        Whether a pause was not ended for `LONGEST_PAUSE_S`, and ended the run.
     fades : list of Fade
         Changes of the drive's amplitudes since the caller last emptied the list; together they are the drive.
     """
@@ -128,7 +130,7 @@ class Sequencer:
         self._controlled = controlled
         self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
         self._zero = tuple(0j for _ in self._multiples)
-        self._finish_step = self._pausing = False
+        self._finish_step = self._pausing = self.given_up = False
         self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
         self.fades = [self._fade]
         self._until = self.step.fade_samples
@@ -218,6 +220,7 @@ class Sequencer:
             last = self._finish_step or self.step.index + 1 == len(self.programme.steps)
             return Event.LAST if last else Event.WAIT if self._pausing else Event.NEXT
         if self.state is State.PAUSED:
+            self.given_up = self._pausing
             return Event.STOP if self._pausing else Event.NEXT
         return {
             State.FADING: Event.FADED,

@@ -55,7 +55,7 @@ const handlers = {
     $("tones").tBodies[0].replaceChildren();
     $("cycle").textContent = "";
   },
-  started(m) { reset(); run = null; running = true; log(`run started: ${m.out}`); buttons(); },
+  started(m) { reset(); run = null; running = true; log(m.why ? `next: ${m.why}` : `run started: ${m.out}`); buttons(); },
   run(m) {
     run = m; running = true;
     $("simulated").hidden = !m.simulated;
@@ -76,7 +76,7 @@ const handlers = {
   model(m) { diagram.model(m); },
   reduced(m) { reduced(m); },
   verdict(m) { verdict(m); },
-  taken(m) { log({ finish: "finishing this step", ramp_down: "ramping down", now: "stopped now", pause: "pausing after this step", go_on: "going on", note: `note: ${m.text}` }[m.do] ?? m.do); },
+  taken(m) { log({ finish: "finishing this step", ramp_down: "ramping down", now: "stopped now", pause: "pausing after this step", go_on: "going on", note: `note: ${m.text}`, next: `finishing this step; next: ${m.text || "another choice"}`, refused: m.text }[m.do] ?? m.do, m.do === "refused" ? "bad" : ""); },
   lease(m) {
     mine = showLease(m, $);
     buttons();
@@ -210,6 +210,8 @@ function buttons() {
   const may = mine && running;
   for (const id of ["now", "ramp_down", "finish", "pause", "note"]) $(id).disabled = !may;
   $("note-form").querySelector("button").disabled = !may;
+  $("next-form").hidden = !(run && run.leads);
+  for (const one of $("next-form").elements) one.disabled = !may;
   $("pause").firstChild.textContent = pausing ? "go on " : "pause after step ";
   const canStart = offer && offer.can_start && !running && offer.profiles.length > 0;
   $("start").hidden = !canStart;
@@ -229,6 +231,12 @@ $("note-form").addEventListener("submit", (event) => {
   if (text) send({ do: "note", text });
   $("note").value = "";
   $("note").blur();
+});
+$("next-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  send({ do: "next", text: $("next").value.trim() });
+  $("next").value = "";
+  $("next").blur();
 });
 addEventListener("keydown", (event) => {
   const typing = event.target instanceof HTMLInputElement && event.target.type !== "checkbox";

@@ -141,3 +141,21 @@ def test_what_chance_gains_as_well_is_refused_with_its_probability(
     assert (rejected is None) is accepted
     if rejected is not None:
         assert rejected.reason == "chance lets the best of all candidates gain as much: p = 0.005, wanted 0.001"
+
+
+def test_chance_is_asked_about_those_alone_that_could_be_chosen(
+    judge: Judge, explanation: Callable[..., Hypothesis]
+) -> None:
+    """Of a leader, one that ties with it and one far behind, the last is never held against chance."""
+    asked: list[Hypothesis] = []
+
+    class Chance:
+        def p(self, x: Hypothesis) -> float:
+            """Never by chance."""
+            asked.append(x)
+            return 0.0
+
+    best, leader = explanation("nothing", np.full(STEPS, 10.0)), explanation("drag", np.zeros(STEPS))
+    close, far = explanation("damping", np.full(STEPS, 0.1)), explanation("friction", np.full(STEPS, 5.0))
+    assert judge.choose(best, [far, close, leader], 0, cast(ChanceGains, Chance())) is leader
+    assert [x.candidates[0].names for x in asked] == [("drag",), ("damping",)]

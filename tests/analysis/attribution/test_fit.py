@@ -78,6 +78,18 @@ def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., Fo
     assert point[RATE] == pytest.approx(something.values[RATE], rel=0.33)
 
 
+def test_a_promise_leaves_out_what_the_fit_itself_would_still_gain(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A fit that stopped 20 % short of its damping promises nothing by friction, of which there is none."""
+    world = fly_ramp({RATE: 1.0}, 2)
+    fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
+    fitted = fitter.fit(Whitener.of(world, {RATE: 1.0}), (RATE,), {RATE: 1.0})
+    x = 0.8 * fitted.x
+    short = replace(fitted, x=x, raw=fitted.state.raw(x))
+    assert fitted.state.loss(short.raw, x) - fitted.loss > 20.0
+    assert fitter.linear_step(short, ())[0] == 0.0
+    assert abs(fitter.linear_step(short, (UP, DOWN))[0]) < 4.0
+
+
 @pytest.mark.parametrize(("part", "seen"), [(0.4, False), (2.5, True)])
 def test_what_lies_beyond_the_detection_limit_gains_the_threshold(
     fly_ramp: Callable[..., ForwardModel], part: float, seen: bool

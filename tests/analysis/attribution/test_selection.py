@@ -104,6 +104,43 @@ def test_a_richer_form_gives_way_to_its_special_case(selection_of: Callable[...,
     assert rounds == ["step back: a simpler coulomb_friction does as well"]
 
 
+def test_a_special_case_is_looked_at_again_beside_the_fuller_form(
+    selection_of: Callable[..., StepwiseSelection],
+) -> None:
+    """Stribeck friction won a round: the round's better fit of plain friction gets its second causes as well."""
+    selection = selection_of({}, 2)
+    nothing = selection.declared()
+    stribeck, plain, drag = (
+        replace(nothing, candidates=(named(selection, name),))
+        for name in ("stribeck_friction", "coulomb_friction", "quadratic_drag")
+    )
+    worse = replace(plain, losses={k: x + 1.0 for k, x in plain.losses.items()})
+    assert selection._special_case(stribeck, [drag, worse, plain, stribeck]) is plain
+    assert selection._special_case(plain, [drag, plain, stribeck]) is None
+    offered = remaining_candidates(selection.library, plain, stribeck.names)
+    assert "quadratic_drag" in {c.names[0] for c in offered}
+    assert not {"stribeck_friction", "coulomb_friction"} & {c.names[0] for c in offered if len(c.names) == 1}
+
+
+@pytest.mark.parametrize("offered", ["coulomb_friction", "quadratic_drag"])
+def test_nothing_is_looked_for_from_afar_once_it_is_found(
+    selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch, offered: str
+) -> None:
+    """Landings are lost to friction: a fit from nearby that leaves noise ends the search, drag alone does not."""
+    selection = selection_of({UP: 0.15, DOWN: 0.15}, 6)
+    asked: list[str] = []
+
+    def from_afar(*_: object) -> list[Hypothesis]:
+        asked.append("afar")
+        return []
+
+    monkeypatch.setattr(selection.proposals, "_from_afar", from_afar)
+    nothing = selection.declared()
+    assert nothing.whitener.lost
+    selection.proposals.round(nothing, [named(selection, offered)], lambda *_: None)
+    assert bool(asked) is (offered == "quadratic_drag")
+
+
 def test_a_fuller_form_of_what_is_named_stays_on_offer(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Restitution without its slope is named: the slope may follow, what else is named may not again."""
     selection = selection_of({}, 2)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analysis.explore.choice import Pool, divergences, limits_of, mutual_information, sharpened
-from analysis.explore.explanations import Explanation, Weighed, _evidence
+from analysis.explore.explanations import Explanation, Weighed, _Fit
 
 A, B, SCALE = ("effect", "a"), ("effect", "b"), ("gauge", "gain")
 
@@ -15,7 +15,7 @@ def known(*free, information=None):
     """Two explanations, the first with no parameter of its own, the second with ``free``; one calibration."""
     explanations = (Explanation((), (), {}, 0.5), Explanation(("effect",), free, {}, 0.5))
     keys = (SCALE, A, B)
-    return Weighed(explanations, keys, 1, np.eye(3) if information is None else information)
+    return Weighed(explanations, keys, 1, np.eye(3) if information is None else information, np.zeros(3))
 
 
 def products(slopes, differences):
@@ -65,7 +65,7 @@ def test_a_rival_uses_its_own_parameters():
 def test_sharpening_is_the_logarithm_of_the_deviations():
     """Sixteen times the information is a quarter of the deviation: ln 4 nats; nothing for what is not asked for."""
     explanation = Explanation(("effect",), (A,), {}, 1.0)
-    found = Weighed((explanation,), (SCALE, A), 1, np.diag([1.0, 4.0]))
+    found = Weighed((explanation,), (SCALE, A), 1, np.diag([1.0, 4.0]), np.zeros(2))
     total = np.zeros((3, 3))
     total[1, 1] = 60.0
     assert sharpened(total, found, [A]) == pytest.approx(np.log(4.0), rel=1e-6)
@@ -79,8 +79,30 @@ def test_a_fit_that_stopped_short_is_no_evidence():
     own = shared @ [1.0, -0.5] + 1e-3 * rng.standard_normal(200)  # nearly what the shared ones can do
     jacobian = np.column_stack([shared, own])
     left = jacobian.T @ (shared @ [0.3, 0.2])  # the gradient of a fit that is off by so much, and of nothing else
-    log, mean, _ = _evidence(1e6 * jacobian.T @ jacobian, 1e6 * left, np.arange(2), np.array([2]))
+    fit = _Fit(1e6 * jacobian.T @ jacobian, 1e6 * left, np.zeros(3), np.zeros(3), 2)
+    log, mean, _ = fit.evidence(np.array([2]), np.zeros(1))
     assert log < 0.5 and abs(mean[0]) < 0.1
+
+
+def test_a_calibration_that_data_know_better_is_no_explanation():
+    """Freeing a calibration that the recordings themselves tell moves nothing; one that is strained is freed."""
+    stated, data = np.array([100.0]), np.array([[1e6]])  # one over variances: known to 0.1, and to 0.001 from the data
+    fit = _Fit(data, np.array([100.0 * 0.01]), stated, np.array([0.01]), 1)
+    log, mean, deviation = fit.evidence(np.array([0]), np.array([0.01]))
+    assert log < 0.0 and abs(mean[0]) < 2e-5 and deviation[0] == pytest.approx(1e-3, rel=1e-3)
+    strained = _Fit(data, np.array([100.0 * 0.9]), stated, np.array([0.9]), 1)
+    assert strained.evidence(np.array([0]), np.array([0.9]))[0] > 30.0
+
+
+def test_a_rival_that_holds_to_a_calibration_is_told_from_one_that_frees_it():
+    """Only the explanation that frees a gauge's gain may follow it; its rival holds to what is stated."""
+    n = 400
+    gain = np.ones(n)
+    total = products((gain, np.zeros(n), np.zeros(n)), (np.zeros(n), 0.1 * gain))
+    freed, other = Explanation(("gauge",), (SCALE,), {}, 0.5), Explanation(("effect",), (A,), {}, 0.5)
+    both = Weighed((freed, other), (SCALE, A, B), 1, np.eye(3), np.array([1e6, 0.0, 0.0]))
+    d = divergences(total, both, both.explanations)
+    assert d[1, 0] < 0.01 and d[0, 1] == pytest.approx(0.5 * 0.1**2 * n, rel=1e-3)
 
 
 def test_what_calibrations_forbid_is_said():
@@ -89,7 +111,7 @@ def test_what_calibrations_forbid_is_said():
     prior = 4.0  # of the gain: one over its variance
     both = np.array([[1.0, 1.0], [1.0, 1.0]])  # data see gain + size alone
     best = Explanation(("coulomb_friction",), (size,), {}, 1.0)
-    known = Weighed((best,), (gain, size), 1, 100.0 * both + np.diag([prior, 0.0]))
+    known = Weighed((best,), (gain, size), 1, 100.0 * both, np.array([prior, 0.0]))
     pools = [Pool(None, np.array([np.pad(50.0 * both, (0, 1))]), np.zeros(1))]
     share, limiting = limits_of(pools, known, size)
     now, least = np.sqrt(1.0 / 100.0 + 1.0 / prior), np.sqrt(1.0 / prior)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import flights_of
-from analysis.flights.compare import compare
+from analysis.flights.compare import compare, first_bifurcation
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from model.effects.routing import accelerometer_factor, ball_effects, plate_gain, shapes_the_plate
@@ -42,6 +42,19 @@ def test_a_declared_accelerometer_gain_corrects_the_comparison(make: Callable[..
     assert abs(told.short_by) < 0.001
     assert told.within_sample == 1.0
     assert told.effects == ("accelerometer_gain", "drive_gain")
+
+
+def test_the_first_bifurcation_alone_is_that_of_the_comparison(make: Callable[..., Any]) -> None:
+    """Who wants the first bifurcation only gets the comparison's, without the motion in each step."""
+    made = make(np.array([0.26, 0.28, 0.32, 0.34]), ratio=2, hold=16)
+    with open_recording(made.path) as recording:
+        flights = flights_of(recording)
+        whole = compare(flights, recording.setup, effects={}, steps_table=recording.steps).first
+        alone = first_bifurcation(flights, recording.setup, {})
+    assert alone.predicted_type
+    assert (alone.measured, alone.predicted_type, alone.predicted_gamma) == (
+        whole.measured, whole.predicted_type, whole.predicted_gamma
+    )  # fmt: skip
 
 
 def test_another_profile_reads_the_same_volts(make: Callable[..., Any]) -> None:

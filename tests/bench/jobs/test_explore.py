@@ -6,18 +6,21 @@ from pathlib import Path
 import pytest
 
 import shakerbench as sb
-from bench.commands.explore import _drive
-from bench.jobs.explore import Aims, explore, offers, run_seconds, with_gammas
-from bench.jobs.explore import Chosen as Block
+from bench.commands.explore import Driver
+from bench.jobs.blocks import Aims, Driven, by_person, offers, run_seconds, tells
+from bench.jobs.blocks import Chosen as Block
+from bench.jobs.explore import explore
 from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
 from bench.profiles.plan import planned
+from bench.terminal.orders import obey
 from daq.recording import RecordingWriter, open_recording
 from daq.setup.errors import InputError
-from rig.execution.run import StopRequest, run_ramp
+from rig.execution.operator import NextSteps, StopRequest
+from rig.execution.run import run_ramp
 from rig.profile import parse_profile
-from rig.programme.sequencer import Stop
+from rig.programme.sequencer import State, Stop
 
 TEXT = load("simulated")[1]
 
@@ -36,9 +39,11 @@ def test_a_person_cannot_pass_the_limits():
     """Gammas typed in place of a choice are planned and refused as any other; good ones are the block."""
     block = Block(TEXT, 1.0, "because")
     with pytest.raises(InputError, match="limits forbid"):
-        with_gammas(block, [0.8, 40.0])
-    own = with_gammas(block, [0.8, 1.2])
-    assert parse_profile(own.text).ramp.gammas() == (0.8, 1.2) and own.seconds > 0 and "a person" in own.reason
+        by_person(block, NextSteps((0.8, 40.0)))
+    own = by_person(block, NextSteps((0.4, 0.2), 2, "a look at c = 2"))
+    profile = parse_profile(own.text)
+    assert profile.ramp.gammas() == (0.4, 0.2) and profile.forcing.ratio == 2 and own.seconds > 0
+    assert own.reason == "c = 2, 25.37 Hz, gamma 0.4, 0.2: chosen by a person, a look at c = 2"
 
 
 def test_a_failed_block_ends_it(tmp_path):
@@ -46,7 +51,7 @@ def test_a_failed_block_ends_it(tmp_path):
     told = []
 
     def broken(block, path, number):
-        return "failed: the device went away"
+        return Driven("failed: the device went away")
 
     found = explore(TEXT, tmp_path, Aims(60.0), broken, say=told.append)
     assert found.failed and "device went away" in found.why and found.recordings == ()
@@ -70,12 +75,76 @@ def test_a_block_stopped_at_once_is_left_out(tmp_path):
 
     def broken(block, path, number):
         driven.append(path.name)
-        return "failed: the device went away"
+        return Driven("failed: the device went away")
 
     found = explore(TEXT, tmp_path, Aims(60.0), broken, say=told.append)
     assert found.recordings == () and driven == ["block-02.h5"]
     assert "left out: block-01.h5" in told[0] and "block 2: " in told[1]
-    assert whole.exists()
+    assert whole.exists() and not tells(whole)
+
+
+class Typist:
+    """Types lines at given moments of a run: ``(block of the call, step, state)`` -> line."""
+
+    def __init__(self, lines):
+        self.lines, self.block, self.seen = dict(lines), 0, []
+
+    def obeyed(self, request, progress):
+        """As `bench.terminal.orders.TypedLines.obeyed`."""
+        self.block += 1
+
+        def after_block(status):
+            moment = (self.block, status.step.index, status.state)
+            if moment not in self.seen:
+                self.seen.append(moment)
+            if line := self.lines.pop(moment, ""):
+                obey(request, line)
+            progress(status)
+
+        return after_block
+
+
+def test_a_person_holds_goes_on_and_takes_over_within_a_block(tmp_path):
+    """Held and gone on with, the block is whole; then own steps follow at once; each choice has its reason."""
+    typist = Typist({
+        (1, 1, State.HOLDING): "h: a dusty ball",
+        (1, 1, State.PAUSED): "g",
+        (1, 2, State.HOLDING): "c=2 0.4 0.2: where two motions exist",
+        (2, 1, State.HOLDING): "s: enough",
+    })  # fmt: skip
+    told = []
+    found = explore(TEXT, tmp_path, Aims(60.0), Driver(seed=3, quiet=True, typed=typist), say=told.append)
+    assert found.failed and found.why == "block 2: stopped: a person: step finished, enough"
+    assert (1, 1, State.PAUSED) in typist.seen and (1, 3, State.FADING) not in typist.seen
+    with open_recording(tmp_path / "block-01.h5") as first, open_recording(tmp_path / "block-02.h5") as second:
+        assert len(first.steps) == 3 and found.blocks[0].seconds == first.n_samples / first.rate_hz
+        notes = [text.decode() for text in first.notes["text"]]
+        assert notes == ["a person: hold after this step: a dusty ball", "a person: go on"]
+        held, after = first.steps[1:3]
+        assert after["first_sample"] > held["first_sample"] + held["n_samples"]
+        assert "own steps next: where two motions exist" in first.attrs["why"]
+        assert second.attrs["extra"]["chosen_because"].endswith("chosen by a person, where two motions exist")
+        assert second.setup.forcing.ratio == 2 and second.steps["gamma"].tolist() == [0.4, 0.2]
+    assert "chosen by a person" in told[-1]
+
+
+def test_a_block_may_be_ended_for_another_choice(tmp_path):
+    """A person ends a block after one step: it is kept but left out, and the rig chooses again."""
+    typist = Typist({(1, 0, State.HOLDING): "n: the wrong ball", (2, 0, State.HOLDING): "s"})
+    told = []
+    found = explore(TEXT, tmp_path, Aims(60.0), Driver(seed=3, quiet=True, typed=typist), say=told.append)
+    assert found.recordings == () and found.why.startswith("block 2: stopped")
+    assert any("left out: block-01.h5" in line for line in told)
+    with open_recording(tmp_path / "block-01.h5") as first:
+        assert "another choice next: the wrong ball" in first.attrs["why"]
+
+
+def test_steps_that_a_limit_forbids_end_nothing(tmp_path):
+    """Own steps beyond the limits are refused at once, and the block goes on."""
+    request = StopRequest(partial(by_person, Block(TEXT, 1.0, "because")))
+    with pytest.raises(InputError, match="limits forbid"):
+        obey(request, "0.8 40: higher")
+    assert request.wanted is None and request.then is None
 
 
 @pytest.mark.slow
@@ -83,7 +152,7 @@ def test_it_finds_what_is_hidden_in_a_part_of_the_time(tmp_path):
     """Friction is named, alone, in less than half of the ramp's rig time; every block says why; the rest resumes."""
     profile = sb.load_profile("simulated")
     whole = run_seconds(parse_profile(profile.text))
-    drive = partial(_drive, Path("friction"), 23, True)
+    drive = Driver(Path("friction"), 23, quiet=True)
     told = []
     found = explore(profile.text, tmp_path, Aims(whole), drive, say=told.append)
     assert found.loop is not None and found.loop.names == ("coulomb_friction",) and found.loop.verdict == "explained"

@@ -128,7 +128,9 @@ def test_run_is_started_watched_noted_paused_and_stopped(
     assert verify(recorded).state == "stopped"
     with open_recording(recorded) as recording:
         assert recording.attrs["why"].startswith("page: stopped now")
-        assert [text.decode() for text in recording.notes["text"]] == ["a dusty ball <b>"]
+        assert [text.decode() for text in recording.notes["text"]] == [
+            "page: hold after this step", "a dusty ball <b>", "page: go on"
+        ]  # fmt: skip
         first, second = recording.steps[step - 1 : step + 1]
         assert second["first_sample"] > first["first_sample"] + first["n_samples"]  # the pause
     for one in (page, other):
@@ -150,6 +152,30 @@ def test_each_button_stops(chromium: Any, bench: Any, profile: Path, tmp_path: P
     assert process.returncode == 1 and verify(out).state == "stopped"
     with open_recording(out) as recording:
         assert recording.attrs["why"].startswith(f"page: {why}")
+
+
+def test_own_steps_are_next_on_the_same_page(chromium: Any, bench: Any, profile: Path, tmp_path: Path) -> None:
+    """Blocks of `bench explore` on one page: held, refused beyond the limits, replaced by own steps, and stopped."""
+    out = tmp_path / "found"
+    process, url = bench("explore", profile, "--out", out, "--live", "--hold", "20")
+    page = opened(chromium, url)
+    wait_for(page, "#lease-word", "you hold")
+    wait_for(page, "#state-step", "of 4")
+    page.keyboard.press("p")
+    wait_for(page, "#state-word", "paused")
+    for text, told in (("0.8 99", "limits forbid"), ("0.6 0.9: a closer look", "next: 0.6 0.9")):
+        page.fill("#next", text)
+        page.press("#next", "Enter")
+        wait_for(page, "#log", told)
+    wait_for(page, "#log", "chosen by a person, a closer look")
+    wait_for(page, "#state-step", "of 2")
+    page.click("#ramp_down")
+    process.communicate(timeout=PATIENCE_S)
+    assert page.faults == [] and process.returncode == 1
+    page.context.close()
+    with open_recording(out / "block-02.h5") as second:
+        assert second.steps["gamma"][0] == 0.6
+        assert second.attrs["extra"]["chosen_because"].endswith("chosen by a person, a closer look")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="finds the page's process by POSIX means")

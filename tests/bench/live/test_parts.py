@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import struct
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.jobs.blocks import Chosen, by_person
 from bench.jobs.run_ramp import make_backend, record
 from bench.live.board import EVENT_SLOTS, Board
 from bench.live.decimate import MinMax, PlateHeight
@@ -26,7 +28,7 @@ from bench.web.hub import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, RingReader
 from daq.recording import open_recording
-from rig.execution.operator import StopRequest
+from rig.execution.operator import NextSteps, StopRequest
 from rig.profile import parse_profile
 from rig.programme.sequencer import Stop
 
@@ -135,11 +137,27 @@ def test_commands_become_requests(board: Board) -> None:
     notes = [{"do": "note", "text": text} for text in (" dusty ", " ")]
     for command in [{"do": "pause"}, *notes, {"do": "format c:"}, {"do": "ramp_down"}, {"do": "finish"}]:
         side._obey(command)
-    assert request.pause and request.notes == ["dusty"] and request.wanted is Stop.RAMP_DOWN
+    assert request.pause and request.notes == ["page: hold after this step", "dusty"]
+    assert request.wanted is Stop.RAMP_DOWN
     side._obey({"do": "go_on"})
     side._obey({"do": "now"})
     assert not request.pause and request.wanted is Stop.NOW and request.why == "page: stopped now"
     assert [m["do"] for m in other.events.read()[0]] == ["pause", "note", "ramp_down", "finish", "go_on", "now"]
+    other.close()
+
+
+def test_steps_typed_on_the_page_are_next_or_refused(board: Board) -> None:
+    """A person's gammas become the next steps with their reason; what cannot be driven is said on the page."""
+    text = load("simulated")[1]
+    request, other = StopRequest(partial(by_person, Chosen(text, 1.0, ""))), Board(board.name)
+    side = RunSide(board)
+    side._request = request
+    side._obey({"do": "next", "text": "0.8, 99"})
+    assert request.wanted is None
+    side._obey({"do": "next", "text": "0.8, 1.2: a closer look"})
+    assert request.then == NextSteps((0.8, 1.2), None, "a closer look") and request.wanted is Stop.FINISH_STEP
+    refused, taken = other.events.read()[0]
+    assert refused["do"] == "refused" and "limits forbid" in refused["text"] and taken["do"] == "next"
     other.close()
 
 

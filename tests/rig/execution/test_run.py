@@ -139,6 +139,30 @@ def test_lost_frames_are_counted_and_steps_stay_in_place(
             assert row["achieved_gamma"] == pytest.approx(row["gamma"], rel=2e-3)
 
 
+def test_a_hold_that_nobody_ends_is_a_stop(make_profile, fake_rig, recording_path, monkeypatch) -> None:
+    """Held longer than a plate shakes by itself, the run is stopped, by nobody's wish, and says why."""
+    monkeypatch.setattr("rig.programme.sequencer.LONGEST_PAUSE_S", 0.5)
+    profile, request = make_profile(("contact_cycles = 8", "contact_cycles = 0")), StopRequest()
+    request.hold("a person")
+    summary = record(profile, fake_rig(profile), recording_path, stop_request=request)
+    assert (summary.how, summary.asked, summary.steps_driven) == ("stopped", False, 1)
+    assert "nobody went on" in summary.why
+
+
+def test_a_trip_after_a_stop_is_not_hidden_by_it(make_profile, fake_rig, recording_path) -> None:
+    """Asked to finish the step, then tripped: both are said, and it is no longer the operator's end alone."""
+    profile, request = make_profile(), StopRequest()
+    rig = fake_rig(profile)
+
+    def watch(status) -> None:
+        request.ask(Stop.FINISH_STEP, "the operator asked")
+        rig.dead_from = 0  # the accelerometer
+
+    summary = record(profile, rig, recording_path, progress=watch, stop_request=request)
+    assert summary.how == "stopped" and summary.why.startswith("the operator asked; then interlock: ")
+    assert not summary.asked
+
+
 def test_notes_and_a_pause_are_kept(make_profile, fake_rig, recording_path) -> None:
     """Notes stand in the recording at the sample where they came, and a pause lies between two whole steps."""
     profile, request = make_profile(("contact_cycles = 8", "contact_cycles = 0")), StopRequest()

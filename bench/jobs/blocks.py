@@ -1,0 +1,194 @@
+"""Blocks of steps that a rig drives one after another: what one is, how it ended, and which may be driven.
+
+A block is a short ramp of its own, within the same limits as any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.profiles.edit import with_values
+from bench.profiles.plan import planned, refusal
+from daq.recording import open_recording
+from daq.setup.errors import InputError
+from rig.execution.operator import NextSteps
+from rig.profile import Profile, parse_profile
+from rig.programme.ramp import plan
+from rig.programme.sequencer import stop_fade_samples
+
+if TYPE_CHECKING:
+    from analysis.explore.choice import Option
+    from analysis.residuals.forward_model import ParameterId
+
+GAMMAS = 10  # offered for each forcing
+FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
+LEAST_STEPS = 2  # held, of a block that is gone on with
+
+
+@dataclass(frozen=True)
+class Aims:
+    """When to stop, and what may be changed.
+
+    Attributes
+    ----------
+    budget_s
+        Rig time.
+    until
+        Standard deviation asked for, by effect and parameter.
+    limit
+        Size down to which "nothing missing" is to be shown, in units of the size at which each effect would matter.
+    ratios, frequencies_hz
+        Values of c, and of the first tone, that may be driven.
+    steps, hold_cycles
+        Of each block.
+    """
+
+    budget_s: float
+    until: Mapping[ParameterId, float] = field(default_factory=dict)
+    limit: float = 1.0
+    ratios: tuple[int, ...] = (1, 2, 3)
+    frequencies_hz: tuple[float, ...] = ()
+    steps: int = 4
+    hold_cycles: int = 10
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A block to be driven: its profile as text, its rig time, and the reason in words."""
+
+    text: str
+    seconds: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Driven:
+    """How a block ended.
+
+    Attributes
+    ----------
+    why
+        Why it was not completed; empty where it was.
+    then
+        What the person who ended it wants driven next; None where that is nothing more.
+    """
+
+    why: str = ""
+    then: NextSteps | None = None
+
+
+def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
+    """The block with a person's steps; raises `InputError` where a limit forbids one."""
+    gammas = list(wanted.gammas)
+    values: dict[str, Any] = {"ramp.gamma": gammas, "ramp.order": "down" if gammas[-1] < gammas[0] else "up"}
+    if wanted.ratio is not None:
+        values["forcing.ratio"] = wanted.ratio
+    text = with_values(block.text, values, "the block")
+    profile = parse_profile(text, "the block")
+    if faults := planned(profile)[2]:
+        raise InputError(refusal("these gammas", faults))
+    why = f"chosen by a person{f', {wanted.why}' if wanted.why else ''}"
+    return Chosen(text, run_seconds(profile), f"{forcing_in_words(profile)}: {why}")
+
+
+def forcing_in_words(profile: Profile) -> str:
+    """What a block drives."""
+    forcing, ramp = profile.forcing, profile.ramp
+    listed = ", ".join(f"{g:g}" for g in ramp.gammas())
+    return f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {listed}"
+
+
+def tells(path: Path) -> bool:
+    """Whether enough steps of a block were held to their end."""
+    with open_recording(path) as opened:
+        steps = opened.steps
+        whole = steps["first_sample"] + steps["n_samples"] <= opened.n_samples
+        held = whole & (steps["settle_samples"] < steps["n_samples"])
+        return int(np.count_nonzero(held)) >= LEAST_STEPS
+
+
+def as_driven(path: Path) -> Chosen:
+    """The block that a recording holds."""
+    with open_recording(path) as opened:
+        reason = str(opened.attrs["extra"].get("chosen_because", "recorded before"))
+        return Chosen(str(opened.attrs.get("profile_text", "")), opened.n_samples / opened.rate_hz, reason)
+
+
+# -- what may be driven ------------------------------------------------------------------------------------------------
+def offers(text: str, aims: Aims) -> list[Option]:
+    """Every forcing that may be driven, up and down, with the gammas that the limits allow.
+
+    Raises
+    ------
+    InputError
+        Where the limits allow none.
+    """
+    from analysis.explore.choice import Option
+
+    profile = parse_profile(text, "profile")
+    found = []
+    for ratio in aims.ratios:
+        for frequency_hz in aims.frequencies_hz or (profile.forcing.frequency_hz,):
+            allowed = [g for g in _gammas(profile, ratio) if _allowed(text, aims, ratio, frequency_hz, g)]
+            if len(allowed) < aims.steps:
+                continue
+            for gammas in (allowed, allowed[::-1]):
+                whole = parse_profile(block_text(text, aims, ratio, frequency_hz, gammas))
+                found.append(Option(whole.setup(), tuple(gammas), aims.hold_cycles, partial(_part_seconds, whole)))
+    if not found:
+        raise InputError(
+            f"the limits of this profile allow no block of {aims.steps} steps: raise [limits], or give fewer"
+        )
+    return found
+
+
+def _gammas(profile: Profile, ratio: int) -> list[float]:
+    """Gammas for a ratio: the range of the profile's ramp over its take-off, and farther."""
+
+    def takeoff(c: int) -> float:
+        return 0.5 if c == 1 else 1.0 / (1.0 + c**2)
+
+    own = profile.ramp.gammas()
+    scale = takeoff(ratio) / takeoff(profile.forcing.ratio)
+    low, high = max(min(own) * scale, 1.1 * takeoff(ratio)), FARTHER * max(own) * scale
+    return [float(f"{g:.4g}") for g in np.linspace(low, high, GAMMAS)]
+
+
+def block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:
+    """The profile ``text`` with the ramp of a block, its gammas in the order given."""
+    values = {
+        "forcing.ratio": ratio,
+        "forcing.frequency_hz": frequency_hz,
+        "ramp.gamma": list(gammas),
+        "ramp.order": "down" if len(gammas) > 1 and gammas[-1] < gammas[0] else "up",
+        "ramp.hold_cycles": aims.hold_cycles,
+    }
+    return with_values(text, values, "the profile")
+
+
+def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: float) -> bool:
+    """Whether the rig's limits allow a step."""
+    try:
+        return not planned(parse_profile(block_text(text, aims, ratio, frequency_hz, [gamma])))[2]
+    except InputError:
+        return False
+
+
+def _part_seconds(whole: Profile, places: Sequence[int]) -> float:
+    """Rig time of a block with some steps of ``whole`` alone, its fades and the end at rest included."""
+    gammas = whole.ramp.gammas()
+    ramp = whole.ramp.model_copy(update={"gamma": tuple(gammas[i] for i in places), "order": None})
+    return run_seconds(whole.model_copy(update={"ramp": ramp}))
+
+
+def run_seconds(profile: Profile) -> float:
+    """Rig time of a profile's ramp, from the first sample to rest."""
+    programme = plan(profile)
+    rest = stop_fade_samples(programme.clock) + programme.clock.cycle_start(1)
+    return (programme.n_samples + rest) / programme.rate_hz

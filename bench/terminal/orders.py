@@ -1,0 +1,156 @@
+"""What a person types while the rig is driven: hold, go on, other steps, stop.
+
+One thread reads the terminal for the whole call; a run takes what came after each of its blocks, and never waits. The
+same words are answers where the call does ask.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import typer
+
+from daq.setup.errors import InputError
+from rig.execution.operator import NextSteps, StopRequest
+from rig.programme.sequencer import Stop
+
+if TYPE_CHECKING:
+    from rig.execution.operator import Status
+
+WORDS = (
+    "h hold, g go on, n end this block, 0.8, 1.2 these gammas next (c=2 0.8 1.2 too), s stop; a reason after a colon"
+)
+PERSON = "a person"
+POLL_S = 0.2  # in which an interrupt reaches one who waits for an answer, on Windows too
+
+
+def steps_from(text: str) -> NextSteps:
+    """Next steps from words as ``0.8, 1.2: why`` or ``c=2 0.8 1.2``; no gammas leave the choice to the rig.
+
+    Raises
+    ------
+    InputError
+        For what is no number.
+    """
+    what, _, why = text.partition(":")
+    ratio, gammas = None, list[float]()
+    for word in re.split(r"[,\s]+", what.strip()):
+        name, equals, value = word.partition("=")
+        try:
+            if equals and name == "c" and int(value) > 0:
+                ratio = int(value)
+            elif word:
+                gammas.append(float(word))
+        except ValueError as error:
+            raise InputError(f"{text.strip()}: wanted {WORDS}") from error
+    if (ratio is not None and not gammas) or not all(0.0 < gamma < float("inf") for gamma in gammas):
+        raise InputError(f"{text.strip()}: wanted positive gammas, as 0.8, 1.2 or c=2 0.8 1.2")
+    return NextSteps(tuple(gammas), ratio, why.strip())
+
+
+def obey(request: StopRequest, line: str) -> str:
+    """Do what a line typed during a run asks; what was understood, in words.
+
+    Raises
+    ------
+    InputError
+        For what cannot be done, or is not understood.
+    """
+    word, _, why = (part.strip() for part in line.partition(":"))
+    match word.lower():
+        case "" | "h" | "hold":
+            request.hold(PERSON, why)
+            return f"holding after this step; {WORDS}"
+        case "g" | "go" | "go on":
+            request.go_on(PERSON, why)
+            return "going on"
+        case "n" | "next":
+            request.take_over(PERSON, NextSteps(why=why))
+            return "finishing this step; the rig chooses the next block"
+        case "s" | "stop":
+            request.ask(Stop.FINISH_STEP, f"{PERSON}: step finished{f', {why}' if why else ''}")
+            return "finishing this step; Ctrl-C ramps down at once"
+    request.take_over(PERSON, steps_from(line))
+    return "finishing this step; your steps are next"
+
+
+class TypedLines:
+    """Lines typed at a terminal.
+
+    Parameters
+    ----------
+    descriptor
+        Of the terminal; read to its end by a thread that ends with the program. Read without a buffer, so that the
+        program may end while the thread waits.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        threading.Thread(target=self._read, args=(descriptor,), name="terminal", daemon=True).start()
+
+    def _read(self, descriptor: int) -> None:
+        rest = b""
+        with suppress(OSError):  # the terminal is gone, or belongs to another program now
+            while piece := os.read(descriptor, 4096):
+                *lines, rest = (rest + piece).split(b"\n")
+                for line in lines:
+                    self._lines.put(line.decode(errors="replace").strip())
+        self._lines.put(None)
+
+    def take(self) -> list[str]:
+        """Lines since the last call; never waits."""
+        found = list[str]()
+        while not self._lines.empty():
+            line = self._lines.get()
+            if line is None:
+                self._lines.put(None)  # for whoever asks
+                break
+            found.append(line)
+        return found
+
+    def answer(self, prompt: str) -> str | None:
+        """The next line that is typed after ``prompt``; None where nobody can type any more."""
+        self.take()
+        typer.echo(f"{prompt}: ", nl=False)
+        while True:
+            with suppress(queue.Empty):
+                line = self._lines.get(timeout=POLL_S)
+                if line is None:
+                    self._lines.put(None)
+                return line
+
+    def obeyed(self, request: StopRequest, progress: Callable[[Status], None]) -> Callable[[Status], None]:
+        """``progress``, with the lines that came obeyed before it."""
+
+        def after_block(status: Status) -> None:
+            for line in self.take():
+                try:
+                    told = obey(request, line)
+                except InputError as error:
+                    told = str(error)
+                with suppress(OSError):  # the terminal may be gone
+                    typer.echo(told, err=True)
+            progress(status)
+
+        return after_block
+
+
+def typed_lines() -> TypedLines | None:
+    """What is typed at this program's terminal; None where it has none."""
+    try:
+        if not sys.stdin.isatty():
+            return None
+        descriptor = sys.stdin.fileno()
+    except (AttributeError, ValueError, OSError):
+        return None  # no standard input, or one that is closed
+    if hasattr(signal, "SIGTTIN") and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # POSIX: in the background reading fails instead of stopping us
+    return TypedLines(descriptor)
