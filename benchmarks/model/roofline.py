@@ -166,17 +166,24 @@ def main() -> None:
     ensemble.compute(SURVEY, 0, 2000)
     took = best_of(1, lambda: ensemble.compute(SURVEY, 0, SURVEY.size))
     print(f"survey of gamma, friction, restitution: {1e6 * took / SURVEY.size:.1f} us a point, {SURVEY.size} points")
+    ideal = {}
+    for c in GRIDS:
+        rates = [every_flight(c, mu, e, options.runs) for mu, e in LAWS]
+        ideal[c] = rates[0]
+        print(
+            f"c = {c}: every flight, M/s: ideal {rates[0] / 1e6:.1f}, "
+            + ", ".join(f"mu {mu} e {e}: {r / 1e6:.2f}" for (mu, e), r in zip(LAWS[1:], rates[1:], strict=True)),
+            flush=True,
+        )
     if options.common:
         return
     fused = fused_per_second()
     print(f"fused multiply-adds: {fused / 1e9:.1f} G a second")
-    for c in GRIDS:
-        needed, rates = operations(c, 40), [every_flight(c, mu, e, options.runs) for mu, e in LAWS]
-        part = needed * rates[0] / (2.0 * fused)
+    for c, rate in ideal.items():
+        needed = operations(c, 40)
         print(
-            f"c = {c}: {needed:.0f} operations an ideal flight; every flight, M/s: ideal {rates[0] / 1e6:.1f} "
-            f"({100 * part:.0f} % of the core's {2.0 * fused / 1e9:.0f} G operations/s), "
-            + ", ".join(f"mu {mu} e {e}: {r / 1e6:.2f}" for (mu, e), r in zip(LAWS[1:], rates[1:], strict=True))
+            f"c = {c}: {needed:.0f} operations an ideal flight, {100 * needed * rate / (2.0 * fused):.0f} % of the "
+            f"core's {2.0 * fused / 1e9:.0f} G operations/s"
         )
 
 

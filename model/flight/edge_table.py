@@ -11,34 +11,51 @@ from typing import Any
 
 import numpy as np
 
-from kernels.lanes import WIDTH, any_of, load, select, size, spread, store
+from kernels.lanes import WIDTH, any_of, load, root, select, size, spread, store
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Floats, compiled, inlined, sincos
 from model.flight.segment import shape
 
 TABLE = 3  # numbers a table holds of an edge: its phase, s and s' there
 NEWTON = 80
+CONVERGED = 1e-8  # a last step of Newton smaller than this leaves an error of its square
 
 
 @inlined
-def crossing_lanes(tones: Floats, gamma: Any, lo: float, hi: float, rising: Any, wanted: Any) -> Any:
+def _part_of_half_turn(cosine: Any) -> Any:
+    """``acos(cosine) / pi`` to 2e-5 (Abramowitz and Stegun 4.4.45)."""
+    u = size(cosine)
+    angle = root(select(u < 1.0, 1.0 - u, 0.0)) * (1.5707288 + u * (-0.2121144 + u * (0.0742610 - 0.0187293 * u)))
+    return select(cosine < 0.0, math.pi - angle, angle) * (1.0 / math.pi)
+
+
+@inlined
+def crossing_lanes(tones: Floats, gamma: Any, lo: float, hi: float, guess: Any, rising: Any, wanted: Any) -> Any:
     """The root of ``gamma q - 1`` in ``[lo, hi]`` of every wanted lane: Newton inside a shrinking bracket."""
-    x, low, high = spread(0.5 * (lo + hi)), spread(lo), spread(hi)
+    low, high = spread(lo), spread(hi)
+    x = select((guess > lo) & (guess < hi), guess, 0.5 * (lo + hi))
+    moving = wanted
     for _ in range(NEWTON):
-        q, jerk = spread(0.0), spread(0.0)
+        q, jerk, snap = spread(0.0), spread(0.0), spread(0.0)
         for j in range(tones.shape[0]):
             n = tones[j, 0]
             sine, cosine = sincos(n * x + tones[j, 2])
             weight = tones[j, 1] * n * n
-            q = q + weight * sine
+            sine = weight * sine
+            q = q + sine
             jerk = jerk + (weight * n) * cosine
+            snap = snap + n * n * sine
         value = gamma * q - 1.0
         below = select(value < 0.0, spread(1.0), spread(0.0)) == rising
         low, high = select(below, x, low), select(below, high, x)
-        step = x - value / (gamma * jerk)
-        new = select((step > low) & (step < high), step, 0.5 * (low + high))
-        moving = wanted & (size(new - x) > 2e-16 * (1.0 + size(x)))
+        step = value / (gamma * jerk)
+        new = x - step
+        inside = (new > low) & (new < high)
+        new = select(inside, new, 0.5 * (low + high))
+        still = size(new - x) <= 2e-16 * (1.0 + size(x))
+        gentle = inside & (size(step) <= CONVERGED) & (size(step * snap) <= CONVERGED * size(jerk))
         x = select(moving, new, x)
+        moving = moving & ~(still | gentle)
         if not any_of(moving):
             break
     return x
@@ -64,7 +81,9 @@ def fill_tables(tones: Floats, turning: Floats, gammas: Floats, table: Floats, w
             below_hi = select(gamma * q_turning[nxt] < 1.0, spread(1.0), spread(0.0))
             crosses = ~(below_lo == below_hi)
             if any_of(crosses):
-                x = crossing_lanes(tones, gamma, lo, hi, below_lo, crosses)
+                part = (1.0 / gamma - q_turning[i]) / (q_turning[nxt] - q_turning[i])
+                guess = lo + (hi - lo) * _part_of_half_turn(1.0 - 2.0 * part)  # exact for one sine
+                x = crossing_lanes(tones, gamma, lo, hi, guess, below_lo, crosses)
                 s, slope, _ = shape(tones, x)
                 store(found, (4 * i) * WIDTH, select(crosses, x, math.nan))
                 store(found, (4 * i + 1) * WIDTH, s)

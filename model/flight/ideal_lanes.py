@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from kernels.lanes import any_of, floor, gather, root, select, size, spread
+from kernels.lanes import any_of, gather, select, size, spread
+from model.flight.branch_walk import branch_after, odd, step_on
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.numerics import Floats, Number, inlined
-from model.flight.segment import SHORT, shape
+from model.flight.segment import SHORT, clear_times, shape
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
 ROUNDS = 8  # of Halley at most; three or four are taken
@@ -94,9 +95,8 @@ def land_lanes(
     x, turns, speed, plain
     """
     v = gamma * slope0
-    discriminant = v * v + 2.0 * gamma * (s0 - highest)
-    r = root(select(discriminant > 0.0, discriminant, 0.0))
-    clear_from, clear_to = v - r, v + r - TWO_PI
+    clear_from, clear_to = clear_times(highest, gamma, s0, 0.0, v, 1.0)
+    clear = clear_from, clear_to - TWO_PI
     i = k + 1.0
     at = base + TABLE * i
     edge = gather(table, at)
@@ -114,13 +114,13 @@ def land_lanes(
         g = gamma * (s0 + slope0 * t - gather(table, at + 4.0)) - 0.5 * t * t
         g1 = gamma * (slope0 - gather(table, at + 5.0)) - t
         width = far - edge
-        odd = (i - 2.0 * floor(0.5 * i)) == 1.0
+        concave = odd(i)
         found = searching & (g <= 0.0)
-        tangent = select(found, select(odd, far - g / g1, edge - h / h1), tangent)
+        tangent = select(found, select(concave, far - g / g1, edge - h / h1), tangent)
         lo, hi, total = select(found, edge, lo), select(found, far, hi), select(found, turns, total)
         h_lo, h_hi = select(found, h, h_lo), select(found, g, h_hi)
         meet = (g - h - g1 * width) / (h1 - g1)
-        unsure = searching & ~odd & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
+        unsure = searching & ~concave & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
         if any_of(unsure):
             left, right = (edge, h, h1), (far, g, g1)
             touches, undecided, left, right = _dip(tones, gamma, (phi0 - turns, s0, slope0), unsure, left, right)
@@ -130,17 +130,8 @@ def land_lanes(
             h_lo, h_hi = select(touches, left[1], h_lo), select(touches, right[1], h_hi)
         grazes = searching & ~plain
         searching = searching & ~(found | grazes)
-        wraps = (i + 1.0) == last
-        after = select(wraps, 0.0, i + 1.0)
-        turned = select(wraps, turns + TWO_PI, turns)
-        skips = (t > clear_from) & (t < clear_to)
-        skipped = select(skips, TWO_PI * floor((clear_to - t) * (1.0 / TWO_PI) + 1.0), 0.0)
-        i = select(searching, after, i)
-        edge = select(wraps, far - TWO_PI, far)
-        turns = turned + skipped
-        tau = t + skipped
-        h = select(skips, gamma * (s0 + slope0 * tau - gather(table, at + 4.0)) - 0.5 * tau * tau, g)
-        h1 = g1 - skipped
+        edge, h, h1, more = step_on(far, t, i, last, clear, v, 1.0, (g, g1))
+        turns, i = turns + more, select(searching, branch_after(i, last), i)
     chord = lo + (hi - lo) * h_lo / (h_lo - h_hi)
     x = 0.5 * (chord + tangent)
     x, speed, away = _halley(tones, gamma, (phi0 - total, s0, slope0), x, lo, hi, plain)

@@ -16,7 +16,9 @@ with ``h > 0`` proves there is none.
 from __future__ import annotations
 
 import math
+from typing import Any
 
+from kernels.lanes import root, select
 from model.flight.numerics import (
     C4,
     C6,
@@ -242,6 +244,14 @@ def total_speed(tones: Floats) -> float:
     return total
 
 
+@inlined
+def clear_times(highest: float, gamma: Number, s0: Number, h0: Number, v: Number, level: Number) -> Any:
+    """Times between which the plate at its highest stays below a ball of speed ``v``; (1, 0) when there are none."""
+    discriminant = v * v - 2.0 * level * (gamma * (highest - s0) - h0)
+    r = root(select(discriminant > 0.0, discriminant, 0.0))
+    return select(discriminant > 0.0, (v - r) / level, 1.0), select(discriminant > 0.0, (v + r) / level, 0.0)
+
+
 @compiled
 def surely_above(tones: Floats, gamma: float, segment: Segment) -> tuple[float, float]:
     """Times between which the plate at its highest stays below the ball's path; (1, 0) when there are none."""
@@ -249,9 +259,4 @@ def surely_above(tones: Floats, gamma: float, segment: Segment) -> tuple[float, 
     highest = 0.0
     for j in range(tones.shape[0]):
         highest += tones[j, 1]
-    v = gamma * slope0 + v0
-    discriminant = v * v - 2.0 * level * (gamma * (highest - s0) - h0)
-    if discriminant <= 0.0:
-        return 1.0, 0.0
-    root = math.sqrt(discriminant)
-    return (v - root) / level, (v + root) / level
+    return clear_times(highest, gamma, s0, h0, gamma * slope0 + v0, level)  # type: ignore[no-any-return]

@@ -8,10 +8,11 @@ a lane whose orbit is done takes the next.
 from __future__ import annotations
 
 from kernels.lanes import WIDTH, select, spread, store
+from model.flight.branch_walk import branch_at, fold_onto
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.friction import MOST_SEGMENTS, fall, rebound_or_rest, rise
-from model.flight.friction_lanes import branch_at, end_of_segment, fold_onto, hang_in_lanes
+from model.flight.friction_lanes import end_of_segment, hang_in_lanes
 from model.flight.numerics import Floats, compiled, inlined
 from model.flight.records import Segment
 from model.flight.segment import motion, segment_from, shape, total_speed
@@ -19,6 +20,7 @@ from model.flight.short_bounce import short_bounce
 from model.orbits.cycles import CHATTERS, Integers
 from model.orbits.lane_state import (
     AT_EDGE,
+    BRANCH,
     COUNT,
     DOWN,
     DOWN_LAST,
@@ -94,13 +96,14 @@ def leave(
             work[LAST_PHI, lane], work[LAST_V, lane] = phi, v
             whole[STATUS, lane] = FULL
             return
-        phi0, window = phi, -1
+        phi0, window, branch = phi, -1, 0
         if v <= 0.0:
             branch = int(branch_at(both, base, last, phi))
             if branch % 2 == 1 or phi <= both[int(base) + TABLE * branch]:
                 window, phi0, repeats = reset_at(both, closes, work, whole, lane, branch)
                 if repeats:
                     return
+                branch = 2 * window
         flights[PHASES, lane, k], marks[THRESHOLDS, lane, k] = phi0, window
         short = False
         if v > 0.0:
@@ -108,8 +111,10 @@ def leave(
         if short:
             phi, v = _land(tones, both, work, whole, flights, marks, lane, tau, phi0 + tau, speed)
         else:
+            if v > 0.0:
+                branch = int(branch_at(both, base, last, phi))
             work[PHI, lane], work[V0, lane], work[H0, lane], work[RISING, lane] = phi0, v, 0.0, 1.0
-            work[TOTAL, lane], work[AT_EDGE, lane] = 0.0, 1.0 if window >= 0 else 0.0
+            work[BRANCH, lane], work[TOTAL, lane], work[AT_EDGE, lane] = branch, 0.0, 1.0 if window >= 0 else 0.0
             whole[SEGMENTS, lane], whole[STATUS, lane] = 0, FLIES
             return
 
@@ -145,7 +150,7 @@ def fly_segments(tones: Floats, highest: float, both: Floats, work: Floats) -> N
     level = select(rising, 1.0 + numbers(flat, MU_UP), 1.0 - numbers(flat, MU_DOWN))
     segment = Segment(phi, s0, slope0, s0, numbers(flat, V0), numbers(flat, H0), level)
     last = select(rising, numbers(flat, UP_LAST), numbers(flat, DOWN_LAST))
-    place = (select(rising, numbers(flat, UP), numbers(flat, DOWN)), last)
+    place = (select(rising, numbers(flat, UP), numbers(flat, DOWN)), last, numbers(flat, BRANCH))
     bounds = (highest, total_speed(tones))
     tau, x, h, v, stops, plain = end_of_segment(tones, bounds, both, gamma, place, segment, rising, last > 0.5)
     store(flat, TAU * WIDTH, tau)
@@ -162,10 +167,11 @@ def turn_segments(both: Floats, work: Floats) -> None:
     flat = work.reshape(-1)
     stops = numbers(flat, STOPS) > 0.5
     up, down = (numbers(flat, UP), numbers(flat, UP_LAST)), (numbers(flat, DOWN), numbers(flat, DOWN_LAST))
-    rises, wait, phi, at_edge = hang_in_lanes(both, up, down, numbers(flat, X))
+    rises, wait, phi, branch, at_edge = hang_in_lanes(both, up, down, numbers(flat, X))
     total = numbers(flat, TOTAL) + numbers(flat, TAU)
     store(flat, TOTAL * WIDTH, total + select(stops, wait, 0.0))
     store(flat, PHI * WIDTH, select(stops, phi, numbers(flat, PHI)))
+    store(flat, BRANCH * WIDTH, select(stops, branch, numbers(flat, BRANCH)))
     store(flat, H0 * WIDTH, select(stops, numbers(flat, H), numbers(flat, H0)))
     store(flat, V0 * WIDTH, select(stops, select(wait > 0.0, 0.0, numbers(flat, V)), numbers(flat, V0)))
     store(flat, RISING * WIDTH, select(stops, select(rises, spread(1.0), spread(0.0)), numbers(flat, RISING)))

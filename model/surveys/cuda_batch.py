@@ -34,6 +34,15 @@ ROWS = 16_384  # points flown at a time: 150 MB of flights on the device
 _fill_edges, _land, _fly, _fold = (on_device(k) for k in (fill_edges, land_with_friction, fly_with_notes, fold))
 
 
+@cuda.jit(device=True)  # type: ignore[no-untyped-call]
+def _begin(tones: Floats, turning: Floats, gamma: float, law: Floats, edges: Floats) -> Any:
+    """The law of a row, and its tables made in ``edges`` (2, numbers of a table)."""
+    up, down = edges[0], edges[1]
+    n_up = _fill_edges(tones, turning, gamma / (1.0 + law[0]), up)
+    n_down = _fill_edges(tones, turning, gamma / (1.0 - law[1]), down)
+    return FrictionRestitution(law[0], law[1], law[2], law[3]), EdgeTables(up, n_up, down, n_down)
+
+
 @cuda.jit
 def _land_each(
     tones: Floats, turning: Floats, gammas: Floats, laws: Floats, starts: Floats, edges: Floats, landed: Floats
@@ -42,14 +51,9 @@ def _land_each(
     row = cuda.grid(1)
     if row >= gammas.shape[0]:
         return
-    law = FrictionRestitution(laws[row, 0], laws[row, 1], laws[row, 2], laws[row, 3])
-    up, down = edges[row, 0], edges[row, 1]
-    n_up = _fill_edges(tones, turning, gammas[row] / (1.0 + law.mu_up), up)
-    n_down = _fill_edges(tones, turning, gammas[row] / (1.0 - law.mu_down), down)
-    phi0 = up[2 * int(starts[row, 2])] if starts[row, 2] >= 0.0 else starts[row, 0]
-    tau, phi, speed, flag = _land(
-        tones, gammas[row], EdgeTables(up, n_up, down, n_down), law, phi0, starts[row, 1], starts[row, 2] >= 0.0
-    )
+    law, tables = _begin(tones, turning, gammas[row], laws[row], edges[row])
+    phi0 = tables.up[2 * int(starts[row, 2])] if starts[row, 2] >= 0.0 else starts[row, 0]
+    tau, phi, speed, flag = _land(tones, gammas[row], tables, law, phi0, starts[row, 1], starts[row, 2] >= 0.0)
     landed[row, 0], landed[row, 1], landed[row, 2], landed[row, 3] = tau, phi, speed, flag
 
 
@@ -62,17 +66,13 @@ def _fly_each(
     row = cuda.grid(1)
     if row >= gammas.shape[0]:
         return
-    law = FrictionRestitution(laws[row, 0], laws[row, 1], laws[row, 2], laws[row, 3])
-    up, down = edges[row, 0], edges[row, 1]
-    n_up = _fill_edges(tones, turning, gammas[row] / (1.0 + law.mu_up), up)
-    n_down = _fill_edges(tones, turning, gammas[row] / (1.0 - law.mu_down), down)
-    if n_up == 0:
+    law, tables = _begin(tones, turning, gammas[row], laws[row], edges[row])
+    if tables.n_up == 0:
         outcome[row, PERIOD] = 1
         return
     tau, phase, speed = numbers[row, 0], numbers[row, 1], numbers[row, 2]
     symbol, threshold, mark = whole[row, 0], whole[row, 1], whole[row, 2]
     flown = Flown(tau, phase, speed, symbol, threshold, mark)
-    tables = EdgeTables(up, n_up, down, n_down)
     first, stop, periods, _, _ = _fly(tones, gammas[row], tables, law, 0.0, 0.0, flown, notes[row])
     if first < 0:
         outcome[row, FLIGHTS] = OPEN

@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from kernels.borrowed import borrowed
 from kernels.lanes import WIDTH
 from model.flight.branches import fold
 from model.flight.edge_table import TABLE, fill_tables
 from model.flight.numerics import Floats, compiled
 from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
 from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, NEAR, SLOW
-from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, repeating
+from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, nearest_turn, repeating
 from model.orbits.lane_state import (
     CLOSED,
     COUNT,
@@ -60,6 +61,7 @@ CHAOTIC = 5
 OUTCOME_SIZE = 6
 OPEN = -1  # FLIGHTS of an orbit that is left to `model.orbits.attractor`
 BLOCK = 512  # rows whose tables are made at once
+FIRST_LOOK = 64  # flights after which a locked cycle is looked for first: many orbits have arrived by then
 
 
 @compiled
@@ -116,19 +118,23 @@ def _friction_close(
 
 @compiled
 def _take_row(
-    row: int, gammas: Floats, laws: Floats, both: Floats, n_up: Integers, n_down: Integers, stride: int, limit: int,
-    work: Floats, whole: Integers, lane: int,
+    row: int, slot: int, gammas: Floats, laws: Floats, made: Floats, n_up: Integers, n_down: Integers, limit: int,
+    both: Floats, work: Floats, whole: Integers, lane: int,
 ) -> None:  # fmt: skip
-    """Give a lane the orbit of a row, from rest at phase 0."""
+    """Give a lane the orbit of a row, from rest at phase 0, with the tables ``made`` in the row's ``slot``."""
+    stride = made.shape[2]
     work[GAMMA, lane] = gammas[row]
     work[MU_UP, lane], work[MU_DOWN, lane] = laws[row, 0], laws[row, 1]
     work[E0, lane], work[E1, lane] = laws[row, 2], laws[row, 3]
-    work[UP, lane], work[UP_LAST, lane] = row * stride, 2 * n_up[row]
-    work[DOWN, lane], work[DOWN_LAST, lane] = (gammas.shape[0] + row) * stride, 2 * n_down[row]
-    work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, both[row * stride]), 0.0
+    work[UP, lane], work[UP_LAST, lane] = lane * stride, 2 * n_up[slot]
+    work[DOWN, lane], work[DOWN_LAST, lane] = (WIDTH + lane) * stride, 2 * n_down[slot]
+    for k in range(stride):
+        both[lane * stride + k], both[(WIDTH + lane) * stride + k] = made[0, slot, k], made[1, slot, k]
+    work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, made[0, slot, 0]), 0.0
     whole[ROW, lane], whole[LIMIT, lane] = row, limit
     whole[COUNT, lane] = whole[TURN, lane] = whole[SEGMENTS, lane] = 0
-    whole[SEEN:, lane] = -1
+    for k in range(SEEN, whole.shape[0]):
+        whole[k, lane] = -1
 
 
 def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
@@ -143,25 +149,30 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
         count = whole[COUNT, lane]
         phases, speeds = flights[PHASES, lane], flights[SPEEDS, lane]
         near = False
-        unstable = 0  # flights of an unstable cycle found: only its doublings can be what the orbit is near
+        # flights of a cycle found where the orbit is not: only its doublings can be what the orbit is near
+        tried, stable = 0, False
         for n in range(1, LONGEST_LOCKED + 1):
-            if n == 2 * unstable:
-                unstable = n
-            elif unstable > 0:
+            if n == 2 * tried:
+                tried = n
+            elif tried > 0:
                 continue
             if not repeating(phases, speeds, count, n, NEAR):
                 continue
             near = True
             ok, periods, multiplier = close(tones, turning, work, lane, both, n, cycle)
-            if not ok or not multiplier < 1.0:
-                unstable = n if ok else unstable
+            if not ok:
+                continue
+            if stable and abs(nearest_turn(cycle[PHASES, 0] - cycle[PHASES, n // 2])) < ARRIVED:
+                break  # the double of a stable cycle is that cycle
+            tried, stable = n, multiplier < 1.0
+            if not stable:
                 continue
             off, start = math.inf, 0
             for k in range(n):
                 off = min(off, abs(fold(cycle[PHASES, k] - phases[count - 1] + math.pi, 0.0) - math.pi))
                 if fold(cycle[PHASES, k], 0.0) < fold(cycle[PHASES, start], 0.0):
                     start = k
-            if off < ARRIVED or (multiplier > SLOW and off < NEAR):
+            if off < ARRIVED or (count >= FEW_FLIGHTS and multiplier > SLOW and off < NEAR):
                 outcome[LOCKED], outcome[PERIOD], outcome[FLIGHTS] = 1, periods, n
                 for k in range(min(n, kept.shape[0])):
                     kept[k] = cycle[TAUS, (start + k) % n]
@@ -200,20 +211,45 @@ def _finish_of(settle: Callable[..., bool]) -> Callable[..., bool]:
     return finish
 
 
-def _fly_of(leave: Callable[..., Any], advance: Callable[..., Any], finish: Callable[..., bool]) -> Callable[..., int]:
-    """The kernel that flies the orbits of a block of rows, a lane that is done taking the next."""
+def _tables_of(*, both_ways: bool) -> Callable[..., None]:
+    """The kernel that makes the tables of a block of rows; ``both_ways`` says that falls have a table of their own."""
 
     @compiled
-    def fly_block(
-        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, n: int, both: Floats, n_up: Integers,
-        n_down: Integers, closes: bool, outcome: Integers, kept: Floats, arrays: Any,
+    def make_tables(tones: Floats, turning: Floats, gammas: Floats, laws: Floats, tables: Any) -> None:
+        """Fill ``made`` (2, BLOCK, numbers of a table) and the numbers of windows."""
+        made, n_up, n_down, scaled, found = tables
+        n = gammas.shape[0]
+        padded = WIDTH * ((n + WIDTH - 1) // WIDTH)
+        for k in range(n):
+            scaled[k] = gammas[k] / (1.0 + laws[k, 0])
+        fill_tables(tones, turning, scaled[:padded], made[0].reshape(-1), n_up, found)
+        if both_ways:
+            for k in range(n):
+                scaled[k] = gammas[k] / (1.0 - laws[k, 1])
+            fill_tables(tones, turning, scaled[:padded], made[1].reshape(-1), n_down, found)
+
+    return make_tables
+
+
+def _fly_of(
+    leave: Callable[..., Any],
+    advance: Callable[..., Any],
+    finish: Callable[..., bool],
+    make_tables: Callable[..., None],
+) -> Callable[..., int]:
+    """The kernel that flies the orbits of all rows, a lane that is done taking the next."""
+
+    @compiled
+    def fly(
+        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, outcome: Integers, kept: Floats,
+        lanes: Any, tables: Any,
     ) -> int:  # fmt: skip
-        """The orbits of ``n`` rows whose tables are in ``both``; returns the flights flown."""
-        work, whole, flights, marks, cycle = arrays
-        stride = TABLE * (turning.shape[0] + 2)
+        """Fill ``outcome`` and ``kept``; returns the flights flown."""
+        both, work, whole, flights, marks, cycle = lanes
+        made, n_up, n_down, _, _ = tables
         highest = np.sum(np.abs(tones[:, 1]))
-        limit = min(FEW_FLIGHTS, flights.shape[2]) if closes else flights.shape[2]
-        taken = flown = 0
+        limit = min(FIRST_LOOK, flights.shape[2]) if closes else flights.shape[2]
+        taken = begun = stop = flown = 0  # rows taken; those with tables are begun .. stop - 1
         whole[STATUS] = IDLE
         while True:
             busy = 0
@@ -229,29 +265,47 @@ def _fly_of(leave: Callable[..., Any], advance: Callable[..., Any], finish: Call
                             continue
                         flown += whole[COUNT, lane]
                         whole[STATUS, lane] = IDLE
-                    while taken < n and n_up[taken] == 0:
+                    if taken == stop:
+                        if stop == gammas.shape[0]:
+                            break
+                        begun, stop = stop, min(stop + BLOCK, gammas.shape[0])
+                        make_tables(tones, turning, gammas[begun:stop], laws[begun:stop], tables)
+                    slot = taken - begun
+                    if n_up[slot] == 0:
                         outcome[taken, PERIOD] = 1
-                        taken += 1
-                    if taken == n:
-                        break
-                    _take_row(taken, gammas, laws, both, n_up, n_down, stride, limit, work, whole, lane)
-                    leave(tones, both, closes, work, whole, flights, marks, lane)
+                    else:
+                        _take_row(taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
+                        leave(tones, both, closes, work, whole, flights, marks, lane)
                     taken += 1
                 busy += whole[STATUS, lane] == FLIES
             if busy == 0:
                 return flown
             advance(tones, highest, both, closes, work, whole, flights, marks)
 
-    return fly_block
+    return fly
 
 
 def _batch_of(
     leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
 ) -> Callable[..., int]:
-    """The kernel of one kind of ball; ``both_ways`` says that falls have a table of their own."""
-    fly_block = _fly_of(leave, advance, _finish_of(_settle_of(close)))
+    """The cycles of many rows of one kind of ball."""
+    fly = _fly_of(leave, advance, _finish_of(_settle_of(close)), _tables_of(both_ways=both_ways))
 
     @compiled
+    def fly_lent(
+        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, outcome: Integers, kept: Floats,
+        lanes: Any, tables: Any,
+    ) -> int:  # fmt: skip
+        """`fly` with arrays whose references are not counted: its caller owns them."""
+        both, work, whole, flights, marks, cycle = lanes
+        made, n_up, n_down, scaled, found = tables
+        return fly(
+            borrowed(tones), borrowed(turning), borrowed(gammas), borrowed(laws), closes, borrowed(outcome),
+            borrowed(kept), (
+                borrowed(both), borrowed(work), borrowed(whole), borrowed(flights), borrowed(marks), borrowed(cycle)
+            ), (borrowed(made), borrowed(n_up), borrowed(n_down), borrowed(scaled), borrowed(found)),
+        )  # fmt: skip
+
     def cycle_batch(
         tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, most: int, outcome: Integers,
         kept: Floats,
@@ -261,32 +315,19 @@ def _batch_of(
         ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``. Unless it ``closes``, every one of ``most`` flights is flown
         and the last are kept. Returns the flights flown.
         """
-        size = turning.shape[0] + 2
-        both, found = np.zeros(2 * BLOCK * TABLE * size), np.zeros(4 * size * WIDTH)
-        n_up, n_down = np.zeros(BLOCK, dtype=np.int64), np.zeros(BLOCK, dtype=np.int64)
-        gamma = np.zeros(BLOCK)
-        arrays = (
-            np.zeros((NUMBERS, WIDTH)), np.zeros((SEEN + 2 * size, WIDTH), dtype=np.int64), np.zeros((3, WIDTH, most)),
+        size = turning.size + 2
+        lanes = (
+            np.zeros(2 * WIDTH * TABLE * size), np.zeros((NUMBERS, WIDTH)),
+            np.zeros((SEEN + 2 * size, WIDTH), dtype=np.int64), np.zeros((3, WIDTH, most)),
             np.zeros((2, WIDTH, most), dtype=np.int64), np.zeros((4, LONGEST_LOCKED)),
+        )  # fmt: skip
+        tables = (
+            np.zeros((2, BLOCK, TABLE * size)), np.zeros(BLOCK, dtype=np.int64), np.zeros(BLOCK, dtype=np.int64),
+            np.ones(BLOCK), np.zeros(4 * size * WIDTH),
         )  # fmt: skip
         outcome[:] = 0
         kept[:] = math.nan
-        flown = 0
-        for start in range(0, gammas.shape[0], BLOCK):
-            n = min(BLOCK, gammas.shape[0] - start)
-            gamma[:n] = gammas[start : start + n]
-            law = laws[start : start + n]
-            level = np.ones(BLOCK)
-            level[:n] = 1.0 + law[:, 0]
-            fill_tables(tones, turning, gamma / level, both[: both.size // 2], n_up, found)
-            if both_ways:
-                level[:n] = 1.0 - law[:, 1]
-                fill_tables(tones, turning, gamma / level, both[both.size // 2 :], n_down, found)
-            stop = start + n
-            flown += fly_block(
-                tones, turning, gamma, law, n, both, n_up, n_down, closes, outcome[start:stop], kept[start:stop], arrays
-            )
-        return flown
+        return fly_lent(tones, turning, gammas, laws, closes, outcome, kept, lanes, tables)
 
     return cycle_batch
 

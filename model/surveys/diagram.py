@@ -121,9 +121,12 @@ def exact_rows(
         outcome, rows.tau[:] = cuda_batch.cycles(forcing, gammas, each, keep)
         todo = outcome[:, FLIGHTS] == cycle_batch.OPEN
     batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
-    some, kept = outcome[todo], rows.tau[todo]
-    batch(tones, turning, gammas[todo], each[todo], True, MAX_FLIGHTS, some, kept)
-    outcome[todo], rows.tau[todo] = some, kept
+    if todo.all():
+        batch(tones, turning, gammas, each, True, MAX_FLIGHTS, outcome, rows.tau)
+    else:
+        some, kept = outcome[todo], rows.tau[todo]
+        batch(tones, turning, gammas[todo], each[todo], True, MAX_FLIGHTS, some, kept)
+        outcome[todo], rows.tau[todo] = some, kept
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]
