@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
-from numba.core import codegen, compiler, compiler_machinery, untyped_passes
+from numba.core import codegen, compiler, compiler_machinery, types, untyped_passes
 
 _Library: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.CompilerBase
@@ -24,7 +24,12 @@ def for_callers(dispatcher: Any, function: Callable[..., Any], options: dict[str
     """Let kernels that call ``dispatcher`` link the code of ``function``, compiled for them alone."""
     bare = {**options, "cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     linked: Any = numba.njit(**bare, pipeline_class=_LinkedCompiler)(function)
-    dispatcher.get_call_template, dispatcher.get_overload = linked.get_call_template, linked.get_overload
+
+    def call_template(args: Any, kws: Any) -> Any:
+        plain = {name: types.unliteral(given) for name, given in kws.items()}  # not anew for each constant
+        return linked.get_call_template([types.unliteral(given) for given in args], plain)
+
+    dispatcher.get_call_template, dispatcher.get_overload = call_template, linked.get_overload
 
 
 class _NoEnvironment:

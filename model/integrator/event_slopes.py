@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted
-from model.integrator.problem import Problem, columns_of, driven, for_kernel
-from model.integrator.takeoff_slopes import KICK, KICK_RATE, LANDING, LANDING_BEFORE
+from model.integrator.problem import Problem, active, for_kernel
+from model.integrator.takeoff_slopes import LANDING, LANDING_BEFORE
 from model.integrator.variation import TONES, Columns
 
 Array = NDArray[np.float64]
@@ -26,9 +26,8 @@ class Slopes:
 
     Parameters
     ----------
-    landing, landing_before, kick
-        Of opening, landing and impact speed by the landing before and the one before that, (n, 3) each, and by
-        displacement and velocity of a plate mode where the chain of flights began, (n, 3, 2).
+    landing, landing_before
+        Of opening, landing and impact speed by the landing before and the one before that, (n, 3) each.
     tones
         By the real and imaginary part of each tone of the event's step, (n, 3, k, 2).
     parameters
@@ -39,7 +38,6 @@ class Slopes:
 
     landing: Array
     landing_before: Array
-    kick: Array
     tones: Array
     parameters: Array
     info: Array
@@ -65,12 +63,19 @@ def slopes_of(
     places, changes
         Parameters to which derivatives are wanted, as places in a row, (c,), and a small change of each: hooks have
         differences, in that direction.
+
+    Raises
+    ------
+    ValueError
+        Where the plate has a mode, or the prediction is not of `one_ahead`.
     """
     rows = for_kernel(rows.reshape(-1, rows.shape[-1]))
     problem, tones = Problem(measured, plate, rows, detection, (0.0, 0.0)), plate.acceleration_mps2
-    if np.any(rows[:, columns_of("plate_mode")] > 0.0):
-        tones = driven(plate, found.mode_amplitudes)
-    columns = Columns(for_kernel(np.asarray(places, dtype=np.int64)), for_kernel(np.asarray(changes, dtype=np.float64)))
+    if active(rows, "plate_mode"):
+        raise ValueError("a plate with a mode has no derivatives; wanted one without")
+    columns = None
+    if places:
+        columns = Columns(for_kernel(np.asarray(places, np.int64)), for_kernel(np.asarray(changes, np.float64)))
     if found.table is None:
         raise ValueError("the prediction was not made by one_ahead; wanted one with the kernel's table")
     out, info = problem.slopes(tones, measured.wanted, columns, found.table)
@@ -79,7 +84,6 @@ def slopes_of(
     return Slopes(
         out[..., LANDING],
         out[..., LANDING_BEFORE],
-        out[..., KICK : KICK_RATE + 1],
         out[..., first : first + 2 * k].reshape(len(out), 3, k, 2),
         out[..., first + 2 * k :],
         info,

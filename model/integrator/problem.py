@@ -88,14 +88,12 @@ class Problem:
         return out
 
     def slopes(
-        self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], columns: Columns, table: Array
+        self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], columns: Columns | None, table: Array
     ) -> tuple[Array, Array]:
         """Derivatives (n, 3, d) of openings, landings and impact speeds in ``table``, and `takeoff_slopes.INFO`."""
-        n, d = len(table), TONES + 2 * tones.shape[1] + len(columns.place)
+        n, d = len(table), TONES + 2 * tones.shape[1] + (0 if columns is None else len(columns.place))
         out, info = np.zeros((n, 3, d)), np.zeros((n, takeoff_slopes.INFO))
-        slopes.slopes_ahead(
-            self.events(wanted), self.steps(tones), self.rows, self.acting, self.kick, columns, table, out, info
-        )
+        slopes.slopes_ahead(self.events(wanted), self.steps(tones), self.rows, self.acting, columns, table, out, info)
         return out, info
 
     @property

@@ -1,8 +1,8 @@
 """Derivatives of one flight: the variational equations along it, with the jumps at standstills and at its end.
 
-The plate's share of a variation is known in closed form, as its motion is; only what forces and friction add to it is
-integrated, on the steps of the flight itself. Partial derivatives of an effect's hook are differences of that hook at
-the current state: no flight is flown twice and no event is looked for again.
+For plates without a mode. The plate's share of a variation is known in closed form, as its motion is; only what forces
+and friction add to it is integrated, on the steps of the flight itself. Partial derivatives of an effect's hook are
+differences of that hook at the current state: no flight is flown twice and no event is looked for again.
 
 References
 ----------
@@ -20,12 +20,11 @@ import numpy as np
 from model.integrator.flight import _effects
 from model.integrator.hermite import hermite5, standstill
 from model.integrator.hooks import dry_friction_of, force_of
-from model.integrator.plate import mode_at
-from model.integrator.records import Floats, Integers, Law, Mode, Plate, StepEnds, clear, clear_rows, compiled
+from model.integrator.records import Floats, Integers, Law, StepEnds, clear, clear_rows, compiled
 
-TAKEOFF, LAUNCH, SHIFT, RATE, TONES = 0, 1, 2, 3, 4
-"""Places of a variation: of the take-off's time and speed, of a mode's displacement and velocity then; the two
-quadratures of every tone follow, and after them the parameters wanted."""
+TAKEOFF, LAUNCH, TONES = 0, 1, 2
+"""Places of a variation: of the take-off's time and speed; the two quadratures of every tone follow, and after them the
+parameters wanted."""
 MOST_NODES = 2000
 HEIGHT_M, SPEED_MPS, TIME_S = 1e-7, 1e-5, 1e-6  # differences of a hook
 HANGS_S = 1e-12  # a longer stand is one
@@ -33,7 +32,10 @@ STEEP_MPS2 = 1e-6  # least change of acceleration at a standstill
 
 
 class Columns(NamedTuple):
-    """Parameters to which derivatives are wanted: places in the row (c,), and the small changes of each (c,)."""
+    """Parameters to which derivatives are wanted: places in the row (c,), and the small changes of each (c,).
+
+    None takes its place where there are none: what only they need is then not compiled.
+    """
 
     place: Integers
     change: Floats
@@ -57,16 +59,15 @@ class Room(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """One flight's variations under way: its take-off, plate and law.
+    """One flight's variations under way: its take-off, the plate's tones and the law.
 
     ``phi`` (2, 2) is the fundamental matrix since the segment began, ``pushes`` (c,) are changes of the acceleration by
     a unit of each parameter.
     """
 
     t0: float
-    plate: Plate
+    tones: Floats
     law: Law
-    columns: Columns
     room: Room
     phi: Floats
     pushes: Floats
@@ -81,21 +82,11 @@ def room_for(tones: int, columns: int) -> Room:
 
 
 @compiled
-def plate_response(t: float, s: float, plate: Plate, out: Floats) -> tuple[float, float]:
-    """Fill ``out`` (3, e) with the plate's motion for a unit of each of its variations; its velocity and acceleration.
-
-    ``t`` is the time and ``s`` that since the state of the mode.
-    """
-    tones, mode = plate
+def plate_response(t: float, tones: Floats, out: Floats) -> tuple[float, float]:
+    """Fill ``out`` (3, e) with the plate's motion at time t for a unit of each tone; its velocity and acceleration."""
     velocity, acceleration = 0.0, 0.0
-    if mode.q != 0.0 or mode.qd != 0.0:
-        for k in range(2):
-            unit = Mode(1.0 - k, 1.0 * k, mode.omega, mode.damping)
-            out[0, SHIFT + k], out[1, SHIFT + k], out[2, SHIFT + k] = mode_at(s, unit)
-        velocity = mode.q * out[1, SHIFT] + mode.qd * out[1, RATE]
-        acceleration = mode.q * out[2, SHIFT] + mode.qd * out[2, RATE]
     for k in range(tones.shape[0]):
-        w, re, im = tones[k]
+        w, re, im = tones[k, 0], tones[k, 1], tones[k, 2]
         j = TONES + 2 * k
         if re == 0.0 and im == 0.0:  # unused: nobody varies it
             continue
@@ -199,7 +190,9 @@ def _pushes(s: float, h: float, v: float, u: float, direction: float, law: Law, 
 
 
 @compiled
-def _walk_part(row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk) -> None:
+def _walk_part(
+    row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk, columns: Columns | None
+) -> None:
     """One part of a step by Simpson's rule: `_carry` at both ends and in the middle, ``phi`` carried along."""
     d, law = (z1 - z0) * row[1], walk.law
     direction = row[8]
@@ -210,13 +203,14 @@ def _walk_part(row: Floats, ends: StepEnds, z0: float, z1: float, began: float, 
         z = z0 + 0.5 * i * (z1 - z0)
         h, v = hermite5(z, ends)
         s = row[0] + z * row[1]
-        velocity, _ = plate_response(walk.t0 + s, s, walk.plate, walk.room.now)
+        velocity, _ = plate_response(walk.t0 + s, walk.tones, walk.room.now)
         before = by
         if row[9] == 0.0:
             by = partials(s, h, v, v + velocity, direction, law)
         if i > 0:
             _turn(walk.phi, 0.5 * d, 0.5 * (before[1] + by[1]), 0.5 * (before[2] + before[3] + by[2] + by[3]))
-        _pushes(s, h, v, v + velocity, direction, law, walk.columns, walk.pushes)
+        if columns is not None:
+            _pushes(s, h, v, v + velocity, direction, law, columns, walk.pushes)
         _carry(s - began, d * (4.0 if i == 1 else 1.0) / 6.0, by, walk)
 
 
@@ -236,13 +230,13 @@ def _breaks(ends: StepEnds, until: float, opens: float, rubbed: bool) -> tuple[f
 def _opening(tau: float, opened: float, walk: Walk) -> None:
     """Keep the change of the height at the opening, ``tau`` after the start of the segment."""
     room = walk.room
-    plate_response(walk.t0 + opened, opened, walk.plate, room.now)
+    plate_response(walk.t0 + opened, walk.tones, room.now)
     _coasting_variations(tau, room, room.opening, room.spare)
     _add_carried(walk.phi, room, room.opening, room.spare)
 
 
 @compiled
-def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
+def _walk_step(row: Floats, began: float, opened: float, walk: Walk, columns: Columns | None) -> float:
     """Carry the variations over one step, see `flight.note`; the velocity at the opening where it lies inside, else 0.
 
     Where forces are constant, and no parameter is asked for, nothing has to be integrated.
@@ -258,7 +252,7 @@ def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
     z, speed = 0.0, 0.0
     for stop in (first, second, until):
         if stop <= 1.0:
-            _walk_part(row, ends, z, stop, began, walk)
+            _walk_part(row, ends, z, stop, began, walk, columns)
             z = stop
             if stop == opens:
                 _opening(opened - began, opened, walk)
@@ -270,7 +264,7 @@ def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
 def _end(row: Floats, began: float, walk: Walk, height: Floats, speed: Floats) -> tuple[float, float, float]:
     """Fill the changes at the end of a segment; the time since take-off, velocity and relative acceleration there."""
     law, s = walk.law, row[0] + row[10] * row[1]
-    velocity, acceleration = plate_response(walk.t0 + s, s, walk.plate, walk.room.now)
+    velocity, acceleration = plate_response(walk.t0 + s, walk.tones, walk.room.now)
     _coasting_variations(s - began, walk.room, height, speed)
     _add_carried(walk.phi, walk.room, height, speed)
     h, v = hermite5(row[10], StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7]))
@@ -290,12 +284,12 @@ def _begin_segment(walk: Walk) -> None:
 
 @compiled
 def flight_variations(
-    t0: float, v0: float, opened: float, plate: Plate, law: Law, columns: Columns, room: Room, out: Floats
+    t0: float, v0: float, opened: float, tones: Floats, law: Law, columns: Columns | None, room: Room, out: Floats
 ) -> tuple[bool, float, float]:
     """Derivatives of a flight whose steps stand in ``law.nodes``: of its end, impact speed and opening, ``out`` (3, e).
 
-    The mode's state is varied at a fixed time, the take-off's time at a fixed motion of the plate. ``opened`` is the
-    time from take-off to opening. Returns whether they can be used, and acceleration and velocity at the end.
+    The take-off's time is varied at a fixed motion of the plate. ``opened`` is the time from take-off to opening.
+    Returns whether they can be used, and acceleration and velocity at the end.
     """
     nodes, count = law.nodes, int(law.nodes[0, 0])
     if count == 0 or count >= nodes.shape[0] or nodes[count, 11] != 1.0:
@@ -305,16 +299,16 @@ def flight_variations(
     clear_rows(room.start)
     clear_rows(room.now)
     room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, 4], 1.0
-    walk = Walk(t0, plate, law, columns, room, np.empty((2, 2)), np.empty(len(columns.place)))
+    walk = Walk(t0, tones, law, room, np.empty((2, 2)), np.empty(len(room.height) - TONES - 2 * len(tones)))
     height, speed = np.empty(len(room.height)), np.empty(len(room.height))
     opening_speed, began, begins = 0.0, 0.0, True
     for r in range(1, count + 1):
         row = nodes[r]
         if begins:
             began = row[0]
-            plate_response(t0 + began, began, plate, room.start)
+            plate_response(t0 + began, tones, room.start)
             _begin_segment(walk)
-        opening_speed += _walk_step(row, began, opened, walk)
+        opening_speed += _walk_step(row, began, opened, walk, columns)
         begins = row[11] != 0.0
         if not begins:
             continue
