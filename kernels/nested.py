@@ -9,6 +9,7 @@ that is called from a kernel is compiled a second way, without any of that; the 
 # mypy: disable-error-code="no-untyped-call,misc"
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -22,14 +23,18 @@ _Pass: Any = compiler_machinery.FunctionPass
 
 def for_callers(dispatcher: Any, function: Callable[..., Any], options: dict[str, Any]) -> None:
     """Let kernels that call ``dispatcher`` link the code of ``function``, compiled for them alone."""
-    bare = {**options, "cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    linked: Any = numba.njit(**bare, pipeline_class=_LinkedCompiler)(function)
+
+    @functools.cache
+    def linked() -> Any:
+        bare = {**options, "cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        return numba.njit(**bare, pipeline_class=_LinkedCompiler)(function)
 
     def call_template(args: Any, kws: Any) -> Any:
         plain = {name: types.unliteral(given) for name, given in kws.items()}  # not anew for each constant
-        return linked.get_call_template([types.unliteral(given) for given in args], plain)
+        return linked().get_call_template([types.unliteral(given) for given in args], plain)
 
-    dispatcher.get_call_template, dispatcher.get_overload = call_template, linked.get_overload
+    dispatcher.get_call_template = call_template
+    dispatcher.get_overload = lambda sig: linked().get_overload(sig)
 
 
 class _NoEnvironment:

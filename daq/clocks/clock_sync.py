@@ -16,7 +16,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at
+from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at, sliding_products
 from daq.clocks.sample_loss import SMALLEST_MISFIT
 from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
@@ -51,9 +51,7 @@ def find_marker(heard_v: Floats, marker: Floats) -> float | None:
     """Where in ``heard_v`` the marker begins, in samples and parts of one; None where it is absent."""
     if len(heard_v) <= len(marker):
         return None
-    from scipy.signal import fftconvolve  # takes most of a second to import
-
-    match = fftconvolve(heard_v - heard_v.mean(), marker[::-1], mode="valid")
+    match = sliding_products(heard_v - heard_v.mean(), marker)
     k = int(np.argmax(np.abs(match)))
     floor = float(np.median(np.abs(match))) * 1.4826
     if abs(match[k]) < SURE * max(floor, 1e-12) or match[k] <= 0.0 or not 0 < k < len(match) - 1:

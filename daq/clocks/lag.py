@@ -169,6 +169,16 @@ def lag_at(played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int
     return best
 
 
+def sliding_products(window: Floats, piece: Floats) -> Floats:
+    """Products of ``piece`` (n,) with each stretch of n samples of ``window`` (m,), (m - n + 1,), by Fourier transforms.
+
+    That is `scipy.signal.correlate`, whose package takes seconds to import.
+    """
+    size = 1 << (len(window) - 1).bit_length()
+    spectrum = np.fft.rfft(window, size) * np.conj(np.fft.rfft(piece, size))
+    return np.asarray(np.fft.irfft(spectrum, size)[: len(window) - len(piece) + 1])
+
+
 def candidates(
     played: PlayedBuffer | Stretch, heard: Floats, first: int, low: int, high: int, gain: float
 ) -> list[Lag]:
@@ -185,9 +195,7 @@ def candidates(
     window = played.piece(first + low, first + high + len(heard))
     centred = heard - heard.mean()
     n = len(heard)
-    from scipy.signal import fftconvolve  # takes most of a second to import
-
-    cross = fftconvolve(window, centred[::-1], mode="valid")
+    cross = sliding_products(window, centred)
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (window, window**2))
     energy = squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n
     if gain:
