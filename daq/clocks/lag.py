@@ -170,7 +170,7 @@ def lag_at(played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int
 
 
 def sliding_products(window: Floats, piece: Floats) -> Floats:
-    """Products of ``piece`` (n,) with each stretch of n samples of ``window`` (m,), (m - n + 1,), by Fourier transforms.
+    """Products of ``piece`` (n,) with each stretch of ``window`` (m,), shape (m - n + 1,), by Fourier transforms.
 
     That is `scipy.signal.correlate`, whose package takes seconds to import.
     """
