@@ -95,7 +95,7 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     """
     noise = levels.noise_v / abs(levels.swing_v)
     n = crossings.sample.size
-    times, sigmas = np.empty(n), np.empty(n)
+    times, sigmas = np.full(n, -np.inf), np.empty(n)  # a dip has no time yet: nothing is unsettled after it
     room = np.append(np.diff(crossings.sample), NO_NEIGHBOUR)  # samples until the next crossing
     gap = np.append(NO_NEIGHBOUR, room[:-1])
     shapes: dict[int, EdgeShape] = {}

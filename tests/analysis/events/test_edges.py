@@ -131,3 +131,27 @@ def test_a_converter_without_noise_is_as_coarse_as_its_step() -> None:
     assert levels.noise_v == pytest.approx(step_v / np.sqrt(12.0), rel=0.01)
     edges, *_ = timed(volts, levels)
     assert np.std((edges.time_s - true) / edges.uncertainty_s) == pytest.approx(1.0, abs=0.3)
+
+
+def test_edges_after_a_dip_do_not_depend_on_what_was_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A closing soon after a dip has the same time, whatever numbers a new array happens to hold."""
+    rng = np.random.default_rng(8)
+    true = np.cumsum(rng.uniform(3e-3, 6e-3, 60))
+    opened = true[30:40:2]
+    short = [o + d for o in opened for d in (0.0, 1e-3, 1.04e-3, 1.54e-3)]  # in the air, a third of the time constant
+    after = np.concatenate([true[:30], short, true[40:]])
+    volts = circuit(after, int((true[-1] + 0.01) * RATE), 1e-4, 1e-4, 0.003, rng)
+    levels = measure_levels(volts, 0.0, 5.0)
+    plain, *_ = timed(volts, levels)
+    assert (plain.kind == DIP).any()
+    fresh = np.empty
+    for number in (-1.0, float(plain.time_s[plain.kind == DIP][0])):
+
+        def used(shape: object, *args: object, number: float = number, **kwargs: object) -> np.ndarray:
+            """Numbers that an earlier array left behind."""
+            return fresh(shape, *args, **kwargs) if args or kwargs else np.full(shape, number)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(np, "empty", used)
+            other, *_ = timed(volts, levels)
+        np.testing.assert_array_equal(other.time_s, plain.time_s)
