@@ -31,7 +31,9 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 
 
 def rate(rows: Sequence[Row], hit: Callable[[Row], bool]) -> str:
-    """``k of n (low to high)``; of many, to a tenth of a percent."""
+    """``k of n (low to high)``; of many, to a tenth of a percent; nothing of none."""
+    if not rows:
+        return ""
     k, n = sum(map(hit, rows)), len(rows)
     low, high = wilson(k, n)
     digits = 1 if n >= MANY else 0
