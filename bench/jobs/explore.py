@@ -100,11 +100,7 @@ def explore(
         For a profile that cannot be driven, or recordings that cannot be read.
     """
     options = offers(text, aims)
-    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
-    made = [path for path in there if tells(path)]
-    if left_out := [path.name for path in there if path not in made]:
-        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
-    number = max((int(path.stem[6:]) for path in there), default=0)
+    made, number = _recorded(folder, say)
     blocks = [as_driven(path) for path in made]
 
     known: dict[Path, Observations] = {}
@@ -138,6 +134,15 @@ def explore(
         if driven.then is not None and driven.then.gammas:
             own = by_person(block, driven.then)
             say(f"\nblock {number + 1}: {own.reason}")
+
+
+def _recorded(folder: Path, say: Callable[[str], None]) -> tuple[list[Path], int]:
+    """Blocks in the folder that tell something, in order, and the number of the last of all."""
+    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
+    made = [path for path in there if tells(path)]
+    if left_out := [path.name for path in there if path not in made]:
+        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
+    return made, max((int(path.stem[6:]) for path in there), default=0)
 
 
 # -- what was found so far ---------------------------------------------------------------------------------------------

@@ -18,23 +18,15 @@ import h5py
 import numpy as np
 from scipy.io import loadmat, savemat, wavfile
 
+from benchmarks.daq.recordings import RATE_HZ, SETUP
 from daq.importers.formats.columns import assign
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, import_recording
 from daq.setup.setup import Setup
 
-RATE_HZ = 20000.0
 HOLD_S = 10.0
 CHANNELS = ("continuity", "accelerometer", "drive")
 GOAL = 2.0
-SETUP = {
-    "name": "benchmark",
-    "sampling": {"rate_hz": RATE_HZ},
-    "forcing": {"frequency_hz": 25.37},
-    "drive": {"g_per_volt": 2.0},
-    "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g"}},
-    "ball": {"mass_kg": 0.25},
-}
 
 
 def columns(minutes: float) -> dict[str, np.ndarray]:
