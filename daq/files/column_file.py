@@ -1,11 +1,13 @@
 """The column file: what a recording is once it is closed. One HDF5 dataset a channel, compressed and checksummed.
 
 A column file is written beside its final name, whole, checked, and only then renamed; a reader
-never meets half of one. Layout in docs/reference/recording-format.md.
+never meets half of one. What was written is read back and compared at once, while it is in the cache; at the end every
+stored byte must still be what was compared. Layout in docs/reference/recording-format.md.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -96,6 +98,7 @@ class ColumnWriter:
         self._held: dict[str, list[NDArray[Any]]] = {name: [] for name in self._sets}
         self._n_held = 0
         self._crc = dict.fromkeys(self._sets, 0)
+        self._stored: dict[tuple[str, int], int] = {}  # column and first sample of a chunk: CRC-32 of its stored bytes
 
     def _dataset(self, name: str, dtype: np.dtype[Any]) -> Any:
         return self._file.create_dataset(
@@ -130,13 +133,35 @@ class ColumnWriter:
         """Write the first ``n`` held samples of every column (whole chunks, but for the last)."""
         for name, dataset in self._sets.items():
             held = np.concatenate(self._held[name]) if len(self._held[name]) != 1 else self._held[name][0]
-            dataset.resize((self.n_samples + n,))
-            dataset[self.n_samples :] = held[:n]
+            dataset.id.set_extent((self.n_samples + n,))
+            self._put(name, self.n_samples, held[:n])
             self._crc[name] = crc32(held[:n], self._crc[name])
             self._held[name] = [held[n:].copy()] if len(held) > n else []
-        self._disk.check()
         self.n_samples += n
         self._n_held -= n
+
+    def _put(self, name: str, start: int, values: NDArray[Any]) -> None:
+        """Write samples from ``start`` (of a chunk) on, read them back, and note the stored bytes that gave them.
+
+        By HDF5's own calls: h5py's indexing takes as long as a small chunk.
+        """
+        dataset = self._sets[name].id
+        where, here = dataset.get_space(), h5py.h5s.create_simple(values.shape)
+        where.select_hyperslab((start,), values.shape)
+        kind = h5py.h5t.py_create(values.dtype)
+        back = np.empty_like(values)
+        try:
+            dataset.write(here, where, values, kind)
+            self._disk.check()
+            dataset.read(here, where, back, kind)
+            same = np.array_equal(values.view(f"u{values.itemsize}"), back.view(f"u{values.itemsize}"))
+            for at in range(start, start + len(values), CHUNK_SAMPLES):
+                self._stored[name, at] = zlib.crc32(dataset.read_direct_chunk((at,))[1])
+        except RuntimeError as error:
+            raise OSError(f"{self.part}: {error}") from error
+        if not same:
+            last = start + len(values) - 1
+            raise OSError(f"{self.part}: what was written does not read back: {name}: samples {start} to {last}")
 
     def flush(self) -> None:
         """Write what is held back, so that `read` sees every sample."""
@@ -154,10 +179,9 @@ class ColumnWriter:
         """Write other times over those appended; ``stamps(start, stop)`` gives nanoseconds."""
         self._crc["timestamp"] = 0
         for start in range(0, self.n_samples, CHUNK_SAMPLES):
-            piece = stamps(start, min(start + CHUNK_SAMPLES, self.n_samples))
-            self._sets["timestamp"][start : start + len(piece)] = piece
-            self._crc["timestamp"] = crc32(np.asarray(piece, "<i8"), self._crc["timestamp"])
-        self._disk.check()
+            piece = np.ascontiguousarray(stamps(start, min(start + CHUNK_SAMPLES, self.n_samples)), "<i8")
+            self._put("timestamp", start, piece)
+            self._crc["timestamp"] = crc32(piece, self._crc["timestamp"])
 
     def check(
         self,
@@ -166,7 +190,7 @@ class ColumnWriter:
         side: Mapping[str, NDArray[np.void]] | None = None,
         **late: Any,
     ) -> None:
-        """Write tables and attributes, close, read every byte back, and seal the file.
+        """Write tables and attributes, close, read every stored byte back, and seal the file.
 
         Parameters
         ----------
@@ -180,7 +204,8 @@ class ColumnWriter:
         Raises
         ------
         OSError
-            When the disk refuses, or what was written does not read back.
+            When the disk refuses, or what was written does not read back: the tables, or a stored byte of a sample that
+            differs from those that were read back when it was written.
         """
         self.flush()
         _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)
@@ -193,12 +218,29 @@ class ColumnWriter:
         self._finish_attributes()
         self._close()
         self._disk.check()
-        with h5py.File(self.part, "r") as written:
-            faults = check_columns(written)
+        faults = self._faults(write_seal(self.part, tuple(self._sets)))
         if faults:
             raise OSError(f"{self.part}: what was written does not read back: {faults[0]}")
-        write_seal(self.part, tuple(self._sets))
         sync(self.part)
+
+    def _faults(self, extents: NDArray[np.void]) -> list[str]:
+        """Faults of the closed file, whose stored bytes have just been read into the seal's ``extents``."""
+        names = tuple(self._sets)
+        rows = extents[extents["column"] >= 0]
+        read = {
+            (names[c], at): crc
+            for c, at, crc in zip(*(rows[key].tolist() for key in ("column", "first_sample", "crc32")), strict=True)
+        }
+        places = sorted(self._stored.keys() | read.keys())
+        wrong = [place for place in places if self._stored.get(place) != read.get(place)]
+        faults = [f"{name}: samples from {at} on" for name, at in wrong]
+        with h5py.File(self.part, "r") as written:
+            for name, dataset in ((name, written[name]) for name in names):
+                if dataset.shape != (self.n_samples,) or int(dataset.attrs["crc32"]) != self._crc[name]:
+                    faults.append(f"{name}: its length or its checksum")
+            for name in TABLES:
+                faults += [f"{name}/{key}: {error}" for key, error in _unreadable(written.get(name, {}))]
+        return faults
 
     def rename(self) -> None:
         """Put the checked file into its final place, in one step."""
@@ -269,20 +311,6 @@ def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArr
     return rows
 
 
-def check_columns(file: Any) -> list[str]:
-    """Faults of an open column file; reads every sample, in chunks."""
-    faults = []
-    length = file["timestamp"].shape[0]
-    for name in [*file.attrs["channels"], "timestamp"]:
-        dataset = file[name]
-        if dataset.shape != (length,):
-            faults.append(f"{name}: {dataset.shape[0]} samples, but timestamp has {length}")
-        faults += _check_samples(name, dataset)
-    for name in TABLES:
-        faults += [f"{name}/{key}: {error}" for key, error in _unreadable(file.get(name, {}))]
-    return faults
-
-
 def _unreadable(group: Any) -> list[tuple[str, str]]:
     bad = []
     for key, dataset in group.items():
@@ -291,16 +319,3 @@ def _unreadable(group: Any) -> list[tuple[str, str]]:
         except (OSError, RuntimeError) as error:
             bad.append((key, str(error)))
     return bad
-
-
-def _check_samples(name: str, dataset: Any) -> list[str]:
-    faults, crc = [], 0
-    for start in range(0, dataset.shape[0], CHUNK_SAMPLES):
-        stop = min(start + CHUNK_SAMPLES, dataset.shape[0])
-        try:
-            crc = crc32(dataset[start:stop], crc)
-        except (OSError, RuntimeError):
-            faults.append(f"{name}: samples {start} to {stop - 1} do not read back")
-    if not faults and crc != int(dataset.attrs.get("crc32", -1)):
-        faults.append(f"{name}: the checksum over all its samples does not fit")
-    return faults

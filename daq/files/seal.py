@@ -65,8 +65,13 @@ class Checked:
     seal_differs: bool = False
 
 
-def write_seal(path: Path, columns: tuple[str, ...]) -> None:
+def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:
     """Append the seal to a closed HDF5 file whose one-dimensional, chunked datasets ``columns`` hold the samples.
+
+    Returns
+    -------
+    array
+        `EXTENT_DTYPE` rows: the whole file, with the CRC-32 of what was just read of it.
 
     Raises
     ------
@@ -88,6 +93,7 @@ def write_seal(path: Path, columns: tuple[str, ...]) -> None:
         body = packed.getvalue()
         raw.seek(0, io.SEEK_END)
         raw.write(body + FOOTER.pack(MAGIC, raw.tell(), len(body), zlib.crc32(body)))
+    return extents
 
 
 def _chunks(dataset: Any, column: int) -> list[tuple[int, int, int, int, int, int]]:

@@ -1,7 +1,7 @@
 """Write a recording while a run lasts, and turn its frames into columns when it ends.
 
-What was acknowledged is never lost. The frames stay until the column file beside them has been
-written, read back and found right; one rename then puts it in their place.
+What was acknowledged is never lost. The frames stay until the column file beside them, which grows with them, has
+been written, read back and found right; one rename then puts it in their place.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
+from daq.files.frame_file import FrameFile
 from daq.files.frame_writer import FrameWriter
 from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
+from daq.recording.live_columns import LiveColumns
 from daq.recording.opening import open_checked
 from daq.recording.provenance import software_commit, software_version
-from daq.recording.reader import timestamps_ns
+from daq.recording.reader import Recording, timestamps_ns
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -129,6 +131,14 @@ class RecordingWriter:
         }
         self._frames = FrameWriter(self.path, channels, attributes)
 
+        def columns() -> ColumnWriter:
+            return _columns(self.path, setup, channels, known, attributes, overwrite=True)
+
+        def spare_bytes(n_samples: int) -> int:
+            return RESERVE_BYTES + 2 * len(channels) * max(expected_samples - n_samples, 0)
+
+        self._live = LiveColumns(columns, channels, setup.sampling.rate_hz, spare_bytes)
+
     @property
     def n_samples(self) -> int:
         """Frames recorded so far; the next block must start here."""
@@ -145,6 +155,7 @@ class RecordingWriter:
             When the disk refuses.
         """
         self._frames.append(*blocks)
+        self._live.append(*blocks)
 
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
         """Write a step's row (`STEP_DTYPE` or a mapping of its fields) and sync the file to the disk.
@@ -163,7 +174,7 @@ class RecordingWriter:
         self._frames.mark_rows(table, rows)
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
-        """End the recording: write the column file beside, check it, rename it into place.
+        """End the recording: finish the column file beside, check it, rename it into place.
 
         Parameters
         ----------
@@ -183,8 +194,11 @@ class RecordingWriter:
             if not self._frames.is_broken:
                 self._frames.end({"ended": how, "why": why, "ended_at": now_utc(), **self._balance(expected_samples)})
             where = self._frames.close()
-            columns_from_frames(where, where)
+            if where != self.path:
+                self._live.drop()
+            columns_from_frames(where, where, self._live)
         except (OSError, RuntimeError) as error:
+            self._live.drop()
             raise OSError(
                 f"{where}: the recorded frames are safe in this file, but the run could not be finished as columns "
                 f"({error}); make room and run: bench recover {where}"
@@ -235,42 +249,57 @@ def _default_scale(setup: Setup, name: str) -> tuple[float, float]:
     return (volts_per_code(described.range_v if described is not None else 10.0), 0.0)
 
 
-def columns_from_frames(source: Path, target: Path, **changed: Any) -> list[int]:
+def _columns(
+    target: Path,
+    setup: Setup,
+    names: Sequence[str],
+    scales: Mapping[str, tuple[float, float]],
+    attributes: Mapping[str, Any],
+    *,
+    overwrite: bool,
+) -> ColumnWriter:
+    """An empty column file of codes."""
+    return ColumnWriter(target, setup, dict.fromkeys(names, np.dtype("<i2")), scales, attributes, overwrite=overwrite)
+
+
+def columns_from_frames(source: Path, target: Path, live: LiveColumns | None = None) -> list[int]:
     """Write the column file of a frames file; returns the blocks whose checksum did not fit (flagged, kept).
 
     Parameters
     ----------
     source, target
         Frames file and column file; the same path replaces it.
-    changed
-        Root attributes that differ from the frames file's.
+    live
+        What was written of it while the run lasted.
     """
     damaged: list[int] = []
     with open_checked(source, Checked()) as recording:
         frames = recording.frames
         if frames is None:
             raise InputError(f"{source}: is a column file already; nothing to do.")
-        setup, gaps, names = recording.setup, recording.gaps, recording.channels
-        attributes = dict(recording.stored) | changed
-        writer = ColumnWriter(
-            target,
-            setup,
-            dict.fromkeys(names, np.dtype("<i2")),
-            {n: recording.scale(n) for n in names},
-            attributes,
-            overwrite=source == target,
-        )
-        try:
-            for which, rows in frames.pieces(PIECE_CHUNKS * CHUNK_SAMPLES):
-                damaged += frames.damaged_in(which, rows)
-                start = int(frames.blocks["first_sample"][which.start])
-                stamps = timestamps_ns(start, start + len(rows), recording.rate_hz, gaps)
-                writer.append(stamps, {name: rows[:, i] for i, name in enumerate(names)})
-            blocks = frames.blocks.copy()
-            blocks["flags"][damaged] |= int(BlockFlag.DAMAGED)
-            writer.check(recording.steps, blocks, frames.side)
-        except BaseException:
-            writer.abandon()
-            raise
+        writer = None if live is None else live.finish(recording, dict(recording.stored))
+        if writer is None:
+            names = recording.channels
+            scales = {n: recording.scale(n) for n in names}
+            writer = _columns(target, recording.setup, names, scales, recording.stored, overwrite=source == target)
+            try:
+                damaged = _copy(recording, frames, writer)
+            except BaseException:
+                writer.abandon()
+                raise
     writer.rename()
+    return damaged
+
+
+def _copy(recording: Recording, frames: FrameFile, writer: ColumnWriter) -> list[int]:
+    """Frames as checked columns; returns the blocks whose checksum did not fit."""
+    damaged: list[int] = []
+    for which, rows in frames.pieces(PIECE_CHUNKS * CHUNK_SAMPLES):
+        damaged += frames.damaged_in(which, rows)
+        start = int(frames.blocks["first_sample"][which.start])
+        stamps = timestamps_ns(start, start + len(rows), recording.rate_hz, recording.gaps)
+        writer.append(stamps, {name: rows[:, i] for i, name in enumerate(recording.channels)})
+    blocks = frames.blocks.copy()
+    blocks["flags"][damaged] |= int(BlockFlag.DAMAGED)
+    writer.check(recording.steps, blocks, frames.side)
     return damaged
