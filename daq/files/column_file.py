@@ -117,21 +117,24 @@ class ColumnWriter:
             dataset.attrs["serial_number"] = described.serial_number
         return dataset
 
-    def append(self, timestamps_ns: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
-        """Add samples: ``timestamps_ns`` (n,) and one array (n,) a channel."""
-        pieces = {"timestamp": timestamps_ns, **columns}
-        if set(pieces) != set(self._sets) or len({len(p) for p in pieces.values()}) != 1:
+    def append(self, timestamps_ns: NDArray[np.int64] | None, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Add samples: ``timestamps_ns`` (n,) (None: `write_timestamps` gives them), an array (n,) a channel."""
+        pieces = dict(columns) if timestamps_ns is None else {"timestamp": timestamps_ns, **columns}
+        lengths = {len(piece) for piece in pieces.values()}
+        if set(pieces) | {"timestamp"} != set(self._sets) or len(lengths) != 1:
             got = {name: len(piece) for name, piece in pieces.items()}
             raise ValueError(f"wanted equal lengths of {list(self._sets)}, got {got}")
         for name, piece in pieces.items():
             self._held[name].append(np.ascontiguousarray(piece, self._sets[name].dtype))
-        self._n_held += len(timestamps_ns)
+        self._n_held += lengths.pop()
         if self._n_held >= CHUNK_SAMPLES:
             self._write(self._n_held - self._n_held % CHUNK_SAMPLES)
 
     def _write(self, n: int) -> None:
         """Write the first ``n`` held samples of every column (whole chunks, but for the last)."""
         for name, dataset in self._sets.items():
+            if not self._held[name]:
+                continue
             held = np.concatenate(self._held[name]) if len(self._held[name]) != 1 else self._held[name][0]
             dataset.id.set_extent((self.n_samples + n,))
             self._put(name, self.n_samples, held[:n])
@@ -164,20 +167,16 @@ class ColumnWriter:
             raise OSError(f"{self.part}: what was written does not read back: {name}: samples {start} to {last}")
 
     def flush(self) -> None:
-        """Write what is held back, so that `read` sees every sample."""
+        """Write what is held back."""
         if self._n_held:
             self._write(self._n_held)
         self._file.flush()
         self._disk.check()
 
-    def read(self, name: str, start: int, stop: int) -> NDArray[Any]:
-        """Samples of a column as stored, ``(stop - start,)``, after `flush`."""
-        piece: NDArray[Any] = self._sets[name][start:stop]
-        return piece
-
-    def replace_timestamps(self, stamps: Callable[[int, int], NDArray[np.int64]]) -> None:
-        """Write other times over those appended; ``stamps(start, stop)`` gives nanoseconds."""
-        self._crc["timestamp"] = 0
+    def write_timestamps(self, stamps: Callable[[int, int], NDArray[np.int64]]) -> None:
+        """Write the times of all samples appended without; ``stamps(start, stop)`` gives nanoseconds."""
+        self.flush()
+        self._sets["timestamp"].id.set_extent((self.n_samples,))
         for start in range(0, self.n_samples, CHUNK_SAMPLES):
             piece = np.ascontiguousarray(stamps(start, min(start + CHUNK_SAMPLES, self.n_samples)), "<i8")
             self._put("timestamp", start, piece)

@@ -7,7 +7,6 @@ consistent, written and read back; values are stored as they came, never requant
 from __future__ import annotations
 
 import datetime
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -20,10 +19,12 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
+from daq.importers.background import Digest
 from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
 from daq.importers.formats.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
+from daq.importers.scratch import Scratch
 from daq.importers.timebase import Timebase, timebase_of
 from daq.recording.reader import timestamps_ns
 from daq.recording.writer import now_utc, root_attributes
@@ -111,16 +112,19 @@ def import_recording(
     scales = {role: _scale(source, columns[role], role, setup) for role in channels}
     writer = _begun(source, columns, out, setup, scales, attributes)
     try:
-        intake = take_in(source, columns, scales, setup, writer, progress)
-        base = _timebase(source, writer, intake, columns.get("time"), setup, rate_hz)
-        steps, from_drive = _find(writer, scales, setup, base, intake, progress)
-        warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
-        warnings += plate_warnings(steps, setup) if from_drive else []
-        if "continuity" in scales:
-            warnings += contact_warnings(_volts(writer, scales, "continuity"), setup, steps)
-        setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": base.rate_hz})})
-        late = _late_attributes(source, columns, setup, base, intake, options.extra)
-        writer.check(steps, _blocks(base, writer.n_samples), **late)
+        with _scratch(source, columns, out) as scratch:
+            intake = take_in(source, columns, scales, setup, writer, scratch, progress)
+            with Digest(source.path) as digest:
+                volts = _Volts(scratch, scales)
+                base = _timebase(source, writer, scratch, intake, columns.get("time"), setup, rate_hz)
+                steps, from_drive = _find(volts, writer.n_samples, setup, base, intake, progress)
+                warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
+                warnings += plate_warnings(steps, setup) if from_drive else []
+                if "continuity" in scales:
+                    warnings += contact_warnings(volts.of("continuity"), setup, steps)
+                setup = _at_rate(setup, base.rate_hz)
+                late = _late_attributes(source, columns, setup, base, intake, options.extra)
+                writer.check(steps, _blocks(base, writer.n_samples), **late, imported_sha256=digest.result())
     except BaseException:
         writer.abandon()
         raise
@@ -186,16 +190,33 @@ def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -
     return setup.model_copy(update={"channels": setup.channels.model_copy(update=changed)})
 
 
+def _scratch(source: Source, columns: Mapping[str, Column], out: Path) -> Scratch:
+    """For the times in nanoseconds, and the channels as they come."""
+    channels = {role: source.dtype(columns[role].name) for role in CHANNEL_ROLES if role in columns}
+    return Scratch(out.parent, ({"timestamp": np.dtype("<i8")} if "time" in columns else {}) | channels)
+
+
+def _at_rate(setup: Setup, rate_hz: float) -> Setup:
+    """The set-up with the rate that was found."""
+    return setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": rate_hz})})
+
+
 def _timebase(
-    source: Source, writer: ColumnWriter, intake: Intake, time: Column | None, setup: Setup, rate_hz: float | None
+    source: Source,
+    writer: ColumnWriter,
+    scratch: Scratch,
+    intake: Intake,
+    time: Column | None,
+    setup: Setup,
+    rate_hz: float | None,
 ) -> Timebase:
-    """Rate, pauses, jitter; even times are written over rounded ones."""
+    """Rate, pauses, jitter; the times are written: even ones where they are even, else as they came."""
     if time is None:
         base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
     else:
 
         def times(start: int, stop: int) -> Floats:
-            return np.asarray(writer.read("timestamp", start, stop) * 1e-9, np.float64)
+            return np.asarray(scratch.read("timestamp", start, stop) * 1e-9, np.float64)
 
         refuse_mixed_rates(source.path, times, writer.n_samples, intake.rounding_s)
         base = timebase_of(times, writer.n_samples, intake.rounding_s)
@@ -207,39 +228,48 @@ def _timebase(
                 "time right (--map time=COLUMN:ms)?"
             )
         refuse_other_unit(source.path, time, base.rate_hz, setup)
-    if base.uniform:
-        writer.replace_timestamps(lambda a, b: timestamps_ns(a, b, base.rate_hz, base.gaps[:, :2]))
+    even = base.uniform
+
+    def stamps(start: int, stop: int) -> NDArray[np.int64]:
+        if even:
+            return timestamps_ns(start, stop, base.rate_hz, base.gaps[:, :2])
+        return scratch.read("timestamp", start, stop)
+
+    writer.write_timestamps(stamps)
     return base
 
 
-def _volts(writer: ColumnWriter, scales: Mapping[str, tuple[float, float]], role: str) -> Read:
-    """Gives volts of samples ``a .. b`` of a channel."""
-    factor, offset = scales[role]
-    return lambda a, b: np.asarray(writer.read(role, a, b) * factor + offset, np.float64)
+@dataclass(frozen=True)
+class _Volts:
+    """Volts of the channels taken in."""
+
+    scratch: Scratch
+    scales: Mapping[str, tuple[float, float]]
+
+    def of(self, role: str) -> Read:
+        """Gives volts of samples ``a .. b`` of a channel."""
+        factor, offset = self.scales[role]
+        return lambda a, b: np.asarray(self.scratch.read(role, a, b) * factor + offset, np.float64)
 
 
 def _find(
-    writer: ColumnWriter,
-    scales: Mapping[str, tuple[float, float]],
+    volts: _Volts,
+    n_samples: int,
     setup: Setup,
     base: Timebase,
     intake: Intake,
     progress: Progress | None,
 ) -> tuple[NDArray[np.void], bool]:
     """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
-
-    def volts(role: str) -> Read:
-        return _volts(writer, scales, role)
-
     found: list[FoundStep] = []
     for role in ("drive", "accelerometer"):
-        if role in scales and not found:
+        if role in volts.scales and not found:
             from_drive = role == "drive"
-            found = _found(volts(role), writer.n_samples, setup, base, intake, progress)
+            found = _found(volts.of(role), n_samples, setup, base, intake, progress)
             if not from_drive and not intake.set_values:
                 shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
                 found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
-    achieved = np.array([_achieved(volts("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
+    achieved = np.array([_achieved(volts.of("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt
     if from_drive and g_per_volt is not None:
         gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
@@ -320,15 +350,9 @@ def _late_attributes(
         "started": started,
         "imported_at": now_utc(),
         "imported_from": source.path.name,
-        "imported_sha256": _sha256(source.path),
         "imported_columns": [
             f"{role}={column.name}" + (f":{column.unit}" if column.unit else "") for role, column in columns.items()
         ],
         "time_origin_s": intake.origin_s,
         "extra_json": json.dumps(dict(extra)),
     }
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import ColumnWriter
 from daq.importers.formats.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
+from daq.importers.scratch import Scratch
 from daq.importers.timebase import quantum_of
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE, Setup
@@ -49,9 +50,10 @@ def take_in(
     scales: Mapping[str, tuple[float, float]],
     setup: Setup,
     writer: ColumnWriter,
+    scratch: Scratch,
     progress: Progress | None,
 ) -> Intake:
-    """Stream every row into the writer, checking as it goes.
+    """Stream every row into the writer, without its time, and into the scratch, checking as it goes.
 
     Parameters
     ----------
@@ -62,7 +64,9 @@ def take_in(
     setup
         Ranges of the channels.
     writer
-        Takes times (nanoseconds since the first row, or row numbers where there is no time) and channels.
+        Takes the channels.
+    scratch
+        Takes the channels too, and ``timestamp``, nanoseconds since the first row, where there is a time.
     progress
         Called with ``"reading"`` and the rows done.
 
@@ -78,14 +82,15 @@ def take_in(
             _refuse_not_finite(source, piece, column.name)
         n = len(piece.rows)
         if "time" in columns:
-            stamps = _times_ns(source, piece, columns["time"], intake)
-        else:
-            stamps = np.arange(intake.n_rows, intake.n_rows + n, dtype=np.int64)
+            scratch.append("timestamp", _times_ns(source, piece, columns["time"], intake))
         for role, changes in intake.set_values.items():
             _note_changes(piece.columns[columns[role].name], intake.n_rows, changes)
         for role, scale in scales.items():
             _refuse_far_outside(source, piece, role, columns[role], scale, setup, intake)
-        writer.append(stamps, {role: piece.columns[columns[role].name] for role in scales})
+        channels = {role: piece.columns[columns[role].name] for role in scales}
+        writer.append(None, channels)
+        for role, values in channels.items():
+            scratch.append(role, values)
         intake.n_rows += n
         if progress is not None:
             progress("reading", intake.n_rows)

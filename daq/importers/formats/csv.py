@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.importers.background import ahead
 from daq.importers.formats.columns import Piece, listed, split_name
 from daq.importers.formats.csv_kernel import parse_rows
 from daq.setup.errors import InputError
@@ -95,10 +96,7 @@ class CsvSource:
             Naming the file and line of what is not a number, missing, or too much.
         """
         if not self._select:
-            for first, n, block in self._blocks():
-                columns, rows = self._parsed(block, names, range(first, first + n))
-                if len(rows):
-                    yield Piece(columns, rows, "line")
+            yield from ahead(self._wide(names))
         elif "" in self._select:
             for numbers, lines in self._lines():
                 where, chosen = self._matching(lines, numbers, self._select[""])
@@ -107,6 +105,13 @@ class CsvSource:
             self._refuse_unseen()
         else:
             yield from self._pivoted(names)
+
+    def _wide(self, names: Sequence[str]) -> Iterator[Piece]:
+        """The named columns of a table that has a column of its own for each."""
+        for first, n, block in self._blocks():
+            columns, rows = self._parsed(block, names, range(first, first + n))
+            if len(rows):
+                yield Piece(columns, rows, "line")
 
     def _open(self) -> Any:
         """The text as UTF-8 without byte-order mark, its lines ending in a newline."""

@@ -17,6 +17,8 @@ _FIRST_POWER, _LAST_POWER = -64, 64  # of ten, by table; what lies beyond is lef
 _EXACT = np.uint64(1 << 53)
 _TENS = np.array([float(f"1e{k}") for k in range(23)])
 _DIGITS = 19  # decimal digits that 64 bits hold
+_TEN = np.uint64(10)
+_NEXT, _NOWHERE = np.uint64(1), np.uint64(2**64 - 1)  # places are unsigned: a signed one may count from the end
 
 
 @cache
@@ -124,38 +126,48 @@ def _nearest(mantissa, power, powers):  # type: ignore[no-untyped-def]
 def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     """Number that starts at a place, the place after it, and whether it was understood."""
     at = start
-    negative = block[at] == 45
-    if negative or block[at] == 43:
-        at += 1
-    mantissa, ten = np.uint64(0), np.uint64(10)
-    first, point = at, -1
-    while True:
-        c = block[at] - np.uint8(48)
-        if c <= 9:
-            mantissa = mantissa * ten + np.uint64(c)
-        elif block[at] == decimal and point < 0:
-            point = at
-        else:
-            break
-        at += 1
-    digits = at - first - (point >= 0)
-    power = point + 1 - at if point >= 0 else 0
+    c = block[at]
+    negative = c == 45
+    if negative or c == 43:
+        at += _NEXT
+        c = block[at]
+    mantissa, first = np.uint64(0), at
+    digit = c - np.uint8(48)
+    while digit <= 9:
+        mantissa = mantissa * _TEN + np.uint64(digit)
+        at += _NEXT
+        c = block[at]
+        digit = c - np.uint8(48)
+    digits, point, power = np.int64(at - first), _NOWHERE, np.int64(0)
+    if c == decimal:
+        point = at
+        at += _NEXT
+        c = block[at]
+        digit = c - np.uint8(48)
+        while digit <= 9:
+            mantissa = mantissa * _TEN + np.uint64(digit)
+            at += _NEXT
+            c = block[at]
+            digit = c - np.uint8(48)
+        power = -np.int64(at - point - _NEXT)
+        digits -= power
+    sure = bool(digits > 0)
     if digits > _DIGITS:
         k = first
         while block[k] == 48 or k == point:
             digits -= k != point
-            k += 1
-    sure = 0 < digits <= _DIGITS or (digits <= 0 and at - first > 1)
-    if block[at] == 101 or block[at] == 69:
-        at += 1
+            k += _NEXT
+        sure = bool(digits <= _DIGITS)
+    if c == 101 or c == 69:
+        at += _NEXT
         minus = block[at] == 45
         if minus or block[at] == 43:
-            at += 1
+            at += _NEXT
         exponent, first = np.int64(0), at
         while 48 <= block[at] <= 57 and exponent < 10000:
             exponent = exponent * 10 + (np.int64(block[at]) - 48)
-            at += 1
-        sure = sure and at > first
+            at += _NEXT
+        sure = sure and bool(at > first)
         power += -exponent if minus else exponent
     value = 0.0
     if mantissa == np.uint64(0) or not sure:
@@ -170,18 +182,18 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     return (-value if negative else value), at, sure
 
 
-@njit()
+@njit(nogil=True)
 def _parse(block, limit, decimal, width, role_of, powers, table, lines, left):  # type: ignore[no-untyped-def]
-    n = m = at = line = 0
-    size = block.shape[0]
+    n = m = line = 0
+    at, size = np.uint64(0), np.uint64(block.shape[0])
     while at < size:
         start = at
         while block[at] == 32 or block[at] == 9 or block[at] == 13:
-            at += 1
+            at += _NEXT
         if block[at] == 10 or block[at] == 35:  # blank, or a comment
             while block[at] != 10:
-                at += 1
-            at += 1
+                at += _NEXT
+            at += _NEXT
             line += 1
             continue
         if limit:
@@ -193,15 +205,15 @@ def _parse(block, limit, decimal, width, role_of, powers, table, lines, left):  
             sure = False
             if wanted:
                 while block[at] == 32 or (block[at] == 9 and limit != 9):
-                    at += 1
+                    at += _NEXT
                 value, at, sure = _number(block, at, decimal, powers)
                 while limit and (block[at] == 32 or (block[at] == 9 and limit != 9)):
-                    at += 1
+                    at += _NEXT
                 table[role_of[column], n] = value
             c = block[at]
             while c != 10 and c != 13 and c != limit and (limit or (c != 32 and c != 9)):
                 sure = False
-                at += 1
+                at += _NEXT
                 c = block[at]
             if wanted and not sure:
                 left[m, 0], left[m, 1], left[m, 2], left[m, 3] = n, role_of[column], first, at
@@ -209,14 +221,14 @@ def _parse(block, limit, decimal, width, role_of, powers, table, lines, left):  
             column += 1
             if not limit:
                 while block[at] == 32 or block[at] == 9:
-                    at += 1
+                    at += _NEXT
             if block[at] == 13 or block[at] == 10:
                 break
             if limit:
-                at += 1
-        if column != width or (block[at] == 13 and block[at + 1] != 10):
+                at += _NEXT
+        if column != width or (block[at] == 13 and block[at + _NEXT] != 10):
             return n, m, line
-        at += 2 if block[at] == 13 else 1
+        at += _NEXT + _NEXT if block[at] == 13 else _NEXT
         lines[n] = line
         n += 1
         line += 1
