@@ -50,8 +50,8 @@ class ToneFit:
 
     def amplitude_sigma(self) -> Floats:
         """Standard deviation of each tone's amplitude, the rms over its two quadratures, shape (k,)."""
-        variances: Floats = np.diag(self.covariance).reshape(-1, 2).mean(axis=1)
-        return np.sqrt(variances)
+        variances = self.covariance.diagonal()
+        return np.sqrt(0.5 * (variances[0::2] + variances[1::2]))
 
 
 @dataclass(frozen=True)

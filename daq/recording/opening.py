@@ -23,6 +23,7 @@ from daq.setup.errors import InputError
 
 UNCHECKED = "recorded by an earlier version, without checksums over its tables: they are read unchecked"
 CHUNK_CACHE_BYTES = 1 << 20  # of each open column: it holds the chunk that the next read begins in
+LEAST_RECENT_FIRST = 0.0  # HDF5 else keeps chunks that were read in part, however long ago, and drops the last ones
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -121,7 +122,7 @@ def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
             return h5py.File(Patched(path, found.patches), "r")
         if is_being_written(path):
             return h5py.File(as_if_ended(path), "r") if ended else h5py.File(path, "r", swmr=True)
-        return h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES)
+        return h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES, rdcc_w0=LEAST_RECENT_FIRST)
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
 
