@@ -11,6 +11,13 @@ from pathlib import Path
 from typing import Any
 
 
+def refusal(error: OSError, path: Path) -> OSError:
+    """What a person is told where the disk refused to take more of the file, or of files in the folder, ``path``."""
+    why = error.strerror or str(error)
+    hint = "free some space there, or choose another place"
+    return OSError(error.errno, f"the disk refuses to take more ({why}); {hint}", str(path))
+
+
 class DiskFile(io.RawIOBase):
     """A new file for `h5py.File(DiskFile(path), "w")`; ``error`` is the disk's first refusal.
 
@@ -34,11 +41,7 @@ class DiskFile(io.RawIOBase):
             Naming the file and what the disk answered.
         """
         if self.error is not None:
-            why = self.error.strerror or str(self.error)
-            hint = "free some space there, or choose another place"
-            raise OSError(
-                self.error.errno, f"the disk refuses to take more ({why}); {hint}", str(self._path)
-            ) from self.error
+            raise refusal(self.error, self._path) from self.error
 
     def readable(self) -> bool:
         """It is."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.closing import Closing
+from daq.files.disk import refusal
 
 
 class Scratch(Closing):
@@ -29,14 +30,24 @@ class Scratch(Closing):
     """
 
     def __init__(self, folder: Path, dtypes: Mapping[str, np.dtype[Any]]) -> None:
+        self._folder = folder
         self._dtypes = {name: np.dtype(dtype) for name, dtype in dtypes.items()}
         self._files = {name: tempfile.TemporaryFile(dir=folder, buffering=0) for name in dtypes}  # noqa: SIM115
 
     def append(self, name: str, values: NDArray[Any]) -> None:
-        """Add values to the end of a column (raises OSError when the disk refuses)."""
+        """Add values to the end of a column.
+
+        Raises
+        ------
+        OSError
+            Naming the folder, when the disk refuses.
+        """
         left = np.ascontiguousarray(values, self._dtypes[name]).data.cast("B")
-        while len(left):
-            left = left[self._files[name].write(left) :]
+        try:
+            while len(left):
+                left = left[self._files[name].write(left) :]
+        except OSError as error:
+            raise refusal(error, self._folder) from error
 
     def read(self, name: str, start: int, stop: int) -> NDArray[Any]:
         """Values ``start`` to ``stop`` of a column, fewer where it ends."""

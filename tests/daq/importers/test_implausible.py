@@ -206,6 +206,9 @@ def test_numbers_are_read_to_the_last_bit() -> None:
     )
     assert wrong == -1 and len(left) == 0 and lines.tolist() == list(range(len(words)))
     np.testing.assert_array_equal(table[1].view(np.int64), np.array([float(w) for w in words]).view(np.int64))
+    zeros = f"7,{'0' * 30}\n7,{'0' * 30}".encode()  # the scan for leading zeros ends with the field
+    table, _, left, wrong = parse_rows(np.frombuffer(zeros + b"\n", np.uint8), ",", ".", 2, np.arange(2), (2, 2))
+    assert (table.tolist(), len(left), wrong) == ([[7.0, 7.0], [0.0, 0.0]], 0, -1)
     odd = ["", "-", ".", "1e", "e5", "1_0", "nan", "1.2.3", "1 2", "0x10", "1e400", "12345678901234567890123", "\u0663"]
     text = "".join(f"7,{w},8\n" for w in odd)
     _, _, left, _ = parse_rows(np.frombuffer(text.encode(), np.uint8), ",", ".", 3, np.arange(3), (3, len(odd)))
