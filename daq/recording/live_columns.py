@@ -7,6 +7,7 @@ frames file) they are dropped, and closing writes them from the frames.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -78,7 +79,7 @@ class LiveColumns:
                 self.drop()
                 return
             self._columns.append(stamps, {name: self._waiting[:n, i] for i, name in enumerate(self._channels)})
-        except (OSError, InputError):
+        except (OSError, RuntimeError, InputError):
             self.drop()
             return
         self._n_samples, self._n_waiting = start + n, 0
@@ -87,11 +88,12 @@ class LiveColumns:
         return np.array(self._gaps, np.int64).reshape(-1, 2)
 
     def drop(self) -> None:
-        """Remove the unfinished file, if there is one; whatever comes is passed over."""
+        """Remove the unfinished file, if there is one and it can be; whatever comes is passed over."""
         self._dropped, self._n_waiting = True, 0
         columns, self._columns = self._columns, None
         if columns is not None:
-            columns.abandon()
+            with contextlib.suppress(OSError, RuntimeError):  # a file that cannot be removed is written over at the end
+                columns.abandon()
 
     def finish(self, recording: Recording, attributes: dict[str, Any]) -> ColumnWriter | None:
         """The column file of a run that has ended, whole and checked; None where the frames must be asked.
@@ -114,7 +116,7 @@ class LiveColumns:
         if columns is not None:
             try:
                 columns.check(recording.steps, recording.blocks, recording.side, **attributes)
-            except OSError:
+            except (OSError, RuntimeError):
                 self.drop()
                 return None
         self._columns = None

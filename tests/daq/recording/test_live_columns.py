@@ -133,6 +133,25 @@ def test_a_folder_that_takes_no_second_file_costs_nothing(
     assert same_as_given(path)
 
 
+def test_columns_that_cannot_be_removed_cost_nothing(
+    tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the folder does not let the dropped file go, the run goes on, and closing writes over it."""
+
+    def refuse(*arguments: object, **options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = tmp_path / "a.h5"
+    writer = recorded(path, setup)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", refuse)
+        writer._live.drop()
+    assert part_of(path).exists()
+    writer.close()
+    assert same_as_given(path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_columns_damaged_during_the_run_are_made_again(tmp_path: Path, setup: Setup) -> None:
     """A byte of the growing columns that changes on the disk is found at the end: the frames are asked instead."""
     path = tmp_path / "a.h5"
