@@ -19,7 +19,7 @@ from analysis.attribution.priors import Prior, priors_of
 from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId, Values
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
+from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected, second_share
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import STANDARD_GRAVITY_MPS2, Setup
 from model.effects.base import COMPILED_HOOKS
@@ -260,9 +260,10 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
-    value, error, omega_radps, asked, first = table[:, 2:].T
-    ratio, share = steps.ratio[step], np.ones(len(step), dtype=np.complex128)
-    return PlateData(kind, step, value, error, omega_radps, asked, first, multiple, ratio, share)
+    value, error, omega_radps, asked, scale = table[:, 2:].T
+    first, second = steps.plate.acceleration_mps2[:, [0, tones - 1]].T
+    share = np.where(steps.ratio == 1, 1.0, second_share(first, second, steps.ratio))
+    return PlateData(kind, step, value, error, omega_radps, asked, scale, multiple, steps.ratio[step], share[step])
 
 
 def ranking_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:
