@@ -125,8 +125,9 @@ class Pool:
             columns.append(np.clip(other - base, -CLIP_SIGMAS, CLIP_SIGMAS)[:, None])
         rows = np.concatenate([whitener.step, made.evidence.plate.step])
         every = np.nan_to_num(np.column_stack(columns))
-        longer = option.hold_cycles / HOLD_CYCLES
-        products = [longer * every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
+        events = np.arange(len(rows)) < len(whitener.step)  # as many as are simulated; plate data are a step's already
+        every *= np.sqrt(np.where(events, option.hold_cycles / HOLD_CYCLES, 1.0))[:, None]
+        products = [every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
         flown, step = made.evidence.measured.landing_s - made.evidence.measured.opening_s, made.evidence.measured.step
         means = [float(np.mean(flown[step == i])) if np.any(step == i) else np.nan for i in range(len(option.gammas))]
         return cls(option, np.array(products), np.array(means))
