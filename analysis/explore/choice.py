@@ -120,20 +120,26 @@ class Pool:
         whitener = Whitener.of(made, truth)
         raw, slopes = slopes_of(made, fitter, whitener, truth, known.keys)
         columns = [whitener.white_slopes(slopes, raw)]
-        base, rows = whitener.white_all(raw), np.concatenate([whitener.step, made.evidence.plate.step])
-        events = np.arange(len(rows)) < len(whitener.step)
-        for x in some:
-            moved = whitener.stacked(made.residuals(x.values)) - raw
-            moved[events & (np.abs(moved) > LEAP_S)] = 0.0  # another flight, that no fit could follow
-            other = whitener.white_all(raw + moved)
-            columns.append(np.clip(other - base, -CLIP_SIGMAS, CLIP_SIGMAS)[:, None])
+        columns += [apart(whitener, raw, whitener.stacked(made.residuals(x.values)))[:, None] for x in some]
         every = np.nan_to_num(np.column_stack(columns))
-        # as many events as are simulated; plate data are a step's already
+        rows = np.concatenate([whitener.step, made.evidence.plate.step])
+        events = np.arange(len(rows)) < len(whitener.step)  # as many as are simulated; plate data are a step's already
         every *= np.sqrt(np.where(events, option.hold_cycles / HOLD_CYCLES, 1.0))[:, None]
         products = [every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
         flown, step = made.evidence.measured.landing_s - made.evidence.measured.opening_s, made.evidence.measured.step
         means = [float(np.mean(flown[step == i])) if np.any(step == i) else np.nan for i in range(len(option.gammas))]
         return cls(option, np.array(products), np.array(means))
+
+
+def apart(whitener: Whitener, raw: Array, other: Array) -> Array:
+    """Whitened difference of two predictions (n,), from bare residuals; 0 where one is of another flight.
+
+    A fit cannot follow a flight that becomes another one, and near an edge chance decides which it is.
+    """
+    moved, events = other - raw, np.arange(len(raw)) < len(whitener.step)
+    moved[events & (np.abs(moved) > LEAP_S)] = 0.0
+    change = whitener.white_all(raw + moved) - whitener.white_all(raw)
+    return np.clip(change, -CLIP_SIGMAS, CLIP_SIGMAS)
 
 
 def bistable(pools: Sequence[Pool], block: Block) -> tuple[float, ...]:
