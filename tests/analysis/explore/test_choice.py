@@ -53,7 +53,7 @@ def test_a_difference_that_a_calibration_makes_up_for_counts_little():
 
 
 def test_a_flight_that_becomes_another_one_separates_nothing():
-    """Of three flights and a datum of the plate, that which moves by 3 ms counts for nothing, the others as they are."""
+    """Of three flights and a datum of the plate, the one that moves by 3 ms counts for nothing."""
 
     class InMicroseconds:
         step = np.zeros(3, dtype=np.int64)
@@ -63,7 +63,9 @@ def test_a_flight_that_becomes_another_one_separates_nothing():
             return 1e6 * bare
 
     raw = np.array([1e-6, 2e-6, 0.0, 0.0])
-    assert apart(InMicroseconds(), raw, raw + [2e-6, 3e-3, -9e-6, 4e-6]) == pytest.approx([2.0, 0.0, -6.0, 4.0])
+    assert apart(InMicroseconds(), raw, raw + np.array([2e-6, 3e-3, -9e-6, 4e-6])) == pytest.approx(
+        [2.0, 0.0, -6.0, 4.0]
+    )
 
 
 def test_a_rival_uses_its_own_parameters():

@@ -63,8 +63,8 @@ def simulated() -> ForwardModel:
 
 
 def test_plate_data_of_a_run_are_as_sharp_as_its_amplitudes_allow() -> None:
-    """The noise of a tone stays what it was seen to be, so the second, four times as large, is known four times as well;
-    a harmonic on which a tone of the forcing falls is none."""
+    """Noise stays what it was seen to be, so the second tone, four times as large, is known four times as well; a
+    harmonic on which a tone of the forcing falls is none."""
     seen = seen_evidence()
     kind, step, one = np.array([GAIN, SECOND]), np.zeros(2, dtype=np.int64), np.ones(2)
     data = PlateData(
