@@ -76,7 +76,8 @@ class CrossingScan:
             self.started_open = bool(fraction[pad] > 0.5)
         where = np.empty(count, dtype=np.int64)
         kind = np.empty(count, dtype=np.int8)
-        n = _scan(fraction[pad : pad + count], self.thresholds, self.state, self.lowest, first, where, kind)
+        slow = self.around.stretch > 1
+        n = _scan(fraction[pad : pad + count], self.thresholds, slow, self.state, self.lowest, first, where, kind)
         where, kind = where[:n].copy(), kind[:n].copy()
         around = np.arange(-self.around.before, self.around.after)
         index = np.clip((where - first + pad)[:, None] + around, 0, fraction.size - 1)
@@ -100,10 +101,11 @@ class CrossingScan:
 
 
 @njit(error_model="numpy")
-def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
+def _scan(x, thresholds, slow, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
     """Hysteresis over one piece; ``state`` and ``lowest`` persist between pieces."""
     low, high, dip = thresholds
     settled = 0.5 * (1.0 + dip)
+    over = settled if slow else dip  # noise takes a slow recovery past the dip's threshold more than once
     s, s_dip = state
     least = lowest[0]
     n = 0
@@ -128,7 +130,7 @@ def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-
                 s, s_dip, least = DIPPING, first + i, v
         elif v < least:
             s_dip, least = first + i, v
-        elif v > settled:
+        elif v > over:
             s = OPEN
             where[n], kind[n] = s_dip, DIP
             n += 1

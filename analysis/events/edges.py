@@ -102,23 +102,23 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     shapes = {OPENS: SHARP, CLOSES: SHARP}
     index = {kind: np.flatnonzero(crossings.kind == kind) for kind in shapes}
 
-    def towards(some: Ints, kind: int) -> Floats:
+    def towards(some: Ints, kind: int, restored: bool) -> Floats:
         """Samples as 1 before the edge, decaying to 0, shape (n, before + after)."""
         fraction: Floats = crossings.window[some].astype(np.float64)
         own = fraction if kind == CLOSES else 1.0 - fraction
-        return own + _unsettled(crossings, some, rises, shapes[-kind].tau_s, rate_hz)
+        return own + _unsettled(crossings, some, rises, shapes[-kind].tau_s, rate_hz) if restored else own
 
     for again in (False, True):
         anew = not again or around.stretch > 1
         if anew:
             alone = {kind: _alone(own, room, gap, around)[: 2 * EDGES_AT_ONCE] for kind, own in index.items()}
-            seen = {kind: towards(some, kind) for kind, some in alone.items()}
+            seen = {kind: towards(some, kind, again) for kind, some in alone.items()}
             shapes = {kind: edge_shape(y, noise, rate_hz, around) for kind, y in seen.items()}
         for kind, own in index.items():
             todo = own if anew else own[gap[own] < UNSETTLED_SAMPLES * around.stretch]
             for part in np.array_split(todo, todo.size // EDGES_AT_ONCE + 1):
                 own_room = np.clip(room[part], 1, around.after)
-                y = towards(part, kind)
+                y = towards(part, kind, again)
                 delay, sigmas[part] = fit_edges(y, own_room, gap[part], noise, shapes[kind], rate_hz, around)
                 times[part] = crossings.sample[part] / rate_hz + delay
                 rises[part] = times[part] - shapes[kind].lag_s
@@ -159,7 +159,7 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
     It follows from the ratio of samples a stretch apart where two samples of an edge exceed the noise, else from the
     mean area: over edges at random moments the mean sum of the moved samples is ``tau * rate``.
     """
-    n, apart_s = y.shape[0], around.stretch / rate_hz
+    n, apart_hz = y.shape[0], rate_hz / around.stretch
     if n < MIN_EDGES:
         return SHARP
     whole = _from_first(y, _first_moved(y, noise, around.before), around)
@@ -175,15 +175,15 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
             ratio = float(np.average(ratios[alike], weights=own[alike] ** -2))
             ratio_sigma = 1.0 / float(np.sqrt(np.sum(1.0 / own[alike] ** 2)))
     if 8.0 * ratio_sigma < ratio < 0.98 and ratio > 0.01:
-        tau = -apart_s / np.log(ratio)
-        tau_sigma = tau**2 / apart_s * ratio_sigma / ratio
+        tau = -1.0 / (apart_hz * np.log(ratio))
+        tau_sigma = tau**2 * apart_hz * ratio_sigma / ratio
     else:
         area = samples.sum(axis=1) / (1.0 - VISIBLE_SIGMAS * noise)  # samples below the noise are missing in it
-        tau, tau_sigma = float(area.mean()) * apart_s, float(area.std()) * apart_s / np.sqrt(n)
+        tau, tau_sigma = float(area.mean()) / apart_hz, float(area.std()) / apart_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)
     reads, place = _clocked(whole, noise, tau * rate_hz)
-    misfit = _misfit(samples, noise, tau / apart_s)
+    misfit = _misfit(samples, noise, tau * apart_hz)
     chi = float(np.sqrt(np.median(misfit**2) * 2.0 / MEDIAN_CHI2))
     clock_s = 1.0 / (reads * rate_hz) if reads else 0.0
     return EdgeShape(tau, tau_sigma, max(1.0, chi), n, clock_s, (place - 0.5) * clock_s)
@@ -249,7 +249,7 @@ def fit_edges(
     if shape.tau_s == 0.0 or y.shape[0] == 0:
         return middle, uniform
     samples = _from_first(y, first, around)[:, ::stretch]
-    own = _misfit(samples, noise, shape.tau_s / (stretch * dt))
+    own = _misfit(samples, noise, shape.tau_s * (rate_hz / stretch))
     own[(own < OUTLIER * shape.chi) | (room <= 2 * stretch)] = 0.0
     sigma_y = noise * np.maximum(shape.chi, own)  # an edge of another shape is less certain
     last = before + np.maximum(room - 2 * stretch, 0)
