@@ -27,7 +27,8 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     n_up, n_down = np.zeros((2, WIDTH), dtype=np.int64)
     fill_tables(tones, turning, gammas / (1 + law.mu_up), both[: both.size // 2], n_up, found)
     fill_tables(tones, turning, gammas / (1 - law.mu_down), both[both.size // 2 :], n_down, found)
-    work, whole = np.zeros((at.NUMBERS, WIDTH)), np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
+    work = np.zeros((at.NUMBERS + 2 * size, WIDTH))
+    whole = np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
     flights, marks = np.zeros((3, WIDTH, FLIGHTS)), np.zeros((2, WIDTH, FLIGHTS), dtype=np.int64)
     rows = np.arange(WIDTH)
     work[at.GAMMA], work[at.MU_UP], work[at.MU_DOWN] = gammas, law.mu_up, law.mu_down
@@ -37,6 +38,7 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     work[at.LAST_PHI] = both[rows * TABLE * size]
     whole[at.LIMIT], whole[at.STATUS] = FLIGHTS, at.IDLE
     for lane in np.flatnonzero(n_up):
+        at.lay_ladders(both, work, lane)
         kernel.leave(tones, both, False, work, whole, flights, marks, lane)
     while np.any(whole[at.STATUS] == at.FLIES):
         kernel.advance(tones, float(tones[:, 1].sum()), both, False, work, whole, flights, marks)
