@@ -20,6 +20,7 @@ from model.flight.rows import gather_rows
 from model.flight.segment import SHORT, clear_times, height
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
+PLAIN_SPEED = 0.05  # impacts of falls shorter than `SHORT` and slower than this are left to its series
 PLAIN_TIME = 0.01  # segments shorter than this are left to the series of `model.flight.segment`
 
 
@@ -71,14 +72,12 @@ def end_of_segment(
         t = far - phi0 + turns
         g, g1 = height(gamma, segment, s, slope, t)
         concave = odd(i)
-        width = far - edge
         halts = searching & rising & concave & (g1 <= 0.0)
         lands = searching & ~rising & (g <= 0.0)
         turns_up = searching & ~rising & ~concave & (g > 0.0) & (g1 >= 0.0)
-        meet = (g - h - g1 * width) / (h1 - g1)
-        grazes = turns_up & ((h + h1 * meet <= PLAIN_GRAZE) | (h1 >= 0.0))
-        plain = plain & ~grazes
-        halts = halts | (turns_up & ~grazes)
+        odd_turn = turns_up & (h1 >= 0.0)
+        plain = plain & ~odd_turn
+        halts = halts | (turns_up & ~odd_turn)
         found = lands | halts
         left = (
             select(found, edge, left[0]), select(found, h, left[1]), select(found, h1, left[2]),
@@ -87,7 +86,7 @@ def end_of_segment(
         right = select(found, far, right[0]), select(found, g, right[1]), select(found, g1, right[2])
         total = select(found, turns, total)
         stops = (stops | halts) & ~lands
-        searching = searching & ~(found | grazes)
+        searching = searching & ~(found | odd_turn)
         edge, h, h1, more = step_on(far, t, i, last, clear, v, level, (g, g1))
         h2 = 0.0 * h
         turns, i = turns + more, select(searching, branch_after(i, last), i)
@@ -98,7 +97,9 @@ def end_of_segment(
     take_off = (phi0 - total, s0, slope0, v0, h0, level)
     x, h_end, v_end, s, slope, q, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, stops, plain)
     tau = x - phi0 + total
-    clear_of_plate = (stops & (h_end > PLAIN_GRAZE)) | (~stops & (v_end < 0.0) & (tau >= SHORT))
+    # the lowest point of a convex branch above the plate: no landing in it
+    surely_lands = ~stops & (((v_end < 0.0) & (tau >= SHORT)) | (v_end < -PLAIN_SPEED))
+    clear_of_plate = (stops & (h_end > PLAIN_GRAZE)) | surely_lands
     plain = plain & ~away & clear_of_plate & (tau >= PLAIN_TIME)
     return tau, x, h_end, v_end, (s, slope, q), stops, plain
 
