@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from kernels.lanes import WIDTH, any_of, load, root, select, size, spread, store
-from model.flight.rows import ROW
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Floats, compiled, inlined, sincos
+from model.flight.rows import ROW
 from model.flight.segment import shape
 
 TABLE = ROW  # numbers a table holds of an edge: its phase, s and s' there, and one to make a row of `model.flight.rows`

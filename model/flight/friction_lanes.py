@@ -127,5 +127,6 @@ def hang_in_lanes(table: Floats, up: Any, down: Any, here: Any) -> Any:
         branch = select(hangs, select(rises, branch_after(k, up_last), i + 1.0), branch)
         folded = select(k + 1.0 >= up_last, above - TWO_PI, above)
         phase = select(hangs, select(rises, folded, until), phase)
-        s, slope = select(hangs, select(rises, s_up, s_down), s), select(hangs, select(rises, slope_up, slope_down), slope)
+        s = select(hangs, select(rises, s_up, s_down), s)
+        slope = select(hangs, select(rises, slope_up, slope_down), slope)
     return lifted, wait, branch, hangs, (phase, s, slope)

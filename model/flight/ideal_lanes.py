@@ -2,7 +2,8 @@
 
 A landing is proven first as in `model.flight.ideal.land`; what is added is order. For all lanes together: walk the
 branches by their tabulated edges, without trigonometry, to the first whose ends enclose the landing, then take a few
-steps to the root (`model.flight.plate_lanes`). A lane whose proof or convergence is not plain (a near graze, a short flight) is left to `land`.
+steps to the root (`model.flight.plate_lanes`). A lane whose proof or convergence is not plain (a near graze, a short
+flight) is left to `land`.
 """
 
 from __future__ import annotations
@@ -10,12 +11,12 @@ from __future__ import annotations
 from typing import Any
 
 from kernels.lanes import any_of, select, size, spread
-from model.flight.rows import gather_rows
 from model.flight.branch_walk import branch_after, odd, step_on
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.numerics import Floats, Number, inlined
 from model.flight.plate_lanes import plate, root_in_branch, start_of_root
+from model.flight.rows import gather_rows
 from model.flight.segment import SHORT, clear_times
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
@@ -111,7 +112,8 @@ def land_lanes(
             )
             found, plain = found | touches, plain & ~undecided
             tangent = select(touches, near[0] - near[1] / near[2], tangent)
-            left, right, total = _either(touches, near, left), _either(touches, past, right), select(touches, turns, total)
+            left, right = _either(touches, near, left), _either(touches, past, right)
+            total = select(touches, turns, total)
         grazes = searching & ~plain
         searching = searching & ~(found | grazes)
         edge, h, h1, more = step_on(far, t, i, last, clear, v, 1.0, (g, g1))

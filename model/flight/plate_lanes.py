@@ -53,7 +53,7 @@ def _power(n: float, sine: Number, cosine: Number) -> tuple[Number, Number]:
 
 @inlined
 def start_of_root(left: Any, right: Any, guess: Number, stops: Any) -> Number:
-    """Where the polynomial through ``left`` and ``right`` (phase, h, h', h'') vanishes, or, where it ``stops``, its slope.
+    """Where the polynomial through ``left`` and ``right`` (phase, h, h', h'') vanishes; where it ``stops``, its slope.
 
     ``guess`` is a place between; a step that leaves the bracket is not taken.
     """

@@ -173,7 +173,9 @@ def fly_segments(tones: Floats, highest: float, both: Floats, work: Floats) -> N
     last = select(rising, numbers(flat, UP_LAST), numbers(flat, DOWN_LAST))
     place = (select(rising, numbers(flat, UP), numbers(flat, DOWN)), last, numbers(flat, BRANCH))
     bounds = (highest, total_speed(tones))
-    tau, x, h, v, (s, slope, q), stops, plain = end_of_segment(tones, bounds, both, gamma, place, segment, rising, last > 0.5)
+    tau, x, h, v, (s, slope, q), stops, plain = end_of_segment(
+        tones, bounds, both, gamma, place, segment, rising, last > 0.5
+    )
     store(flat, TAU * WIDTH, tau)
     store(flat, X * WIDTH, x)
     store(flat, H * WIDTH, h)

@@ -123,8 +123,8 @@ def _friction_close(
 
 @compiled
 def _take_row(
-    tones: Floats, row: int, slot: int, gammas: Floats, laws: Floats, made: Floats, n_up: Integers, n_down: Integers, limit: int,
-    both: Floats, work: Floats, whole: Integers, lane: int,
+    tones: Floats, row: int, slot: int, gammas: Floats, laws: Floats, made: Floats, n_up: Integers, n_down: Integers,
+    limit: int, both: Floats, work: Floats, whole: Integers, lane: int,
 ) -> None:  # fmt: skip
     """Give a lane the orbit of a row, from rest at phase 0, with the tables ``made`` in the row's ``slot``."""
     stride = made.shape[2]
