@@ -45,11 +45,14 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     return flights, marks, n_up > 0
 
 
-@pytest.mark.parametrize("c", [1, 2, 3])
+FORCINGS = (*(Forcing.superposition(c) for c in (1, 2, 3)), Forcing((1.0, 2.0, 5.0), (0.8, 0.5, 0.1), (0.3, -1.0, 2.0)))
+
+
+@pytest.mark.parametrize("forcing", FORCINGS, ids=["c = 1", "c = 2", "c = 3", "three tones with phases"])
 @pytest.mark.parametrize(("mu", "e"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.2, 0.514), (0.0, 0.8)])
-def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(c, mu, e):
+def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(forcing, mu, e):
     """Time, impact speed and the next take-off agree with one flight at a time, wherever the impact is not a graze."""
-    law, forcing = FrictionRestitution(mu, mu, e, 0.0), Forcing.superposition(c)
+    law = FrictionRestitution(mu, mu, e, 0.0)
     kernel = ideal_lanes if mu == e == 0.0 else friction_lanes
     for low, high in ((0.2, 1.5), (1.5, 6.0)):
         gammas = np.linspace(low, high, WIDTH)
