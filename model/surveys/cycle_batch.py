@@ -135,7 +135,6 @@ def _take_row(
     work[DOWN, lane], work[DOWN_LAST, lane] = (WIDTH + lane) * stride, 2 * n_down[slot]
     for k in range(stride):
         both[lane * stride + k], both[(WIDTH + lane) * stride + k] = made[0, slot, k], made[1, slot, k]
-    lay_ladders(both, work, lane)
     work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, made[0, slot, 0]), 0.0
     work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, work[LAST_PHI, lane])
     whole[ROW, lane], whole[LIMIT, lane] = row, limit
@@ -243,6 +242,8 @@ def _fly_of(
     advance: Callable[..., Any],
     finish: Callable[..., bool],
     make_tables: Callable[..., None],
+    *,
+    both_ways: bool,
 ) -> Callable[..., int]:
     """The kernel that flies the orbits of all rows, a lane that is done taking the next."""
 
@@ -282,6 +283,8 @@ def _fly_of(
                         outcome[taken, PERIOD] = 1
                     else:
                         _take_row(tones, taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
+                        if both_ways:
+                            lay_ladders(both, work, lane)
                         leave(tones, both, closes, work, whole, flights, marks, lane)
                     taken += 1
                 busy += whole[STATUS, lane] == FLIES
@@ -296,7 +299,7 @@ def _batch_of(
     leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
 ) -> Callable[..., int]:
     """The cycles of many rows of one kind of ball."""
-    fly = _fly_of(leave, advance, _finish_of(_settle_of(close)), _tables_of(both_ways=both_ways))
+    fly = _fly_of(leave, advance, _finish_of(_settle_of(close)), _tables_of(both_ways=both_ways), both_ways=both_ways)
 
     @compiled
     def fly_lent(

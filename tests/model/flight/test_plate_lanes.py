@@ -33,7 +33,7 @@ def _columns(table, places, out):
 
 
 def test_the_plate_in_lanes_is_that_of_the_tones():
-    """s and its derivatives agree with 40 digits to ``4e-16 n`` of each tone, whatever its phase, at one turn and more."""
+    """s and its derivatives agree with 40 digits to ``4e-16 n`` of each tone, whatever its phase, for two turns."""
     phases, out = np.random.default_rng(1).uniform(-1.0, 13.0, WIDTH), np.empty(5 * WIDTH)
     _in_lanes(TONES, phases, out)
     tones = [tuple(map(mp.mpf, map(float, tone))) for tone in TONES]
