@@ -21,8 +21,8 @@ from numba.core.caching import NullCache
 from numba.extending import is_jitted
 
 from kernels import folder
+from kernels.compiler import KernelCompiler, for_callers
 from kernels.fingerprint import fingerprint, fingerprint_of_closure
-from kernels.nested import for_callers
 
 DIGEST_BYTES = 32
 _CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
@@ -46,7 +46,8 @@ def njit(**options: Any) -> Any:
         if isinstance(function, FunctionType) and function.__closure__:
             # the machine code of two of one name must not share a symbol
             function.__qualname__ = f"{function.__qualname__}_{fingerprint_of_closure(function)[:12]}"
-        dispatcher = numba.njit(**{**options, "cache": False, "no_cfunc_wrapper": True})(function)
+        own = {"cache": False, "no_cfunc_wrapper": True, "pipeline_class": KernelCompiler}
+        dispatcher = numba.njit(**{**options, **own})(function)
         if is_jitted(dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
             cast(Any, dispatcher)._cache = KernelCache(dispatcher)
             for_callers(dispatcher, function, options)

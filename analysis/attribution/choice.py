@@ -93,7 +93,8 @@ class Judge:
     ) -> Hypothesis | None:
         """The candidate of lowest held-out loss that passes; of those that tie with it, that of lowest penalised loss.
 
-        The penalty counts its parameters and the prior of the calibrations that it moves.
+        The penalty counts its parameters and the prior of the calibrations that it moves. A candidate that leaves more
+        than noise, and would need a second cause beside it, comes after those that do not.
         """
         ranked = sorted(found, key=lambda x: float(x.per_step[self.train].sum()))
         passing = (x for x in ranked if self.refusal(best, x, depth, chance) is None)
@@ -102,6 +103,8 @@ class Judge:
             return None
         after = ranked[ranked.index(top) + 1 :]  # what chance does is drawn for those alone that could be chosen
         close = [top, *(x for x in after if self.tied(top, x) and self.refusal(best, x, depth, chance) is None)]
+        if len(close) > 1:
+            close = [x for x in close if x.noise_like(self.limits.noise_like_ratio)] or close
         costs = [x.fitted.prior_penalty + self.limits.tie_nats * len(x.free) for x in close]
         return close[penalised_best(top.per_step, [x.per_step for x in close], costs, self.train)]
 

@@ -56,6 +56,12 @@ class Hypothesis:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))
 
+    def noise_like(self, ratio: float) -> bool:
+        """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms."""
+        world, values = self.fitted.fitter.world, self.fitted.values
+        flights = rms_standardised(world, values, world.uncertainty(values))
+        return flights < ratio and plate_rms_standardised(world, values) < ratio
+
 
 class Refits:
     """Fits of hypotheses, all with weights iterated in the same way.
@@ -96,12 +102,6 @@ class Refits:
     ) -> Hypothesis:
         """The hypothesis fitted from ``start``, first with the weights given, until they converge."""
         return self.scored(candidates, self.reweighted(self.fitter.fit(whitener, free, start)))
-
-    def noise_like(self, x: Hypothesis, ratio: float) -> bool:
-        """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms."""
-        values = x.fitted.values
-        landings = rms_standardised(self.world, values, self.world.uncertainty(values))
-        return landings < ratio and plate_rms_standardised(self.world, values) < ratio
 
     def again(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted once more from where it stands: derivatives of calibrations are those of the start.

@@ -88,7 +88,7 @@ class Proposals:
         for x in sorted(found, key=self._loss):
             if self._loss(best) - self._loss(x) > DRIFTING_NATS:
                 strong.setdefault(x.names, x)
-        if not strong or self.refits.noise_like(next(iter(strong.values())), self.noise_like_ratio):
+        if not strong or next(iter(strong.values())).noise_like(self.noise_like_ratio):
             return []
 
         def drifting(x: Hypothesis) -> Hypothesis | None:
@@ -106,7 +106,7 @@ class Proposals:
     def _settled(self, found: Sequence[Hypothesis]) -> bool:
         """Whether the best of the fits from nearby has found the lost landings and leaves no more than noise."""
         top = min(found, key=self._loss, default=None)
-        return top is not None and not top.whitener.lost and self.refits.noise_like(top, self.noise_like_ratio)
+        return top is not None and not top.whitener.lost and top.noise_like(self.noise_like_ratio)
 
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here."""

@@ -1,6 +1,11 @@
 """A log likelihood to second order about a point: finite differences of whitened residuals, robust weights kept.
 
 Explanations of a run in progress and summaries of many runs are both made of it.
+
+References
+----------
+P. J. Huber, Proc. 5th Berkeley Symp. 1, 221 (1967): variance of an estimator whose likelihood is not the noise's own.
+R. E. Chandler and S. Bate, Biometrika 94, 167 (2007): a log likelihood adjusted to that variance.
 """
 
 from __future__ import annotations
@@ -14,12 +19,14 @@ from analysis.attribution.chance import Place
 from analysis.attribution.fit import Fitter
 from analysis.attribution.priors import null_value_of
 from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
-from analysis.residuals.noise_model import robust_weight
+from analysis.residuals.noise_model import robust_curvature, robust_weight
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]
 
 STEP = 0.01  # finite difference of a coordinate
+LEAST_GROUP, LEAST_CURVATURE = 20, 0.25  # residuals that tell of their own scatter; of their mean curvature
+STUDENT = 0.75  # mean square slope of the robust loss, and mean curvature, where residuals are Student's own
 ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
 
 
@@ -63,3 +70,25 @@ def gradient_and_information(whitener: Whitener, raw: Array, slopes: Array) -> t
     weighted = jacobian * robust_weight(z, whitener.odds)[:, None]
     information = weighted.T @ jacobian
     return -(weighted.T @ z), 0.5 * (information + information.T)
+
+
+def adjusted_gradient_and_information(whitener: Whitener, raw: Array, slopes: Array) -> tuple[Array, Array]:
+    """As `gradient_and_information`, of a log likelihood that is as sharp as the residuals scatter.
+
+    The weights of a least-squares step are no curvature: for normal residuals they are 1.04 in the mean, the curvature
+    of the robust loss is 0.81, and the mean square of its slope 0.69. One step with them covers three quarters of the
+    way. Here curvature ``B`` and mean square slope ``A`` are measured, of events and of plate data: slopes times
+    ``B / A``, curvature ``B^2 / A`` (the inverse of Huber's variance).
+    """
+    z, jacobian = whitener.white_all(raw), whitener.white_slopes(slopes, raw)
+    score = robust_weight(z, whitener.odds) * z
+    curvature = robust_curvature(z, whitener.odds)
+    gradient, information = np.zeros(jacobian.shape[1]), np.zeros((jacobian.shape[1],) * 2)
+    events = np.arange(len(z)) < len(whitener.step)
+    for rows in (events, ~events):
+        square, bend = STUDENT, STUDENT
+        if rows.sum() >= LEAST_GROUP:
+            square, bend = float(np.mean(score[rows] ** 2)), max(float(np.mean(curvature[rows])), LEAST_CURVATURE)
+        gradient -= bend / square * (jacobian[rows].T @ score[rows])
+        information += bend**2 / square * (jacobian[rows].T @ jacobian[rows])
+    return gradient, 0.5 * (information + information.T)

@@ -76,7 +76,7 @@ class StepwiseSelection:
         rng = generator_of(self.world)
         chain = [before]
         for depth in range(self.limits.most_effects):
-            if depth and self.refits.noise_like(best, self.limits.noise_like_ratio):
+            if depth and best.noise_like(self.limits.noise_like_ratio):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
             options = remaining_candidates(self.library, best) if depth else self.library

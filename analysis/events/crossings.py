@@ -12,9 +12,31 @@ from kernels import njit
 
 Ints = npt.NDArray[np.int64]
 
-BEFORE, AFTER = 12, 8  # samples kept around a crossing: crossing - BEFORE ... crossing + AFTER - 1
+LEAD, EARLIER, AFTER = 4, 8, 8  # samples kept around a crossing, see `Window`
 CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
 CLOSES, OPENS, DIP = -1, 1, 0  # kinds of crossing
+
+
+@dataclass(frozen=True)
+class Window:
+    """Samples ``crossing - before ... crossing + after - 1`` around a crossing; more of them where edges are slow."""
+
+    stretch: int = 1  # see `analysis.events.levels.Levels`
+
+    @property
+    def lead(self) -> int:
+        """Samples before a crossing within which its edge has begun."""
+        return LEAD * self.stretch
+
+    @property
+    def before(self) -> int:
+        """Column of the crossing."""
+        return EARLIER + self.lead
+
+    @property
+    def after(self) -> int:
+        """Samples from the crossing on."""
+        return AFTER * self.stretch
 
 
 @dataclass(frozen=True)
@@ -27,20 +49,22 @@ class Crossings:
         First sample past the hysteresis threshold (for a dip: its lowest sample).
     kind : int8 array, shape (n,)
         `OPENS`, `CLOSES` or `DIP` (a contact too short to reach the threshold).
-    window : float32 array, shape (n, BEFORE + AFTER)
+    window : float32 array, shape (n, around.before + around.after)
         Fraction of the swing around the crossing: 0 closed, 1 open.
+    around : Window
     """
 
     sample: Ints
     kind: npt.NDArray[np.int8]
     window: npt.NDArray[np.float32]
+    around: Window = Window()
 
 
 class CrossingScan:
     """Hysteresis over successive pieces of the contact voltage, as fractions of the swing."""
 
     def __init__(self, levels: Levels) -> None:
-        self.thresholds = levels.thresholds()
+        self.thresholds, self.around = levels.thresholds(), Window(levels.stretch)
         self.state = np.array([-1, 0], dtype=np.int64)  # state, sample of the lowest value of a dip
         self.lowest = np.array([2.0])
         self.started_open = False
@@ -52,31 +76,36 @@ class CrossingScan:
             self.started_open = bool(fraction[pad] > 0.5)
         where = np.empty(count, dtype=np.int64)
         kind = np.empty(count, dtype=np.int8)
-        n = _scan(fraction[pad : pad + count], self.thresholds, self.state, self.lowest, first, where, kind)
+        slow = self.around.stretch > 1
+        n = _scan(fraction[pad : pad + count], self.thresholds, slow, self.state, self.lowest, first, where, kind)
         where, kind = where[:n].copy(), kind[:n].copy()
-        index = np.clip((where - first + pad)[:, None] + np.arange(-BEFORE, AFTER), 0, fraction.size - 1)
-        found = Crossings(where, kind, fraction[index])
+        around = np.arange(-self.around.before, self.around.after)
+        index = np.clip((where - first + pad)[:, None] + around, 0, fraction.size - 1)
+        found = Crossings(where, kind, fraction[index], self.around)
         self._found.append(found)
         return found
 
     def crossings(self) -> Crossings:
         """All crossings so far, in order."""
         if not self._found:
-            return Crossings(np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros((0, BEFORE + AFTER), np.float32))
+            nothing = np.zeros((0, self.around.before + self.around.after), np.float32)
+            return Crossings(np.zeros(0, np.int64), np.zeros(0, np.int8), nothing, self.around)
         merged = Crossings(
             np.concatenate([c.sample for c in self._found]),
             np.concatenate([c.kind for c in self._found]),
             np.concatenate([c.window for c in self._found]),
+            self.around,
         )
         self._found = [merged]
         return merged
 
 
 @njit(error_model="numpy")
-def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
+def _scan(x, thresholds, slow, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
     """Hysteresis over one piece; ``state`` and ``lowest`` persist between pieces."""
     low, high, dip = thresholds
     settled = 0.5 * (1.0 + dip)
+    over = settled if slow else dip  # noise takes a slow recovery past the dip's threshold more than once
     s, s_dip = state
     least = lowest[0]
     n = 0
@@ -101,7 +130,7 @@ def _scan(x, thresholds, state, lowest, first, where, kind):  # type: ignore[no-
                 s, s_dip, least = DIPPING, first + i, v
         elif v < least:
             s_dip, least = first + i, v
-        elif v > dip:
+        elif v > over:
             s = OPEN
             where[n], kind[n] = s_dip, DIP
             n += 1

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.crossings import AFTER, BEFORE, CLOSES, DIP, OPENS, Crossings
+from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings, Window
 from analysis.events.levels import Levels
 
 Floats = npt.NDArray[np.float64]
@@ -22,10 +22,10 @@ Ints = npt.NDArray[np.int64]
 VISIBLE_SIGMAS = 5.0  # standard deviations of noise from which a sample counts as moved
 NO_NEIGHBOUR = 1 << 30  # distance in samples where there is no neighbouring crossing
 EDGES_AT_ONCE = 8192  # edges fitted together: memory stays bounded
-UNSETTLED_SAMPLES = 64  # distance to the edge before within which the voltage may still be settling
+UNSETTLED_SAMPLES = 64  # distance to the edge before within which the voltage may still be settling; stretched
 OUTLIER = 4.0  # misfit over the typical misfit that raises an edge's uncertainty
 MIN_EDGES = 8  # edges needed to estimate a time constant
-FIT_SAMPLES = 3  # samples of an edge used for its shape
+FIT_SAMPLES = 3  # samples of an edge used for its shape; stretched
 LOUD_SIGMAS, LOUD = 40.0, 0.05  # height of a first sample whose successor shows the decay: sigmas, part of the swing
 ALIKE_SIGMAS = 5.0  # distance to the median within which the ratios of successive samples are averaged
 MEDIAN_CHI2 = 1.386  # median of chi square with two degrees of freedom
@@ -91,70 +91,79 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     """Times of all crossings, and the shapes of opening and closing edges that gave them.
 
     An edge may follow another before the voltage has settled. In a second round the missing part is restored from the
-    time of the edge before.
+    time of the edge before; where edges are slow, their shape is then measured anew.
     """
     noise = levels.noise_v / abs(levels.swing_v)
-    n = crossings.sample.size
+    n, around = crossings.sample.size, crossings.around
     times, sigmas = np.full(n, -np.inf), np.empty(n)  # a dip has no time yet: nothing is unsettled after it
+    rises = times.copy()
     room = np.append(np.diff(crossings.sample), NO_NEIGHBOUR)  # samples until the next crossing
     gap = np.append(NO_NEIGHBOUR, room[:-1])
-    shapes: dict[int, EdgeShape] = {}
-    index = {kind: np.flatnonzero(crossings.kind == kind) for kind in (OPENS, CLOSES)}
-    for kind, own in index.items():
-        alone = own[(room[own] > AFTER) & (gap[own] > AFTER)]
-        if alone.size < MIN_EDGES:
-            alone = own[(room[own] > 2) & (gap[own] > 2)]
-        shapes[kind] = edge_shape(_towards(crossings, alone[: 2 * EDGES_AT_ONCE], kind), noise, rate_hz)
+    shapes = {OPENS: SHARP, CLOSES: SHARP}
+    index = {kind: np.flatnonzero(crossings.kind == kind) for kind in shapes}
+
+    def towards(some: Ints, kind: int, restored: bool) -> Floats:
+        """Samples as 1 before the edge, decaying to 0, shape (n, before + after)."""
+        fraction: Floats = crossings.window[some].astype(np.float64)
+        own = fraction if kind == CLOSES else 1.0 - fraction
+        return own + _unsettled(crossings, some, rises, shapes[-kind].tau_s, rate_hz) if restored else own
+
     for again in (False, True):
+        anew = not again or around.stretch > 1
+        if anew:
+            alone = {kind: _alone(own, room, gap, around)[: 2 * EDGES_AT_ONCE] for kind, own in index.items()}
+            seen = {kind: towards(some, kind, again) for kind, some in alone.items()}
+            shapes = {kind: edge_shape(y, noise, rate_hz, around) for kind, y in seen.items()}
         for kind, own in index.items():
-            todo = own[gap[own] < UNSETTLED_SAMPLES] if again else own
+            todo = own if anew else own[gap[own] < UNSETTLED_SAMPLES * around.stretch]
             for part in np.array_split(todo, todo.size // EDGES_AT_ONCE + 1):
-                y = _towards(crossings, part, kind)
-                if again:
-                    y += _unsettled(crossings, part, times - shapes[-kind].lag_s, shapes[-kind].tau_s, rate_hz)
-                own_room = np.clip(room[part], 1, AFTER)
-                delay, sigmas[part] = fit_edges(y, own_room, gap[part], noise, shapes[kind], rate_hz)
+                own_room = np.clip(room[part], 1, around.after)
+                y = towards(part, kind, again)
+                delay, sigmas[part] = fit_edges(y, own_room, gap[part], noise, shapes[kind], rate_hz, around)
                 times[part] = crossings.sample[part] / rate_hz + delay
+                rises[part] = times[part] - shapes[kind].lag_s
     dips = crossings.kind == DIP
     times[dips] = (crossings.sample[dips] - 0.5) / rate_hz
     sigmas[dips] = 1.0 / (rate_hz * np.sqrt(12.0))
     return Edges(times, sigmas, crossings.kind), shapes[OPENS], shapes[CLOSES]
 
 
-def _towards(crossings: Crossings, index: Ints, kind: int) -> Floats:
-    """Samples around edges of one kind as 1 before the edge, decaying to 0, shape (n, BEFORE + AFTER)."""
-    fraction: Floats = crossings.window[index].astype(np.float64)
-    return fraction if kind == CLOSES else 1.0 - fraction
+def _alone(index: Ints, room: Ints, gap: Ints, around: Window) -> Ints:
+    """Edges of ``index`` far from others."""
+    alone = index[(room[index] > around.after) & (gap[index] > around.after)]
+    near = 2 * around.stretch
+    return alone if alone.size >= MIN_EDGES else index[(room[index] > near) & (gap[index] > near)]
 
 
-def _unsettled(crossings: Crossings, index: Ints, times: Floats, tau_s: float, rate_hz: float) -> Floats:
+def _unsettled(crossings: Crossings, index: Ints, rises: Floats, tau_s: float, rate_hz: float) -> Floats:
     """Distance to the level that the edge before each of ``index`` has not yet covered, at every sample."""
-    since = (crossings.sample[index][:, None] + np.arange(-BEFORE, AFTER)) / rate_hz - times[index - 1][:, None]
+    around = np.arange(-crossings.around.before, crossings.around.after)
+    since = (crossings.sample[index][:, None] + around) / rate_hz - rises[index - 1][:, None]
     known = (since > 0) & (index > 0)[:, None] & (tau_s > 0.0)
     return np.where(known, np.exp(-np.maximum(since, 0.0) / max(tau_s, 1e-12)), 0.0)
 
 
-def _first_moved(y: Floats, noise: float, gap: Ints | int = NO_NEIGHBOUR) -> Ints:
+def _first_moved(y: Floats, noise: float, before: int, gap: Ints | int = NO_NEIGHBOUR) -> Ints:
     """Column of the first sample visibly moved: backwards from the crossing, not past the one before."""
-    first = np.full(y.shape[0], BEFORE)
+    first = np.full(y.shape[0], before)
     active = np.ones(y.shape[0], dtype=np.bool_)
-    for column in range(BEFORE - 1, 0, -1):
-        active &= (y[:, column] < 1.0 - VISIBLE_SIGMAS * noise) & (column > BEFORE - np.asarray(gap))
+    for column in range(before - 1, 0, -1):
+        active &= (y[:, column] < 1.0 - VISIBLE_SIGMAS * noise) & (column > before - np.asarray(gap))
         first[active] = column
     return first
 
 
-def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
-    """Time constant from many edges, ``y`` shape (n, BEFORE + AFTER): 1 before, ``exp(-t / tau)`` after.
+def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeShape:
+    """Time constant from many edges, ``y`` shape (n, before + after): 1 before, ``exp(-t / tau)`` after.
 
-    It follows from the ratio of successive samples where two samples of an edge exceed the noise, else from the mean
-    area: over edges at random moments the mean sum of the moved samples is ``tau * rate``.
+    It follows from the ratio of samples a stretch apart where two samples of an edge exceed the noise, else from the
+    mean area: over edges at random moments the mean sum of the moved samples is ``tau * rate``.
     """
-    n = y.shape[0]
+    n, apart_hz = y.shape[0], rate_hz / around.stretch
     if n < MIN_EDGES:
         return SHARP
-    first = _first_moved(y, noise)
-    samples = np.take_along_axis(y, np.minimum(first[:, None] + np.arange(FIT_SAMPLES), y.shape[1] - 1), axis=1)
+    whole = _from_first(y, _first_moved(y, noise, around.before), around)
+    samples = whole[:, :: around.stretch]
     loud = samples[:, 0] > max(LOUD_SIGMAS * noise, LOUD)
     ratio, ratio_sigma = 0.0, np.inf
     if loud.sum() >= MIN_EDGES:
@@ -166,18 +175,24 @@ def edge_shape(y: Floats, noise: float, rate_hz: float) -> EdgeShape:
             ratio = float(np.average(ratios[alike], weights=own[alike] ** -2))
             ratio_sigma = 1.0 / float(np.sqrt(np.sum(1.0 / own[alike] ** 2)))
     if 8.0 * ratio_sigma < ratio < 0.98 and ratio > 0.01:
-        tau = -1.0 / (rate_hz * np.log(ratio))
-        tau_sigma = tau**2 * rate_hz * ratio_sigma / ratio
+        tau = -1.0 / (apart_hz * np.log(ratio))
+        tau_sigma = tau**2 * apart_hz * ratio_sigma / ratio
     else:
         area = samples.sum(axis=1) / (1.0 - VISIBLE_SIGMAS * noise)  # samples below the noise are missing in it
-        tau, tau_sigma = float(area.mean()) / rate_hz, float(area.std()) / rate_hz / np.sqrt(n)
+        tau, tau_sigma = float(area.mean()) / apart_hz, float(area.std()) / apart_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)
-    reads, place = _clocked(samples, noise, tau * rate_hz)
-    misfit = _misfit(samples, noise, tau, rate_hz)
+    reads, place = _clocked(whole, noise, tau * rate_hz)
+    misfit = _misfit(samples, noise, tau * apart_hz)
     chi = float(np.sqrt(np.median(misfit**2) * 2.0 / MEDIAN_CHI2))
     clock_s = 1.0 / (reads * rate_hz) if reads else 0.0
     return EdgeShape(tau, tau_sigma, max(1.0, chi), n, clock_s, (place - 0.5) * clock_s)
+
+
+def _from_first(y: Floats, first: Ints, around: Window) -> Floats:
+    """Samples of each edge from its first moved one on, `FIT_SAMPLES` of them a stretch apart and those between."""
+    columns = first[:, None] + np.arange((FIT_SAMPLES - 1) * around.stretch + 1)
+    return np.asarray(np.take_along_axis(y, np.minimum(columns, y.shape[1] - 1), axis=1))
 
 
 def _clocked(samples: Floats, noise: float, tau_samples: float) -> tuple[int, float]:
@@ -185,7 +200,8 @@ def _clocked(samples: Floats, noise: float, tau_samples: float) -> tuple[int, fl
 
     An RC's own edges fall anywhere between two samples (0 reads), a clocked comparator's at equally spaced places.
     """
-    height = samples[:, 0]
+    w = np.exp(-np.arange(samples.shape[1]) / tau_samples)
+    height, noise = samples @ w / (w @ w), noise / float(np.sqrt(w @ w))
     clear = height > max(CLEAR_SIGMAS, PHASE_BINS * tau_samples) * noise  # known to a bin
     if clear.sum() < MIN_EDGES:
         return 0, 0.0
@@ -198,21 +214,21 @@ def _clocked(samples: Floats, noise: float, tau_samples: float) -> tuple[int, fl
     return 0, 0.0
 
 
-def _misfit(samples: Floats, noise: float, tau_s: float, rate_hz: float) -> Floats:
+def _misfit(samples: Floats, noise: float, tau_samples: float) -> Floats:
     """Rms residual of an exponential through the first samples of each edge, in units of the noise, shape (n,)."""
-    w = np.exp(-np.arange(samples.shape[1]) / (tau_s * rate_hz))
+    w = np.exp(-np.arange(samples.shape[1]) / tau_samples)
     residual = samples - np.outer(samples @ w / (w @ w), w)
     return np.asarray(np.sqrt((residual**2).sum(axis=1) / (samples.shape[1] - 1)) / noise)
 
 
 def fit_edges(
-    y: Floats, room: Ints, gap: Ints, noise: float, shape: EdgeShape, rate_hz: float
+    y: Floats, room: Ints, gap: Ints, noise: float, shape: EdgeShape, rate_hz: float, around: Window
 ) -> tuple[Floats, Floats]:
     """Delay of each edge relative to its crossing sample, and its uncertainty, seconds, shapes (n,).
 
     Parameters
     ----------
-    y : array, shape (n, BEFORE + AFTER)
+    y : array, shape (n, before + after)
         1 before the edge, decaying to 0.
     room : int array, shape (n,)
         Samples from the crossing to the next one.
@@ -222,19 +238,21 @@ def fit_edges(
         Standard deviation of ``y``.
     shape : EdgeShape
     rate_hz : float
+    around : Window
+        Of the columns of ``y``.
     """
-    dt = 1.0 / rate_hz
-    first = _first_moved(y, noise, gap)
+    dt, before, stretch = 1.0 / rate_hz, around.before, around.stretch
+    first = _first_moved(y, noise, before, gap)
     columns = np.arange(y.shape[1])
-    middle = np.asarray((first - 0.5 - BEFORE) * dt, dtype=np.float64)
-    uniform: Floats = np.full(y.shape[0], dt / np.sqrt(12.0))
+    middle = np.asarray((first - 0.5 - before) * dt, dtype=np.float64)
+    uniform: Floats = np.full(y.shape[0], stretch * dt / np.sqrt(12.0))
     if shape.tau_s == 0.0 or y.shape[0] == 0:
         return middle, uniform
-    samples = np.take_along_axis(y, np.minimum(first[:, None] + np.arange(FIT_SAMPLES), y.shape[1] - 1), axis=1)
-    own = _misfit(samples, noise, shape.tau_s, rate_hz)
-    own[(own < OUTLIER * shape.chi) | (room < 3)] = 0.0
+    samples = _from_first(y, first, around)[:, ::stretch]
+    own = _misfit(samples, noise, shape.tau_s * (rate_hz / stretch))
+    own[(own < OUTLIER * shape.chi) | (room <= 2 * stretch)] = 0.0
     sigma_y = noise * np.maximum(shape.chi, own)  # an edge of another shape is less certain
-    last = BEFORE + np.maximum(room - 2, 0)
+    last = before + np.maximum(room - 2 * stretch, 0)
     use = (columns >= first[:, None]) & (columns <= np.maximum(last, first)[:, None])
     w = np.where(use, np.exp(-(columns - first[:, None]) * dt / shape.tau_s), 0.0)
     power = (w**2).sum(axis=1)
@@ -245,9 +263,9 @@ def fit_edges(
     sigma = np.where(clear, shape.tau_s * sigma_u / np.where(clear, u, 1.0), np.inf)
     # the time constant's own error moves every edge by the same share of its delay
     sigma = np.hypot(sigma, np.abs(since) * shape.tau_uncertainty_s / shape.tau_s)
-    vague = ~clear | (sigma > dt / VAGUE)
+    vague = ~clear | (sigma > stretch * dt / VAGUE)
     since[vague], sigma[vague] = _vague(u[vague], sigma_u[vague], shape, dt)
-    delay, sigma = shape.circuit((first - BEFORE) * dt - since, sigma)
+    delay, sigma = shape.circuit((first - before) * dt - since, sigma)
     return delay, np.minimum(sigma, uniform)
 
 

@@ -1,8 +1,12 @@
-"""Levels and noise of the contact circuit, measured on the plateaus of its voltage."""
+"""Levels, noise and rise time of the contact circuit, measured on its voltage.
+
+What other modules count in samples suits an edge of a few samples; `Levels.stretch` says how many times as long an edge
+is, so that a slow edge is read alike at every sampling rate.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +15,13 @@ Floats = npt.NDArray[np.float64]
 
 LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
 MIN_DIP, DIP_SIGMAS, MAX_DIP = 0.02, 10.0, 0.3  # depth of a visible dip: bounds, and in standard deviations of noise
-PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the longer first
+PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the longer first; times the stretch
 PLATEAU_AFTER = 5  # samples that stay on that side, its own included
 MIN_PLATEAU = 50  # samples needed to measure a level
 NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
 ROUNDING = 1e-6  # relative error of volts kept as float32
+RISE_PART = 0.1  # of the swing, at either end, that a rise time leaves out
+USUAL_RISE_SAMPLES, MOST_STRETCH = 5.0, 32  # rise time that counts of samples are made for, and the longest in it
 CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
 
 
@@ -24,12 +30,19 @@ class Levels:
     """Levels of the contact circuit in volts, measured where a plateau exists, declared otherwise.
 
     ``noise_v`` is the standard deviation on a plateau. Behind a coupling capacitor they are the levels
-    restored by `analysis.events.ac_coupling`.
+    restored by `analysis.events.ac_coupling`. ``rise_samples`` is the time that an edge takes from 10 to 90 % of the
+    swing, in samples.
     """
 
     closed_v: float
     open_v: float
     noise_v: float
+    rise_samples: float = 0.0
+
+    @property
+    def stretch(self) -> int:
+        """Times that an edge is as long as one of `USUAL_RISE_SAMPLES`; at least 1."""
+        return min(max(round(self.rise_samples / USUAL_RISE_SAMPLES), 1), MOST_STRETCH)
 
     @property
     def swing_v(self) -> float:
@@ -45,15 +58,33 @@ class Levels:
 def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: float) -> Levels:
     """Levels and noise from a sample of continuity volts, ``volts`` shape (n,).
 
-    A plateau follows sixteen samples (four, where no plateau is so long) on one side of the declared middle. Without a
-    plateau the declared level stands.
+    A plateau follows sixteen samples (four, where no plateau is so long) on one side of the declared middle, or more
+    where edges are slow. Without a plateau the declared level stands.
     """
+    found = _on_plateaus(volts, declared_closed_v, declared_open_v, 1)
+    found = replace(found, rise_samples=_rise_samples((volts - found.closed_v) / found.swing_v))
+    if found.stretch == 1:
+        return found
+    settled = _on_plateaus(volts, declared_closed_v, declared_open_v, found.stretch)
+    return replace(settled, rise_samples=found.rise_samples)
+
+
+def _rise_samples(fraction: Floats) -> float:
+    """Median number of samples of an edge between the levels, from one to the other; 0 without an edge."""
+    level = np.where(fraction < RISE_PART, -1, np.where(fraction > 1.0 - RISE_PART, 1, 0))
+    at = np.flatnonzero(level)
+    edges = level[at[1:]] != level[at[:-1]]
+    return float(np.median(np.diff(at)[edges] - 1)) if edges.any() else 0.0
+
+
+def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float, stretch: int) -> Levels:
+    """Levels and noise where the voltage has been on one side for `PLATEAU_SAMPLES`, times ``stretch``."""
     swing = declared_open_v - declared_closed_v
     side = (volts - declared_closed_v) / swing > 0.5
     levels, spreads = [], []
     for wanted, declared in ((False, declared_closed_v), (True, declared_open_v)):
         plateau = volts[:0]
-        for before in PLATEAU_SAMPLES:
+        for before in (stretch * n for n in PLATEAU_SAMPLES):
             length = before + PLATEAU_AFTER
             if volts.size < length:
                 continue

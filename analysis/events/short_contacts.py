@@ -10,22 +10,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from analysis.events.crossings import AFTER, BEFORE, CLOSES, DIP, OPENS, Crossings
+from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings
 from analysis.events.edges import Edges, EdgeShape
 from analysis.events.impact_detection import Impacts
 from analysis.events.levels import Levels
 
 Floats = npt.NDArray[np.float64]
 
-LEAD = 4  # samples of the fit before a crossing
 GRID_POINTS = 25  # grid points a parameter in the search for a start
 N_STARTS = 3  # best grid points from which the fit is started
-MAX_LENGTH = 3.0  # longest contact, samples
+EARLIEST = 2.5  # closing before the crossing, or before the lowest sample, samples; stretched
+MAX_LENGTH = 3.0  # longest contact, samples; stretched
 MAX_MISFIT = 12.0  # rms misfit in units of the noise beyond which the samples show no single pulse
 MAX_SHAPE_ERROR = 0.03  # largest error of the pulse's shape, fraction of the swing, where closings differ in shape
 PULSE_TOLERANCE = 0.02  # difference of two pulses, fraction of the swing, within which both are possible
 DEGENERATE_SAMPLES = 0.05  # spread of the possible edges above which it replaces the fit's uncertainty
-SHORT_SAMPLES = 2  # samples between closing and opening up to which a contact is fitted as one pulse
+SHORT_SAMPLES = 2  # samples between closing and opening up to which a contact is one pulse; stretched
 MIN_TAU_SAMPLES = 0.02  # time constant below which an edge is sharp
 
 
@@ -35,6 +35,7 @@ def short_contact(
     tau_samples: tuple[float, float],
     begin: tuple[float, float],
     prior: tuple[float, float] | None = None,
+    longest: float = MAX_LENGTH,
 ) -> tuple[float, float, float, float] | None:
     """Closing and opening of one short contact, in samples from the window's first, each with its uncertainty.
 
@@ -50,6 +51,8 @@ def short_contact(
         Bounds of the closing's place.
     prior : tuple of float, optional
         Impact in the accelerometer, and its uncertainty, in samples.
+    longest : float
+        Length of the longest contact, in samples.
 
     Returns
     -------
@@ -62,15 +65,15 @@ def short_contact(
         own = (fraction - rc_pulse(fraction.size, p[0], p[1], tau)) / noise
         return own if prior is None else np.append(own, (p[0] - prior[0]) / prior[1])
 
-    close, length = np.meshgrid(np.linspace(*begin, GRID_POINTS), np.linspace(0.02, MAX_LENGTH, GRID_POINTS))
+    close, length = np.meshgrid(np.linspace(*begin, GRID_POINTS), np.linspace(0.02, longest, GRID_POINTS))
     grid = np.column_stack([close.ravel(), length.ravel()])
     if prior is not None:
-        fine = np.linspace(0.01, MAX_LENGTH, 8 * GRID_POINTS)
+        fine = np.linspace(0.01, longest, 8 * GRID_POINTS)
         grid = np.concatenate([grid, np.column_stack([np.full(fine.size, prior[0]), fine])])
     costs = ((fraction - rc_pulse(fraction.size, grid[:, :1], grid[:, 1:], tau)) ** 2).sum(axis=1) / noise**2
     if prior is not None:
         costs += ((grid[:, 0] - prior[0]) / prior[1]) ** 2
-    bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, MAX_LENGTH + 1.0])
+    bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, longest + 1.0])
     chosen = np.clip(grid[np.argsort(costs)[:N_STARTS]], *bounds)
     tries = [least_squares(misfit, start, bounds=bounds, x_scale=0.1) for start in chosen]
     best = min(tries, key=lambda t: float(t.cost))
@@ -82,14 +85,18 @@ def short_contact(
     covariance = np.linalg.inv(information)
     open_variance = covariance[0, 0] + 2 * covariance[0, 1] + covariance[1, 1]
     fit = float(best.x[0]), float(np.sqrt(covariance[0, 0])), float(best.x.sum()), float(np.sqrt(open_variance))
-    return fit if prior is not None else _degenerate(fraction, tau, begin, fit)
+    return fit if prior is not None else _degenerate(fraction, tau, begin, longest, fit)
 
 
 def _degenerate(
-    fraction: Floats, tau: tuple[float, float], begin: tuple[float, float], fit: tuple[float, float, float, float]
+    fraction: Floats,
+    tau: tuple[float, float],
+    begin: tuple[float, float],
+    longest: float,
+    fit: tuple[float, float, float, float],
 ) -> tuple[float, float, float, float]:
     """The fit, or mean and spread of all pairs that match to `PULSE_TOLERANCE`, where these spread far."""
-    close, length = np.meshgrid(np.linspace(*begin, 4 * GRID_POINTS), np.linspace(0.01, MAX_LENGTH, 8 * GRID_POINTS))
+    close, length = np.meshgrid(np.linspace(*begin, 4 * GRID_POINTS), np.linspace(0.01, longest, 8 * GRID_POINTS))
     pairs = np.column_stack([close.ravel(), length.ravel()])
     model = rc_pulse(fraction.size, pairs[:, :1], pairs[:, 1:], tau)
     weight = np.exp(-0.5 * (((fraction - model) / PULSE_TOLERANCE) ** 2).sum(axis=1))
@@ -136,8 +143,10 @@ def refine_short_contacts(
     rate_hz
         Sampling rate.
     """
-    kind, sample = edges.kind, crossings.sample
-    pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & (np.diff(sample) <= SHORT_SAMPLES))
+    kind, sample, around = edges.kind, crossings.sample, crossings.around
+    stretch, lead = around.stretch, around.lead
+    near = np.diff(sample) <= SHORT_SAMPLES * stretch
+    pair = np.flatnonzero((kind[:-1] == CLOSES) & (kind[1:] == OPENS) & near)
     noise = levels.noise_v / abs(levels.swing_v)
     shape_error = max(noise, min(noise * shapes[1].chi, MAX_SHAPE_ERROR))  # a bouncing contact leaves no clean pulse
     tau = (shapes[1].tau_s * rate_hz, shapes[0].tau_s * rate_hz)
@@ -146,12 +155,13 @@ def refine_short_contacts(
     time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
     added = []
     for k in np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)])):
-        start = int(sample[k]) - LEAD
+        start = int(sample[k]) - lead
         after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the window ends before the next contact
-        n = min(LEAD + AFTER, int(after[0]) - start - 1) if after.size else LEAD + AFTER
-        own = crossings.window[k, BEFORE - LEAD :][: max(n, LEAD + 2)].astype(np.float64)
-        prior = _prior(impacts, start, float(sample[k]), shapes[1], rate_hz)
-        fit = short_contact(own, noise if prior is None else shape_error, tau, (LEAD - 2.5, float(LEAD)), prior)
+        n = min(lead + around.after, int(after[0]) - start - stretch) if after.size else lead + around.after
+        own = crossings.window[k, around.before - lead :][: max(n, lead + 2 * stretch)].astype(np.float64)
+        prior = _prior(impacts, start, float(sample[k]), shapes[1], rate_hz, (SHORT_SAMPLES + 1) * stretch)
+        begin = lead - EARLIEST * stretch, float(lead)
+        fit = short_contact(own, noise if prior is None else shape_error, tau, begin, prior, MAX_LENGTH * stretch)
         if fit is None:
             continue
         rises, doubts = (start + np.array(fit[::2])) / rate_hz, np.array(fit[1::2]) / rate_hz
@@ -172,13 +182,15 @@ def refine_short_contacts(
     )
 
 
-def _prior(impacts: Impacts, start: int, sample: float, shape: EdgeShape, rate_hz: float) -> tuple[float, float] | None:
-    """RC's fall by the accelerometer's impact at this contact, in samples of the window; None without an impact."""
+def _prior(
+    impacts: Impacts, start: int, sample: float, shape: EdgeShape, rate_hz: float, reach: int
+) -> tuple[float, float] | None:
+    """RC's fall by the accelerometer's impact within ``reach`` samples, in those of the window; None without one."""
     if not impacts.time_s.size:
         return None
     k = int(np.argmin(np.abs(impacts.time_s * rate_hz - sample + 0.5)))
     place = float(impacts.time_s[k] * rate_hz)
-    if abs(place - sample + 0.5) > SHORT_SAMPLES + 1:
+    if abs(place - sample + 0.5) > reach:
         return None
     doubt_s = float(np.hypot(impacts.uncertainty_s[k], shape.clock_s / np.sqrt(12.0)))
     return place - start - shape.lag_s * rate_hz, max(doubt_s * rate_hz, 1e-3)

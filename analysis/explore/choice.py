@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.fit import Fitter
+from analysis.attribution.fit import LEAP_S, Fitter
 from analysis.attribution.second_order import slopes_of
-from analysis.explore.explanations import CLIP_SIGMAS, Explanation, Weighed
+from analysis.explore.explanations import Explanation, Weighed
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
@@ -29,6 +29,7 @@ from daq.setup.setup import Setup
 
 Array = NDArray[np.float64]
 
+CLIP_SIGMAS = 6.0  # of a whitened difference
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
 ENDLESS = 1e3  # times every step on offer: more rig time than there is
 OTHER_ORBIT = 0.05  # difference of mean flight times, relative, that tells two orbits at one gamma apart
@@ -119,17 +120,26 @@ class Pool:
         whitener = Whitener.of(made, truth)
         raw, slopes = slopes_of(made, fitter, whitener, truth, known.keys)
         columns = [whitener.white_slopes(slopes, raw)]
-        base = whitener.white_all(raw)
-        for x in some:
-            other = whitener.white_all(whitener.stacked(made.residuals(x.values)))
-            columns.append(np.clip(other - base, -CLIP_SIGMAS, CLIP_SIGMAS)[:, None])
-        rows = np.concatenate([whitener.step, made.evidence.plate.step])
+        columns += [apart(whitener, raw, whitener.stacked(made.residuals(x.values)))[:, None] for x in some]
         every = np.nan_to_num(np.column_stack(columns))
-        longer = option.hold_cycles / HOLD_CYCLES
-        products = [longer * every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
+        rows = np.concatenate([whitener.step, made.evidence.plate.step])
+        events = np.arange(len(rows)) < len(whitener.step)  # as many as are simulated; plate data are a step's already
+        every *= np.sqrt(np.where(events, option.hold_cycles / HOLD_CYCLES, 1.0))[:, None]
+        products = [every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
         flown, step = made.evidence.measured.landing_s - made.evidence.measured.opening_s, made.evidence.measured.step
         means = [float(np.mean(flown[step == i])) if np.any(step == i) else np.nan for i in range(len(option.gammas))]
         return cls(option, np.array(products), np.array(means))
+
+
+def apart(whitener: Whitener, raw: Array, other: Array) -> Array:
+    """Whitened difference of two predictions (n,), from bare residuals; 0 where one is of another flight.
+
+    A fit cannot follow a flight that becomes another one, and near an edge chance decides which it is.
+    """
+    moved, events = other - raw, np.arange(len(raw)) < len(whitener.step)
+    moved[events & (np.abs(moved) > LEAP_S)] = 0.0
+    change = whitener.white_all(raw + moved) - whitener.white_all(raw)
+    return np.clip(change, -CLIP_SIGMAS, CLIP_SIGMAS)
 
 
 def bistable(pools: Sequence[Pool], block: Block) -> tuple[float, ...]:

@@ -26,7 +26,6 @@ from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
 
 Array = NDArray[np.float64]
 
-CLIP_SIGMAS = 6.0  # of a whitened difference: a flight that becomes another one counts as so much
 IMPROBABLE = 1e-4  # explanations of less probability are left out
 
 

@@ -38,6 +38,7 @@ PUSHING = 0.8  # -a_p / g at take-off below which a ball at rest would have stay
 HIDDEN_DEPTH = 0.1  # depth of the ideal path below the plate, over the flight's height, that implies a landing
 HIDDEN_POINTS, HIDDEN_BEFORE = 33, 27  # points of a flight, and those far enough from its own landing
 SPLIT_SAMPLES, STRENGTH_SAMPLES = 3.0, 4.0  # distance from an edge within which an impact is the edge's own
+SPLIT_S, STRENGTH_S = 1.5e-4, 2e-4  # the same in time: a contact's jitter does not shrink with the sampling interval
 MATCH_SIGMAS = 4.0  # the same in standard deviations of the impact's time
 
 
@@ -108,9 +109,9 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
-    table = _split(*_intervals(edges, found.starts_open, end_s), impacts, SPLIT_SAMPLES / rate_hz)
+    table = _split(*_intervals(edges, found.starts_open, end_s), impacts, max(SPLIT_S, SPLIT_SAMPLES / rate_hz))
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
-    strength = _strength(landing, impacts, STRENGTH_SAMPLES / rate_hz)
+    strength = _strength(landing, impacts, max(STRENGTH_S, STRENGTH_SAMPLES / rate_hz))
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
     report = EdgeReport(levels, opening, closing, offset, dips, found.missed.size)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report

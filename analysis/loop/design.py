@@ -19,7 +19,7 @@ from analysis.attribution.priors import Prior, priors_of
 from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId, Values
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import GAIN, PHASE, PlateData, expected
+from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIRD, PlateData, expected, second_share
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import STANDARD_GRAVITY_MPS2, Setup
 from model.effects.base import COMPILED_HOOKS
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 STEPS = 14  # of a designed ramp
 SETTLE_CYCLES, HOLD_CYCLES = 20, 30  # of each simulated step
+OVER_AMPLITUDE = {GAIN: 1, PHASE: 1, GATE: 1, SECOND: 2, THIRD: 2}
+"""Power of a tone's amplitude by which the uncertainty of a kind of plate data falls; 0 for others."""
 RIVALS = 3  # tied hypotheses that a design is to separate from the best, at most
 
 
@@ -246,23 +248,28 @@ def _flights(
 
 
 def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
-    """Plate data of a new run: the kinds that the present run gave, with their median uncertainty, in each step."""
-    m = len(steps)
+    """Plate data of a new run: the kinds that the present run gave, in each step, where noise is what it was there."""
     rows: list[tuple[float, ...]] = []
+    second = (seen.multiple == seen.ratio) & (seen.ratio > 1)
+    seen_mps2 = seen.scale * np.where(second & np.isin(seen.kind, (GAIN, PHASE)), np.abs(seen.share), 1.0)
     for kind in np.unique(seen.kind):
-        like = seen.kind == kind
-        sigma, omega = float(np.median(seen.sigma[like])), float(np.median(seen.omega_radps[like]))
-        for i in range(m):
+        like, power = seen.kind == kind, OVER_AMPLITUDE.get(int(kind), 0)
+        noise, omega = (float(np.median(x[like])) for x in (seen.sigma * seen_mps2**power, seen.omega_radps))
+        for i in range(len(steps)):
+            if {SECOND: 2, THIRD: 3}.get(int(kind)) == steps.ratio[i]:  # a forcing tone there
+                continue
             scale = float(np.abs(steps.plate.acceleration_mps2[i, 0]))
             for j in range(tones if kind in (GAIN, PHASE) else 1):
                 tone = steps.plate.omega_radps[i, j] if kind in (GAIN, PHASE) else omega
+                sigma = noise / float(np.abs(steps.plate.acceleration_mps2[i, j])) ** power
                 rows.append((kind, i, 0.0, sigma, tone, scale / STANDARD_GRAVITY_MPS2, scale))
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
-    value, error, omega_radps, asked, first = table[:, 2:].T
-    ratio, share = steps.ratio[step], np.ones(len(step), dtype=np.complex128)
-    return PlateData(kind, step, value, error, omega_radps, asked, first, multiple, ratio, share)
+    value, error, omega_radps, asked, scale = table[:, 2:].T
+    first, second = steps.plate.acceleration_mps2[:, [0, tones - 1]].T
+    share = np.where(steps.ratio == 1, 1.0, second_share(first, second, steps.ratio))
+    return PlateData(kind, step, value, error, omega_radps, asked, scale, multiple, steps.ratio[step], share[step])
 
 
 def ranking_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:

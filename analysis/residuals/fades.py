@@ -25,16 +25,22 @@ RINGING_S = 2.5e-3  # time after an impact in which the accelerometer shows more
 
 @dataclass(frozen=True)
 class Fades:
-    """Fades into each step of a recording, arrays (m,): when they begin, and how long they last."""
+    """Fades into each step of a recording, arrays (m,): when they begin, and how long they last.
+
+    ``earlier_s`` is by how much each may have begun earlier: its length where it was found in a drive, else nothing.
+    """
 
     begin_s: Array
     length_s: Array
+    earlier_s: Array
 
     @classmethod
     def of(cls, recording: Recording) -> Self:
         """From the table of steps."""
         steps, rate_hz = recording.steps, recording.rate_hz
-        return cls(steps["first_sample"] / rate_hz, steps["fade_samples"] / rate_hz)
+        length_s = steps["fade_samples"] / rate_hz
+        found = recording.attrs.get("backend") == "import"
+        return cls(steps["first_sample"] / rate_hz, length_s, length_s if found else np.zeros(len(steps)))
 
     def before_half(self, step: Ints, time_s: Array) -> NDArray[np.bool_]:
         """Whether times in steps, (n,) each, lie before the half of the fade: the plate moves as in the step before."""
@@ -42,9 +48,9 @@ class Fades:
         return np.asarray((step > 0) & (time_s < half_s[np.minimum(step, len(half_s) - 1)]))
 
     def touch(self, opening_s: Array, landing_s: Array) -> NDArray[np.bool_]:
-        """Whether intervals (n,) meet a fade; one found in a drive may have begun by its length earlier."""
+        """Whether intervals (n,) meet a fade, or what may be one."""
         fades = self.length_s > 0.0
-        begin_s, end_s = (self.begin_s - self.length_s)[fades], (self.begin_s + self.length_s)[fades]
+        begin_s, end_s = (self.begin_s - self.earlier_s)[fades], (self.begin_s + self.length_s)[fades]
         return np.searchsorted(begin_s, landing_s) > np.searchsorted(end_s, opening_s)
 
     def others(self, step: Ints, time_s: Array) -> tuple[Ints, Array]:

@@ -44,6 +44,15 @@ def robust_weight(z: Array, odds: Array | float = NEVER) -> Array:
     return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z) * np.exp(inlier - np.logaddexp(inlier, odds)))
 
 
+def robust_curvature(z: Array, odds: Array | float = NEVER) -> Array:
+    """Second derivative of the robust loss of each residual."""
+    inlier = -0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM)
+    real = np.exp(inlier - np.logaddexp(inlier, odds))  # probability of being no outlier
+    slope = (FREEDOM + 1.0) * z / (FREEDOM + z * z)
+    core = (FREEDOM + 1.0) * (FREEDOM - z * z) / (FREEDOM + z * z) ** 2
+    return np.asarray(real * core - real * (1.0 - real) * slope**2)
+
+
 def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[float, float]:
     """Excess noise: scatter beyond the uncertainty by maximum likelihood on a grid, and the loss with it."""
     if len(residual_s) == 0:

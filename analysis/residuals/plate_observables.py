@@ -64,6 +64,12 @@ class PlateData:
     def __len__(self) -> int:
         return len(self.kind)
 
+    @property
+    def level_g(self) -> Array:
+        """Amplitude of one tone with the mean square of all that the drive asks for, in units of g, (r,)."""
+        second = np.where(self.ratio > 1, np.abs(self.share), 0.0)
+        return np.asarray(self.accel_g * np.hypot(1.0, second))
+
     @classmethod
     def join(cls, parts: Sequence[Self], shift: NDArray[np.int64]) -> Self:
         """All parts in one table, their steps' rows moved by ``shift``."""
@@ -104,8 +110,13 @@ def _second_share(s: StepPlate, power: int) -> complex:
     if s.drive is None or s.ratio == 1 or abs(s.drive.amplitudes[0]) == 0.0:
         return 1.0 + 0j
     first, second = s.drive.amplitudes[0], s.drive.amplitudes[s.multiples.index(s.ratio)]
-    sine = 1j * first / abs(first)  # of the first tone's phase where a sine is 1
-    return complex(1j * second / abs(first) / sine**s.ratio * s.ratio**power)
+    return complex(second_share(first, second, s.ratio) * s.ratio**power)
+
+
+def second_share(first: Any, second: Any, ratio: Any) -> Any:
+    """The second tone's complex amplitude over the first's, its phase counted from where the first is a sine."""
+    sine = 1j * first / np.abs(first)  # of the first tone's phase where a sine is 1
+    return 1j * second / np.abs(first) / sine**ratio
 
 
 def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> complex | None:
@@ -291,7 +302,7 @@ def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[st
     """Add one effect's share to the data of the steps in ``rows``."""
     for name in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
         if name == "transfer":
-            _logarithm_of_transfer(out, data, rows, hooks[name](p, data.omega_radps[rows], data.accel_g[rows]))
+            _logarithm_of_transfer(out, data, rows, hooks[name](p, data.omega_radps[rows], data.level_g[rows]))
             continue
         kind, share = PLAIN_HOOKS_OF_KIND[name]
         out[rows & (data.kind == kind)] += share(hooks[name](p))

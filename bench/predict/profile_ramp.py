@@ -68,8 +68,8 @@ def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> floa
     declared: Effects = setup.declared_values()
     if controlled:
         return asked * size / accelerometer_factor(declared)
-    first_g = asked * abs(setup.forcing.displacement_tones()[0][1])
-    return asked * size * plate_gain(declared, first_g)
+    level_g = asked * math.hypot(*(multiple**2 * abs(z) for multiple, z in setup.forcing.displacement_tones()))
+    return asked * size * plate_gain(declared, level_g)
 
 
 def _size(setup: Setup) -> float:

@@ -7,8 +7,9 @@
 
 Every result is kept at once, by its trial and the version of the code; a run that is started again goes on where it
 stopped, on this machine or a cluster whose workers have the same code (``docs/how-to/error-rates.md``).
-``--conditions`` varies noise, rate, c, and length as well. Sizes are drawn from the seed; how strong an effect is, is
-measured: see `benchmarks.scoring.tables`.
+``--conditions`` varies noise, rate, c, and length as well; ``--kind``, ``--plant``, ``--hidden`` and ``--only`` (a
+condition, repeated for alternatives) choose a group of the trials. Sizes are drawn from the seed; how strong an effect
+is, is measured: see `benchmarks.scoring.tables`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from benchmarks.scoring.breakdown import by_condition, by_effect
 from benchmarks.scoring.design import jobs
 from benchmarks.scoring.paired import compare
 from benchmarks.scoring.tables import show
-from benchmarks.scoring.trial import Job, run
+from benchmarks.scoring.trial import Job, conditions, run
 from benchmarks.scoring.version import code_version
 from daq.files.journal import Journal
 from model.surveys.workers import outcomes
@@ -96,6 +97,7 @@ def _options() -> argparse.Namespace:
     options.add_argument("--kind", default="", help="only these kinds of trial, with commas between")
     options.add_argument("--plant", default="", help="only this plant: other or own")
     options.add_argument("--hidden", default="", help="only trials that hide this effect")
+    options.add_argument("--only", action="append", default=[], metavar="NAME=VALUE", help="condition, of those drawn")
     options.add_argument("--most", type=int, default=10**9, help="so many trials at most")
     options.add_argument("--show", action="store_true", help="only print")
     options.add_argument("--version", default="", help="of --show and --against; the last that ran where not given")
@@ -103,25 +105,47 @@ def _options() -> argparse.Namespace:
     return options.parse_args()
 
 
+def in_group(args: argparse.Namespace, kind: str, plant: str, hidden: Sequence[str], under: Mapping[str, Any]) -> bool:
+    """Whether a trial, or its row, is of the group that the options ask for."""
+    if (args.kind and kind not in args.kind.split(",")) or args.plant not in ("", plant):
+        return False
+    if args.hidden and args.hidden not in hidden:
+        return False
+    asked = [one.partition("=")[::2] for one in args.only]
+    return all(any(_same(under.get(n), text) for n, text in asked if n == name) for name, _ in asked)
+
+
+def _same(value: Any, text: str) -> bool:
+    """Whether a condition has the value that a text gives."""
+    try:
+        return (isinstance(value, int | float) and float(text) == value) or str(value) == text
+    except ValueError:
+        return str(value) == text
+
+
 def main() -> None:
     """Run what is missing within the time, then print."""
     args = _options()
     journal = Journal(args.results)
     if not (args.show or args.against):
-        kinds = args.kind.split(",") if args.kind else []
         wanted = [
             job for job in jobs(args.seed_base, times=args.times, varied=args.conditions)
-            if (not kinds or job.kind in kinds) and args.plant in ("", job.plant)
-            and (not args.hidden or args.hidden in job.effects)
+            if in_group(args, job.kind, job.plant, job.effects, conditions(job))
         ]  # fmt: skip
         wanted = wanted[: args.most]
+        if not wanted:
+            sys.exit("no trial of the plan is of this group: see the names and values under 'By condition' of --show")
         score(wanted, journal, time.monotonic() + 60.0 * args.minutes, workers=args.workers, cluster=args.cluster)
     rows = rows_of(journal, args.version or ("" if args.show or args.against else code_version()))
     if args.against is not None:
         compare(rows_of(Journal(args.against)), rows)
     else:
-        show(list(rows.values()))
-        good = [row for row in rows.values() if "failed" not in row]
+        told = [
+            row for row in rows.values()
+            if "plant" not in row or in_group(args, row["kind"], row["plant"], row["hidden"], row["conditions"] or {})
+        ]  # fmt: skip
+        show(told)
+        good = [row for row in told if "failed" not in row]
         by_effect(good)
         by_condition(good)
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from analysis.residuals.plate_observables import MODULATION
-from benchmarks.scoring.truth import AT_ONE, OTHER_PARAMETERS, expected_covariate, expected_names
+from benchmarks.scoring.truth import AT_RATIO, OTHER_PARAMETERS, expected_covariate, expected_names
 
 Row = dict[str, Any]
 
@@ -145,7 +145,7 @@ def parameters(row: Row) -> list[Row]:
         for effect, parameter, factor in OTHER_PARAMETERS.get(key, ()):
             found = tables.get(effect, {}).get(parameter)
             if found is not None and value:
-                true = value * factor * (AT_ONE.get(key, 1.0) if row["c"] == 1 else 1.0)
+                true = value * factor * AT_RATIO.get(row["c"], {}).get(key, 1.0)
                 out.append({
                     "key": key, "off": abs(found["value"] / true - 1.0),
                     "inside": found["low"] <= true <= found["high"], "truth": true, "found": found,

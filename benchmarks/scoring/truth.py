@@ -66,11 +66,11 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "contact_latency.delay_s": (("contact_latency", "delay_s", 1.0),),
 }
 
-AT_ONE: Mapping[str, float] = {
+AT_RATIO: Mapping[int, Mapping[str, float]] = {
     # at c = 1 both tones are one of twice the size, by which the library measures
-    "gain_compression.per_gamma2": 0.25,
-    "harmonic_distortion.second": 0.5,
-    "harmonic_distortion.third": 0.5,
+    1: {"gain_compression.per_gamma2": 0.25, "harmonic_distortion.second": 0.5, "harmonic_distortion.third": 0.5},
+    # at c = 2 the second is four times the first, and the library measures by both
+    2: {"gain_compression.per_gamma2": 1.0 / 17.0},
 }
 
 

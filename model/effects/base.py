@@ -18,7 +18,8 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 
 ====================================== =========================================================================
 ``transfer(p, omega_radps, accel_g)``  complex factor on drive -> plate at the tones ``omega_radps`` (k,), where the
-                                       drive asks for first tones of ``accel_g`` (k,)
+                                       mean square of all that the drive asks for is that of one tone of ``accel_g``
+                                       (k,)
 ``accelerometer_factor(p)``            factor by which the accelerometer reads too much
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone

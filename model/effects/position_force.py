@@ -30,7 +30,7 @@ EFFECT = Effect(
             meaning="height over which the magnet's pull falls by e",
         ),
     ),
-    variants=(("spring_per_s2",), ("magnet_mps2", "range_m")),
+    variants=(("spring_per_s2",), ("magnet_mps2", "range_m"), ("spring_per_s2", "magnet_mps2", "range_m")),
     confused_with={"viscous_damping": "irregular flights at high gamma", "local_gravity": "short and long flights"},
     reference="Hooke's law; the near field of a small magnet, as an exponential",
 )

@@ -28,7 +28,7 @@ def accelerometer_factor(effects: Effects) -> float:
 
 
 def plate_gain(effects: Effects, accel_g: float) -> float:
-    """Plate motion over what the drive asks for, where it asks for a first tone of ``accel_g``.
+    """Plate motion over what the drive asks for, where that has the mean square of one tone of ``accel_g``.
 
     A pure delay moves the whole pattern, not its size; the named effects treat all tones alike.
     """

@@ -65,6 +65,18 @@ def test_a_plan_is_stopped_and_gone_on_with(plan, tmp_path, monkeypatch, capsys)
         assert f"| {name} |" in printed
 
 
+def test_a_group_is_chosen_by_kind_and_condition(plan, monkeypatch):
+    """Kinds and conditions narrow the plan; a condition that is named twice has two alternatives."""
+    group = "--kind clean,strong --plant other --only rate_hz=20e3 --only rate_hz=200000 --only c=2"
+    monkeypatch.setattr("sys.argv", ["score_loop", "r", *group.split(), "--only", "contact=read once a sample"])
+    args = score_loop._options()
+    chosen = [j for j in plan if score_loop.in_group(args, j.kind, j.plant, j.effects, conditions(j))]
+    assert {j.kind for j in chosen} == {"clean", "strong"} and {j.plant for j in chosen} == {"other"}
+    found = [conditions(j) for j in chosen]
+    assert {(x["c"], x["contact"]) for x in found} == {(2, "read once a sample")}
+    assert {x["rate_hz"] for x in found} == {2e4, 2e5}
+
+
 def test_other_code_on_a_worker_is_refused(plan, tmp_path, monkeypatch):
     """A worker that has other code than the one who asks stops the scoring, and leaves no row under a wrong version."""
     monkeypatch.setattr(score_loop, "run", row_of)

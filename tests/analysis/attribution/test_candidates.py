@@ -49,6 +49,12 @@ def test_tied_parameters_begin_equal_and_drift_together(fly_ramp: Callable[..., 
     assert together == [((UP[0], UP[1] + TREND), (DOWN[0], DOWN[1] + TREND))]
 
 
+def test_a_spring_and_a_magnet_may_act_together(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Each alone is a form of the position force, and the fullest form holds both: no other pull stands in for one."""
+    forms = [set(c.free) for c in candidates_of(fly_ramp({}, 0, gammas=(0.4, 0.8))) if c.names == ("position_force",)]
+    assert len(forms) == 3 and forms[2] == forms[0] | forms[1]
+
+
 def test_slow_lines_of_the_plate_are_starts_of_a_resonance(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A line at 6.66 Hz that several steps show is one of the frequencies to begin with."""
     world = fly_ramp({}, 0, gammas=(0.4, 0.8))

@@ -143,6 +143,16 @@ def test_what_chance_gains_as_well_is_refused_with_its_probability(
         assert rejected.reason == "chance lets the best of all candidates gain as much: p = 0.005, wanted 0.001"
 
 
+def test_of_those_that_tie_one_that_leaves_noise_comes_first(
+    judge: Judge, explanation: Callable[..., Hypothesis]
+) -> None:
+    """A leader by a nat whose plate data scatter too much would need a second cause: the other is chosen."""
+    best = explanation("nothing", np.full(STEPS, 10.0))
+    leader, noise = explanation("drag", np.zeros(STEPS), scatter=3.0), explanation("damping", np.full(STEPS, 0.1))
+    assert judge.choose(best, [noise, leader], 0) is noise
+    assert judge.choose(best, [leader], 0) is leader
+
+
 def test_chance_is_asked_about_those_alone_that_could_be_chosen(
     judge: Judge, explanation: Callable[..., Hypothesis]
 ) -> None:

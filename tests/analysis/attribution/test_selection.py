@@ -88,7 +88,7 @@ def test_an_idle_companion_is_left_out_again(selection_of: Callable[..., Stepwis
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Stribeck friction chosen first, for what adhesion did: beside adhesion plain friction does as well."""
     truth = {UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}
-    selection = selection_of(truth, 6, tuple(np.linspace(0.35, 1.35, 14)))
+    selection = selection_of(truth, 2, tuple(np.linspace(0.35, 1.35, 14)))
     both = added(selection, *(named(selection, name) for name in ("stribeck_friction", "adhesion")))
     rounds: list[str] = []
     assert selection.pruning.simplified(both, selection.library, rounds).names == ("coulomb_friction", "adhesion")

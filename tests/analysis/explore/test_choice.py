@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.explore.choice import Pool, divergences, limits_of, mutual_information, sharpened
+from analysis.explore.choice import Pool, apart, divergences, limits_of, mutual_information, sharpened
 from analysis.explore.explanations import Explanation, Weighed, _Fit
 
 A, B, SCALE = ("effect", "a"), ("effect", "b"), ("gauge", "gain")
@@ -50,6 +50,22 @@ def test_a_difference_that_a_calibration_makes_up_for_counts_little():
     across = divergences(products((gain, zeros, zeros), (zeros, 0.1 * other)), known(A), known(A).explanations)
     assert alike[1, 0] < 0.01
     assert across[1, 0] == pytest.approx(0.5 * 0.1**2 * n)
+
+
+def test_a_flight_that_becomes_another_one_separates_nothing():
+    """Of three flights and a datum of the plate, the one that moves by 3 ms counts for nothing."""
+
+    class InMicroseconds:
+        step = np.zeros(3, dtype=np.int64)
+
+        def white_all(self, bare):
+            """In units of a microsecond each."""
+            return 1e6 * bare
+
+    raw = np.array([1e-6, 2e-6, 0.0, 0.0])
+    assert apart(InMicroseconds(), raw, raw + np.array([2e-6, 3e-3, -9e-6, 4e-6])) == pytest.approx(
+        [2.0, 0.0, -6.0, 4.0]
+    )
 
 
 def test_a_rival_uses_its_own_parameters():

@@ -114,3 +114,13 @@ def test_acceleration_in_its_own_unit(columns: Columns, native: Seen, tmp_path: 
         acceleration_mps2=98.0665 * columns["accelerometer_v"], drive_v=columns["drive_v"],
     )  # fmt: skip
     same(native, seen(tmp_path / "a.npz", tmp_path / "r.h5", setup(accelerometer__sensitivity=0.05)), 1e-6)
+
+
+def test_jitter_of_a_contact_makes_no_flights_of_its_own_at_a_high_rate(tmp_path: Path) -> None:
+    """Edges that jitter by 40 us lie several samples from the accelerometer's impact at 200 kHz: one landing each."""
+    run = other_plant.Run(gammas=GAMMAS, cycles=16, seed=6, jitter_s=4e-5, spikes=True, closure_s=1e-4, rate_hz=2e5)
+    data = other_plant.simulate(run)
+    np.savez(tmp_path / "a.npz", **{k: x for k, x in data.items() if k != "impacts"})
+    flights, _ = seen(tmp_path / "a.npz", tmp_path / "a.h5", setup())
+    assert abs(len(flights) - len(data["impacts"])) <= 1
+    assert flights.duration_s.min() > 1e-3

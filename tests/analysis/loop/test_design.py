@@ -1,5 +1,7 @@
 """Which run would separate what ties: the simulation behind the ranking."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from analysis.attribution.priors import priors_of
 from analysis.loop.design import Design, designs_for, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import PlateData
+from analysis.residuals.plate_observables import GAIN, SECOND, PlateData
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
 from model.integrator.one_step import Measured, PlateSteps
@@ -58,6 +60,22 @@ def simulated() -> ForwardModel:
     """A simulation of a c = 2 ramp under friction 0.2."""
     world = ForwardModel(seen_evidence(), {})
     return ForwardModel(simulate_design(Design("test", "c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, FRICTION), {})
+
+
+def test_plate_data_of_a_run_are_as_sharp_as_its_amplitudes_allow() -> None:
+    """Noise stays what it was seen to be, so the second tone, four times as large, is known four times as well; a
+    harmonic on which a tone of the forcing falls is none."""
+    seen = seen_evidence()
+    kind, step, one = np.array([GAIN, SECOND]), np.zeros(2, dtype=np.int64), np.ones(2)
+    data = PlateData(
+        kind, step, 0.0 * one, 1e-3 * one, 159.4 * np.array([1.0, 2.0]), one, 9.81 * one, np.array([1, 2]), step + 1,
+        one + 0j,
+    )  # fmt: skip
+    world = ForwardModel(replace(seen, plate=data), {})
+    made = simulate_design(Design("test", "c = 2", 2, (0.5, 1.0)), world, {}).plate
+    assert made.kind.tolist() == [GAIN] * 4
+    assert made.sigma == pytest.approx(1e-3 * 9.81 / 9.80665 / np.array([0.5, 2.0, 1.0, 4.0]), rel=1e-9)
+    assert abs(made.share) == pytest.approx([4.0] * 4)
 
 
 def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> None:

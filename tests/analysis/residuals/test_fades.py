@@ -13,7 +13,7 @@ from analysis.flights.assemble import flights_of
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observations_from
-from daq.recording import open_recording
+from daq.recording import Recording, open_recording
 from model.tones import STANDARD_GRAVITY_MPS2
 
 MODE = {"table_resonance": {"frequency_hz": 7.5, "damping": 0.04, "mass_ratio": 0.03}}
@@ -21,12 +21,22 @@ MODE = {"table_resonance": {"frequency_hz": 7.5, "damping": 0.04, "mass_ratio": 
 
 def test_a_flight_in_a_fade_belongs_to_two_steps() -> None:
     """Before half of a fade the next step has the small share, after it the step before; none in a hold or in rest."""
-    fades = Fades(np.array([0.0, 2.0, 4.0]), np.array([1.0, 1.0, 0.0]))
+    fades = Fades(np.array([0.0, 2.0, 4.0]), np.array([1.0, 1.0, 0.0]), np.zeros(3))
     step, time_s = np.array([0, 0, 0, 1, 1, 2]), np.array([0.5, 1.5, 2.25, 2.75, 3.5, 4.1])
     other, share = fades.others(step, time_s)
     assert share == pytest.approx([0.5, 0.0, 0.15625, 0.15625, 0.0, 0.0])
     assert other[[0, 2, 3]].tolist() == [-1, 1, 0]
     assert fades.before_half(np.array([1, 1, 0]), np.array([2.4, 2.6, 0.1])).tolist() == [True, False, False]
+
+
+def test_flights_before_a_fade_are_read_only_where_it_may_have_begun_there() -> None:
+    """The rig's own table says when the drive began to change; a fade found in a drive may have begun by its length
+    earlier."""
+    own = Fades(np.array([2.0]), np.array([1.0]), np.zeros(1))
+    found = replace(own, earlier_s=own.length_s)
+    opening_s, landing_s = np.array([0.5, 1.5, 1.9, 2.5, 3.1]), np.array([0.9, 1.8, 2.1, 2.8, 3.3])
+    assert own.touch(opening_s, landing_s).tolist() == [False, False, True, True, False]
+    assert found.touch(opening_s, landing_s).tolist() == [False, True, True, True, False]
 
 
 def scatter_us(observations: Observations) -> float:
@@ -56,9 +66,12 @@ def test_a_fade_found_too_long_does_not_matter(tmp_path: Path, monkeypatch: pyte
     path = tmp_path / "ringing.h5"
     sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=6)
     exact = Fades.of
-    monkeypatch.setattr(
-        Fades, "of", lambda recording: replace(exact(recording), length_s=2.0 * exact(recording).length_s)
-    )
+
+    def found(recording: Recording) -> Fades:
+        twice_s = 2.0 * exact(recording).length_s
+        return replace(exact(recording), length_s=twice_s, earlier_s=twice_s)
+
+    monkeypatch.setattr(Fades, "of", found)
     observations = observations_from([path])
     unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
     assert scatter_us(observations) < 6.0
@@ -73,7 +86,7 @@ def test_the_accelerometer_tells_what_a_plate_gives_a_ball(tmp_path: Path) -> No
     sb.run(sb.load_profile("simulated").with_values(values), path, seed=7)
     with open_recording(path) as recording:
         flights = flights_of(recording)
-        hold = Fades(np.array([0.0]), np.array([recording.n_samples / recording.rate_hz]))
+        hold = Fades(np.array([0.0]), np.array([recording.n_samples / recording.rate_hz]), np.zeros(1))
         rows = np.flatnonzero((flights.flags == 0) & (flights.step == 1))
         found = pushes(recording, flights, hold, rows)
         channel = recording.setup.channels.accelerometer.model_copy(update={"offset_v": None})

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.noise_model import NEVER, excess_noise, log_odds, plate_scale, robust_loss, robust_weight
+from analysis.residuals.noise_model import (
+    NEVER,
+    excess_noise,
+    log_odds,
+    plate_scale,
+    robust_curvature,
+    robust_loss,
+    robust_weight,
+)
 from analysis.thresholds import LEAST_EXCESS_S
 
 
@@ -15,6 +23,14 @@ def test_the_weight_is_the_slope_of_the_loss_over_the_residual(odds: float) -> N
     z, h = np.linspace(-9.0, 9.0, 37), 1e-6
     slope = (robust_loss(z + h, odds) - robust_loss(z - h, odds)) / (2 * h)
     assert robust_weight(z, odds) * z == pytest.approx(slope, abs=1e-7)
+
+
+@pytest.mark.parametrize("odds", [NEVER, -6.0])
+def test_the_curvature_is_the_slope_of_the_slope(odds: float) -> None:
+    """Second derivative of the loss, by brute force from its first."""
+    z, h = np.linspace(-9.0, 9.0, 37), 1e-5
+    up, down = (robust_weight(x, odds) * x for x in (z + h, z - h))
+    assert robust_curvature(z, odds) == pytest.approx((up - down) / (2 * h), abs=1e-7)
 
 
 def test_another_event_costs_the_same_however_far_it_is() -> None:

@@ -72,6 +72,15 @@ def test_two_tones_bend_with_the_phase_between_them(share: complex) -> None:
     assert said[4] == pytest.approx(abs(true[3] / true[1]) ** 2, rel=1e-9)
 
 
+@pytest.mark.parametrize(("ratio", "share"), [(1, 1.0 + 0j), (2, -4.0 + 0j), (3, 9.0j)])
+def test_compression_goes_with_the_mean_square_of_all_that_is_asked_for(ratio: int, share: complex) -> None:
+    """Both tones lose the same part, by the squares of both amplitudes; at c = 1 there is one."""
+    values = {"gain_compression": {"per_g2": np.array([1e-3])}}
+    said = expected(_data([GAIN, GAIN], [1, ratio], ratio, share, 1.2), values)
+    squares = 1.2**2 * (1.0 + (abs(share) ** 2 if ratio > 1 else 0.0))
+    assert said == pytest.approx([-np.log1p(1e-3 * squares)] * 2, rel=1e-9)
+
+
 def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
     """A first-order roll-off, a shaker above its resonance, and nothing where nothing is set."""
     transfer = effect("phase_lag").hooks["transfer"]
