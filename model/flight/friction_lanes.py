@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from kernels.lanes import any_of, floor, gather, select, size
-from model.flight.branch_walk import branch_after, branch_at, fold_onto, odd, step_on
+from kernels.lanes import any_of, floor, select
+from model.flight.branch_walk import branch_after, odd, step_on
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
-from model.flight.numerics import Floats, Number, inlined, sincos
+from model.flight.numerics import Floats, Number, inlined
+from model.flight.plate_lanes import root_in_branch, start_of_root
 from model.flight.records import Segment
+from model.flight.rows import gather_rows
 from model.flight.segment import SHORT, clear_times, height
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
+PLAIN_SPEED = 0.05  # impacts of falls shorter than `SHORT` and slower than this are left to its series
 PLAIN_TIME = 0.01  # segments shorter than this are left to the series of `model.flight.segment`
-ROUNDS = 10
-CONVERGED = 1e-6
 
 
 @inlined
@@ -49,105 +50,83 @@ def end_of_segment(
     place
         Of each lane the place of its table in ``table``, the number of its edges and the branch in which it starts.
     segment
-        Its start, s and s' there and the pull.
+        Its start, s, s' and h'' there, and the pull.
     rising, flies
         Masks.
 
     Returns
     -------
-    tau, phase, h, h', stops, plain
+    tau, phase, h, h', (s, s', q) at the phase, stops, plain
     """
     base, last, i = place
-    phi0, _, slope0, _, v0, h0, level = segment
+    phi0, s0, slope0, a0, v0, h0, level = segment
     v = gamma * slope0 + v0
     clear, turns = _clear(bounds, gamma, segment, rising)
-    edge, h, h1 = phi0, h0 + 0.0 * phi0, v0 - level * turns
+    edge, h, h1, h2 = phi0, h0 + turns * (v - 0.5 * level * turns), v0 - level * turns, a0
     searching, plain = flies, flies
-    lo, hi, total = phi0, phi0 + 1.0, turns
+    left, right, total = (edge, h, h1, h2), (edge + 1.0, h, h1), turns
     guess = phi0
     stops = rising
     while any_of(searching):
-        at = base + TABLE * i
-        far = gather(table, at + 3.0)
+        far, s, slope, _ = gather_rows(table, base + TABLE * (i + 1.0))
         t = far - phi0 + turns
-        g, g1 = height(gamma, segment, gather(table, at + 4.0), gather(table, at + 5.0), t)
+        g, g1 = height(gamma, segment, s, slope, t)
         concave = odd(i)
-        width = far - edge
         halts = searching & rising & concave & (g1 <= 0.0)
         lands = searching & ~rising & (g <= 0.0)
         turns_up = searching & ~rising & ~concave & (g > 0.0) & (g1 >= 0.0)
-        meet = (g - h - g1 * width) / (h1 - g1)
-        grazes = turns_up & ((h + h1 * meet <= PLAIN_GRAZE) | (h1 >= 0.0))
-        plain = plain & ~grazes
-        halts = halts | (turns_up & ~grazes)
+        odd_turn = turns_up & (h1 >= 0.0)
+        plain = plain & ~odd_turn
+        halts = halts | (turns_up & ~odd_turn)
         found = lands | halts
-        lo, hi, total = select(found, edge, lo), select(found, far, hi), select(found, turns, total)
-        tangent = select(concave, far - g / g1, edge - h / h1)
-        chord = edge + width * h / (h - g)
-        chord_of_speed = edge + width * h1 / (h1 - g1)
-        guess = select(lands, 0.5 * (chord + tangent), select(halts, chord_of_speed, guess))
+        left = (
+            select(found, edge, left[0]), select(found, h, left[1]), select(found, h1, left[2]),
+            select(found, h2, left[3]),
+        )  # fmt: skip
+        right = select(found, far, right[0]), select(found, g, right[1]), select(found, g1, right[2])
+        total = select(found, turns, total)
         stops = (stops | halts) & ~lands
-        searching = searching & ~(found | grazes)
+        searching = searching & ~(found | odd_turn)
         edge, h, h1, more = step_on(far, t, i, last, clear, v, level, (g, g1))
+        h2 = 0.0 * h
         turns, i = turns + more, select(searching, branch_after(i, last), i)
-    x = select((guess > lo) & (guess < hi), guess, 0.5 * (lo + hi))
-    return _root(tones, gamma, segment, x, lo, hi, total, stops, plain)
+    lo, hi = left[0], right[0]
+    at_lo, at_hi = select(stops, left[2], left[1]), select(stops, right[2], right[1])
+    guess = lo + (hi - lo) * at_lo / (at_lo - at_hi)
+    x = start_of_root(left, (*right, 0.0), guess, stops)
+    take_off = (phi0 - total, s0, slope0, v0, h0, level)
+    x, h_end, v_end, s, slope, q, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, stops, plain)
+    tau = x - phi0 + total
+    # the lowest point of a convex branch above the plate: no landing in it
+    surely_lands = ~stops & (((v_end < 0.0) & (tau >= SHORT)) | (v_end < -PLAIN_SPEED))
+    clear_of_plate = (stops & (h_end > PLAIN_GRAZE)) | surely_lands
+    plain = plain & ~away & clear_of_plate & (tau >= PLAIN_TIME)
+    return tau, x, h_end, v_end, (s, slope, q), stops, plain
 
 
 @inlined
-def _root(
-    tones: Floats, gamma: Number, segment: Segment, x: Number, lo: Number, hi: Number, turns: Number, stops: Any,
-    plain: Any,
-) -> Any:  # fmt: skip
-    """The one root of ``h'`` (where it ``stops``) or of ``h`` in each bracket: Halley, kept inside it."""
-    away = plain
-    tau, h_end, v_end = x, x, x
-    for _ in range(ROUNDS):
-        s, slope, q, jerk = 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x
-        for j in range(tones.shape[0]):
-            n = tones[j, 0]
-            sine, cosine = sincos(n * x + tones[j, 2])
-            sine, cosine = tones[j, 1] * sine, tones[j, 1] * n * cosine
-            s, slope, q, jerk = s + sine, slope + cosine, q + n * n * sine, jerk + n * n * cosine
-        t = x - segment.phase + turns
-        h, h1 = height(gamma, segment, s, slope, t)
-        h2, h3 = gamma * q - segment.pull, gamma * jerk
-        f, f1, f2 = select(stops, h1, h), select(stops, h2, h1), select(stops, h3, h2)
-        step = 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
-        new = x - step
-        inside = (new > lo) & (new <= hi)
-        gentle = (size(step) <= CONVERGED) & (size(step * f2) <= CONVERGED * size(f1))
-        tau = select(away, t - step, tau)
-        h_end = select(away, h - step * (h1 - 0.5 * step * h2), h_end)
-        v_end = select(away, h1 - step * (h2 - 0.5 * step * h3), v_end)
-        x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
-        away = away & ~(inside & gentle)
-        if not any_of(away):
-            break
-    clear = (stops & (h_end > PLAIN_GRAZE)) | (~stops & (v_end < 0.0) & (tau >= SHORT))
-    return tau, x, h_end, v_end, stops, plain & ~away & clear & (tau >= PLAIN_TIME)
+def hang_in_lanes(table: Floats, up: Any, down: Any, here: Any) -> Any:
+    """`model.flight.friction.hang` in lanes: ``(rises, waiting time, branch, at a threshold, (phase, s, s'))``.
 
-
-@inlined
-def hang_in_lanes(table: Floats, up: Any, down: Any, phi: Number) -> Any:
-    """`model.flight.friction.hang` in lanes: ``(rises, waiting time, phase, branch, at a threshold)``.
-
-    ``up`` and ``down`` are the places of each lane's tables and their numbers of edges.
+    ``up`` and ``down`` are the places of each lane's tables, their numbers of edges, and the phase and its branch in
+    them; ``here`` is s and s' at that phase.
     """
-    up_base, up_last = up
-    down_base, down_last = down
-    at = select(down_last > 0.0, fold_onto(table, down_base, phi), phi)
-    i = branch_at(table, down_base, down_last, at)
+    up_base, up_last, at_up, k = up
+    down_base, down_last, at, i = down
     stays = (down_last > 0.0) & ~odd(i)
-    until = gather(table, down_base + TABLE * (i + 1.0))
-    at_up = select(up_last > 0.0, fold_onto(table, up_base, phi), phi)
-    k = branch_at(table, up_base, up_last, at_up)
     inside = stays & (up_last > 0.0) & ~odd(k)
-    lift = gather(table, up_base + TABLE * (k + 1.0)) - at_up
-    lifted = stays & (up_last > 0.0) & ~inside & (lift < until - at)
-    falls = stays & ~inside & ~lifted
-    above = branch_after(k, up_last)
-    wait = select(lifted, lift, select(falls, until - at, 0.0))
-    phase = select(inside, at_up, select(lifted, gather(table, up_base + TABLE * above), select(falls, until, at)))
-    branch = select(inside, k, select(lifted, above, select(falls, i + 1.0, i)))
-    return inside | lifted, wait, phase, branch, lifted | falls
+    hangs = stays & ~inside
+    wait, branch, lifted = 0.0 * at, select(inside, k, i), inside
+    phase, s, slope = select(inside, at_up, at), here[0], here[1]
+    if any_of(hangs):
+        until, s_down, slope_down, _ = gather_rows(table, down_base + TABLE * (i + 1.0))
+        above, s_up, slope_up, _ = gather_rows(table, up_base + TABLE * (k + 1.0))
+        rises = hangs & (up_last > 0.0) & (above - at_up < until - at)
+        lifted = inside | rises
+        wait = select(hangs, select(rises, above - at_up, until - at), wait)
+        branch = select(hangs, select(rises, branch_after(k, up_last), i + 1.0), branch)
+        folded = select(k + 1.0 >= up_last, above - TWO_PI, above)
+        phase = select(hangs, select(rises, folded, until), phase)
+        s = select(hangs, select(rises, s_up, s_down), s)
+        slope = select(hangs, select(rises, slope_up, slope_down), slope)
+    return lifted, wait, branch, hangs, (phase, s, slope)

@@ -2,23 +2,24 @@
 
 A landing is proven first as in `model.flight.ideal.land`; what is added is order. For all lanes together: walk the
 branches by their tabulated edges, without trigonometry, to the first whose ends enclose the landing, then take a few
-Halley steps. A lane whose proof or convergence is not plain (a near graze, a short flight) is left to `land`.
+steps to the root (`model.flight.plate_lanes`). A lane whose proof or convergence is not plain (a near graze, a short
+flight) is left to `land`.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from kernels.lanes import any_of, gather, select, size, spread
+from kernels.lanes import any_of, select, size, spread
 from model.flight.branch_walk import branch_after, odd, step_on
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.numerics import Floats, Number, inlined
-from model.flight.segment import SHORT, clear_times, shape
+from model.flight.plate_lanes import plate, root_in_branch, start_of_root
+from model.flight.rows import gather_rows
+from model.flight.segment import SHORT, clear_times
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
-ROUNDS = 8  # of Halley at most; three or four are taken
-CONVERGED = 1e-6  # a last step of Halley smaller than this leaves an error of its cube
 DIPS = 8  # halvings of a dip, at most
 
 
@@ -47,7 +48,7 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
     dr, hr, sr = right
     for _ in range(DIPS):
         y = dl + (hr - hl - sr * (dr - dl)) / (sl - sr)
-        s, slope, _ = shape(tones, y)
+        s, slope, _, _, _ = plate(tones, y)
         h, h1 = _height(gamma, take_off, y, s, slope)
         touches = unsure & (h < -PLAIN_GRAZE)
         near = unsure & (size(h) <= PLAIN_GRAZE)
@@ -64,23 +65,9 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
 
 
 @inlined
-def _halley(tones: Floats, gamma: Number, take_off: Any, x: Number, lo: Number, hi: Number, away: Any) -> Any:
-    """The one root of each bracket from ``x`` on, the impact speed there, and the lanes that have not converged."""
-    speed = x
-    for _ in range(ROUNDS):
-        s, slope, q = shape(tones, x)
-        h, h1 = _height(gamma, take_off, x, s, slope)
-        h2 = gamma * q - 1.0
-        step = 2.0 * h * h1 / (2.0 * h1 * h1 - h * h2)
-        new = x - step
-        inside = (new > lo) & (new <= hi)
-        gentle = (size(step) <= CONVERGED) & (size(step * h2) <= CONVERGED * size(h1))
-        speed = select(away, h2 * step - h1, speed)
-        x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
-        away = away & ~(inside & gentle)
-        if not any_of(away):
-            break
-    return x, speed, away
+def _either(mask: Any, a: Any, b: Any) -> Any:
+    """Of two points (phase, h, h') the first where ``mask``."""
+    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
 
 
 @inlined
@@ -92,48 +79,49 @@ def land_lanes(
 
     Returns
     -------
-    x, turns, speed, plain
+    x, turns, speed, (s, s') there, plain
     """
     v = gamma * slope0
     clear_from, clear_to = clear_times(highest, gamma, s0, 0.0, v, 1.0)
     clear = clear_from, clear_to - TWO_PI
     i = k + 1.0
-    at = base + TABLE * i
-    edge = gather(table, at)
+    edge, s, slope, _ = gather_rows(table, base + TABLE * i)
     tau = edge - phi0
-    h = gamma * (s0 + slope0 * tau - gather(table, at + 1.0)) - 0.5 * tau * tau
-    h1 = gamma * (slope0 - gather(table, at + 2.0)) - tau
+    h = gamma * (s0 + slope0 * tau - s) - 0.5 * tau * tau
+    h1 = gamma * (slope0 - slope) - tau
     plain = h > 0.0
     searching = plain
     turns = spread(0.0)
-    lo, hi, h_lo, h_hi, tangent, total = edge, edge + 1.0, h, spread(-1.0), edge, turns
+    left, right, tangent, total = (edge, h, h1), (edge + 1.0, spread(-1.0), h1), edge, turns
     while any_of(searching):
-        at = base + TABLE * i
-        far = gather(table, at + 3.0)
+        far, s, slope, _ = gather_rows(table, base + TABLE * (i + 1.0))
         t = far - phi0 + turns
-        g = gamma * (s0 + slope0 * t - gather(table, at + 4.0)) - 0.5 * t * t
-        g1 = gamma * (slope0 - gather(table, at + 5.0)) - t
+        g = gamma * (s0 + slope0 * t - s) - 0.5 * t * t
+        g1 = gamma * (slope0 - slope) - t
         width = far - edge
         concave = odd(i)
         found = searching & (g <= 0.0)
         tangent = select(found, select(concave, far - g / g1, edge - h / h1), tangent)
-        lo, hi, total = select(found, edge, lo), select(found, far, hi), select(found, turns, total)
-        h_lo, h_hi = select(found, h, h_lo), select(found, g, h_hi)
+        left, right = _either(found, (edge, h, h1), left), _either(found, (far, g, g1), right)
+        total = select(found, turns, total)
         meet = (g - h - g1 * width) / (h1 - g1)
         unsure = searching & ~concave & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
         if any_of(unsure):
-            left, right = (edge, h, h1), (far, g, g1)
-            touches, undecided, left, right = _dip(tones, gamma, (phi0 - turns, s0, slope0), unsure, left, right)
+            touches, undecided, near, past = _dip(
+                tones, gamma, (phi0 - turns, s0, slope0), unsure, (edge, h, h1), (far, g, g1)
+            )
             found, plain = found | touches, plain & ~undecided
-            tangent = select(touches, left[0] - left[1] / left[2], tangent)
-            lo, hi, total = select(touches, left[0], lo), select(touches, right[0], hi), select(touches, turns, total)
-            h_lo, h_hi = select(touches, left[1], h_lo), select(touches, right[1], h_hi)
+            tangent = select(touches, near[0] - near[1] / near[2], tangent)
+            left, right = _either(touches, near, left), _either(touches, past, right)
+            total = select(touches, turns, total)
         grazes = searching & ~plain
         searching = searching & ~(found | grazes)
         edge, h, h1, more = step_on(far, t, i, last, clear, v, 1.0, (g, g1))
         turns, i = turns + more, select(searching, branch_after(i, last), i)
-    chord = lo + (hi - lo) * h_lo / (h_lo - h_hi)
-    x = 0.5 * (chord + tangent)
-    x, speed, away = _halley(tones, gamma, (phi0 - total, s0, slope0), x, lo, hi, plain)
-    plain = plain & ~away & (x - phi0 + total >= SHORT) & (speed > 0.0)
-    return x, total, speed, plain
+    lo, hi = left[0], right[0]
+    chord = lo + (hi - lo) * left[1] / (left[1] - right[1])
+    x = start_of_root((*left, 0.0), (*right, 0.0), 0.5 * (chord + tangent), plain & ~plain)
+    take_off = (phi0 - total, s0, slope0, 0.0, 0.0, 1.0)
+    x, _, v, s, slope, _, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, plain & ~plain, plain)
+    plain = plain & ~away & (x - phi0 + total >= SHORT) & (v < 0.0)
+    return x, total, -v, (s, slope), plain

@@ -37,8 +37,12 @@ from model.orbits.lane_state import (
     PHASES,
     PHI,
     PLAIN,
+    Q_X,
     RISING,
+    S_X,
     SEGMENTS,
+    SLOPE,
+    SLOPE_X,
     SPEEDS,
     STATUS,
     STOPS,
@@ -52,10 +56,14 @@ from model.orbits.lane_state import (
     UP_LAST,
     V0,
     H,
+    Q,
+    S,
     V,
     X,
+    ladders,
     law_of_lane,
     numbers,
+    place_on,
     reset_at,
 )
 
@@ -77,6 +85,7 @@ def _land(
         turns += phi + tail
         phi = fold_onto(both, base, phi + tail)
         turns -= phi
+        work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, phi)
     whole[TURN, lane] += round(turns / TWO_PI)
     whole[COUNT, lane] = k + 1
     return phi, v
@@ -90,9 +99,12 @@ def leave(
     """From the plate, at LAST_PHI and LAST_V, to the next flight that is not a short bounce; sets the STATUS."""
     phi, v = work[LAST_PHI, lane], work[LAST_V, lane]
     base, last = work[UP, lane], work[UP_LAST, lane]
+    known = True  # the plate's motion at phi
     while True:
         k = whole[COUNT, lane]
         if k == whole[LIMIT, lane]:
+            if not known:
+                work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, phi)
             work[LAST_PHI, lane], work[LAST_V, lane] = phi, v
             whole[STATUS, lane] = FULL
             return
@@ -110,7 +122,15 @@ def leave(
             short, tau, speed = short_bounce(tones, work[GAMMA, lane], law_of_lane(work, lane), phi0, v)
         if short:
             phi, v = _land(tones, both, work, whole, flights, marks, lane, tau, phi0 + tau, speed)
+            known = False
         else:
+            if window >= 0:
+                at = int(base) + TABLE * branch
+                work[S, lane], work[SLOPE, lane] = both[at + 1], both[at + 2]
+            elif known:
+                work[S, lane], work[SLOPE, lane], work[Q, lane] = work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane]
+            else:
+                work[S, lane], work[SLOPE, lane], work[Q, lane] = shape(tones, phi)
             if v > 0.0:
                 branch = int(branch_at(both, base, last, phi))
             work[PHI, lane], work[V0, lane], work[H0, lane], work[RISING, lane] = phi0, v, 0.0, 1.0
@@ -139,6 +159,7 @@ def _alone(tones: Floats, both: Floats, work: Floats, lane: int) -> None:
         landed, v = True, 0.0
     work[TAU, lane], work[X, lane], work[H, lane], work[V, lane] = tau, phi, h, v
     work[STOPS, lane] = 0.0 if landed else 1.0
+    work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, phi)
 
 
 @compiled
@@ -146,17 +167,22 @@ def fly_segments(tones: Floats, highest: float, both: Floats, work: Floats) -> N
     """The end of the segment of every lane."""
     flat = work.reshape(-1)
     phi, gamma, rising = numbers(flat, PHI), numbers(flat, GAMMA), numbers(flat, RISING) > 0.5
-    s0, slope0, _ = shape(tones, phi)
     level = select(rising, 1.0 + numbers(flat, MU_UP), 1.0 - numbers(flat, MU_DOWN))
-    segment = Segment(phi, s0, slope0, s0, numbers(flat, V0), numbers(flat, H0), level)
+    pull = select(numbers(flat, AT_EDGE) > 0.5, 0.0, gamma * numbers(flat, Q) - level)
+    segment = Segment(phi, numbers(flat, S), numbers(flat, SLOPE), pull, numbers(flat, V0), numbers(flat, H0), level)
     last = select(rising, numbers(flat, UP_LAST), numbers(flat, DOWN_LAST))
     place = (select(rising, numbers(flat, UP), numbers(flat, DOWN)), last, numbers(flat, BRANCH))
     bounds = (highest, total_speed(tones))
-    tau, x, h, v, stops, plain = end_of_segment(tones, bounds, both, gamma, place, segment, rising, last > 0.5)
+    tau, x, h, v, (s, slope, q), stops, plain = end_of_segment(
+        tones, bounds, both, gamma, place, segment, rising, last > 0.5
+    )
     store(flat, TAU * WIDTH, tau)
     store(flat, X * WIDTH, x)
     store(flat, H * WIDTH, h)
     store(flat, V * WIDTH, v)
+    store(flat, S_X * WIDTH, s)
+    store(flat, SLOPE_X * WIDTH, slope)
+    store(flat, Q_X * WIDTH, q)
     store(flat, STOPS * WIDTH, select(stops, spread(1.0), spread(0.0)))
     store(flat, PLAIN * WIDTH, select(plain, spread(1.0), spread(0.0)))
 
@@ -166,11 +192,20 @@ def turn_segments(both: Floats, work: Floats) -> None:
     """From a standstill in mid-air to the next rise or fall, hanging between, in every lane that stands still."""
     flat = work.reshape(-1)
     stops = numbers(flat, STOPS) > 0.5
-    up, down = (numbers(flat, UP), numbers(flat, UP_LAST)), (numbers(flat, DOWN), numbers(flat, DOWN_LAST))
-    rises, wait, phi, branch, at_edge = hang_in_lanes(both, up, down, numbers(flat, X))
+    ladder_up, ladder_down = ladders(work)
+    phi, up_last, down_last = numbers(flat, X), numbers(flat, UP_LAST), numbers(flat, DOWN_LAST)
+    at, i = place_on(flat, (ladder_down, work.shape[0]), phi)
+    at_up, k = place_on(flat, (ladder_up, ladder_down), phi)
+    at = select(down_last > 0.0, at, phi)
+    up, down = (numbers(flat, UP), up_last, at_up, k), (numbers(flat, DOWN), down_last, at, i)
+    here = numbers(flat, S_X), numbers(flat, SLOPE_X)
+    rises, wait, branch, at_edge, (phi, s, slope) = hang_in_lanes(both, up, down, here)
     total = numbers(flat, TOTAL) + numbers(flat, TAU)
     store(flat, TOTAL * WIDTH, total + select(stops, wait, 0.0))
     store(flat, PHI * WIDTH, select(stops, phi, numbers(flat, PHI)))
+    store(flat, S * WIDTH, select(stops, s, numbers(flat, S)))
+    store(flat, SLOPE * WIDTH, select(stops, slope, numbers(flat, SLOPE)))
+    store(flat, Q * WIDTH, select(stops, numbers(flat, Q_X), numbers(flat, Q)))
     store(flat, BRANCH * WIDTH, select(stops, branch, numbers(flat, BRANCH)))
     store(flat, H0 * WIDTH, select(stops, numbers(flat, H), numbers(flat, H0)))
     store(flat, V0 * WIDTH, select(stops, select(wait > 0.0, 0.0, numbers(flat, V)), numbers(flat, V0)))

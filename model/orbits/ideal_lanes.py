@@ -27,6 +27,9 @@ from model.orbits.lane_state import (
     PHASES,
     PHI,
     PLAIN,
+    S_X,
+    SLOPE,
+    SLOPE_X,
     SPEEDS,
     STATUS,
     TAU,
@@ -35,6 +38,7 @@ from model.orbits.lane_state import (
     TURN,
     UP,
     UP_LAST,
+    S,
     V,
     X,
     numbers,
@@ -61,6 +65,10 @@ def leave(
         if repeats:
             return
         i = 2 * window
+        at = base + TABLE * i
+        work[S, lane], work[SLOPE, lane] = both[at + 1], both[at + 2]
+    else:
+        work[S, lane], work[SLOPE, lane] = work[S_X, lane], work[SLOPE_X, lane]
     flights[PHASES, lane, k], marks[THRESHOLDS, lane, k], marks[MARKS, lane, k] = phi0, window, 0
     work[PHI, lane], work[BRANCH, lane], work[AT_EDGE, lane] = phi0, i, 1.0 if window >= 0 else 0.0
     whole[STATUS, lane] = FLIES
@@ -74,6 +82,7 @@ def _alone(tones: Floats, both: Floats, work: Floats, lane: int) -> None:
     edge = both[base : base + TABLE * (last + 1) : TABLE].copy()
     a0 = 0.0 if work[AT_EDGE, lane] == 1.0 else max(gamma * q_and_slope(tones, phi0)[0] - 1.0, 0.0)
     work[TAU, lane], work[X, lane], work[V, lane], _ = land(tones, gamma, edge, last // 2, phi0, a0, 0.0)
+    work[S_X, lane], work[SLOPE_X, lane], _ = shape(tones, work[X, lane])
 
 
 @compiled
@@ -81,14 +90,15 @@ def _land_all(tones: Floats, highest: float, both: Floats, work: Floats) -> None
     """The landings of all lanes."""
     flat = work.reshape(-1)
     phi = numbers(flat, PHI)
-    s0, slope0, _ = shape(tones, phi)
-    x, turns, speed, plain = land_lanes(
+    x, turns, speed, (s, slope), plain = land_lanes(
         tones, highest, both, numbers(flat, GAMMA), numbers(flat, UP), numbers(flat, UP_LAST), numbers(flat, BRANCH),
-        phi, s0, slope0,
+        phi, numbers(flat, S), numbers(flat, SLOPE),
     )  # fmt: skip
     store(flat, TAU * WIDTH, x - phi + turns)
     store(flat, X * WIDTH, x)
     store(flat, V * WIDTH, speed)
+    store(flat, S_X * WIDTH, s)
+    store(flat, SLOPE_X * WIDTH, slope)
     store(flat, PLAIN * WIDTH, select(plain, spread(1.0), spread(0.0)))
 
 

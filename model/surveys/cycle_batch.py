@@ -18,6 +18,7 @@ from kernels.lanes import WIDTH
 from model.flight.branches import fold
 from model.flight.edge_table import TABLE, fill_tables
 from model.flight.numerics import Floats, compiled
+from model.flight.segment import shape
 from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
 from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, NEAR, SLOW
 from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, nearest_turn, repeating
@@ -42,9 +43,12 @@ from model.orbits.lane_state import (
     NUMBERS,
     PERIODS,
     PHASES,
+    Q_X,
     ROW,
+    S_X,
     SEEN,
     SEGMENTS,
+    SLOPE_X,
     SPEEDS,
     STATUS,
     TAUS,
@@ -53,6 +57,7 @@ from model.orbits.lane_state import (
     UP,
     UP_LAST,
     law_of_lane,
+    lay_ladders,
 )
 
 CHATTERING = 3  # column of the outcome: the cycle holds a completed chatter
@@ -118,8 +123,8 @@ def _friction_close(
 
 @compiled
 def _take_row(
-    row: int, slot: int, gammas: Floats, laws: Floats, made: Floats, n_up: Integers, n_down: Integers, limit: int,
-    both: Floats, work: Floats, whole: Integers, lane: int,
+    tones: Floats, row: int, slot: int, gammas: Floats, laws: Floats, made: Floats, n_up: Integers, n_down: Integers,
+    limit: int, both: Floats, work: Floats, whole: Integers, lane: int,
 ) -> None:  # fmt: skip
     """Give a lane the orbit of a row, from rest at phase 0, with the tables ``made`` in the row's ``slot``."""
     stride = made.shape[2]
@@ -131,6 +136,7 @@ def _take_row(
     for k in range(stride):
         both[lane * stride + k], both[(WIDTH + lane) * stride + k] = made[0, slot, k], made[1, slot, k]
     work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, made[0, slot, 0]), 0.0
+    work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, work[LAST_PHI, lane])
     whole[ROW, lane], whole[LIMIT, lane] = row, limit
     whole[COUNT, lane] = whole[TURN, lane] = whole[SEGMENTS, lane] = 0
     for k in range(SEEN, whole.shape[0]):
@@ -236,6 +242,8 @@ def _fly_of(
     advance: Callable[..., Any],
     finish: Callable[..., bool],
     make_tables: Callable[..., None],
+    *,
+    both_ways: bool,
 ) -> Callable[..., int]:
     """The kernel that flies the orbits of all rows, a lane that is done taking the next."""
 
@@ -274,7 +282,9 @@ def _fly_of(
                     if n_up[slot] == 0:
                         outcome[taken, PERIOD] = 1
                     else:
-                        _take_row(taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
+                        _take_row(tones, taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
+                        if both_ways:
+                            lay_ladders(both, work, lane)
                         leave(tones, both, closes, work, whole, flights, marks, lane)
                     taken += 1
                 busy += whole[STATUS, lane] == FLIES
@@ -289,7 +299,7 @@ def _batch_of(
     leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
 ) -> Callable[..., int]:
     """The cycles of many rows of one kind of ball."""
-    fly = _fly_of(leave, advance, _finish_of(_settle_of(close)), _tables_of(both_ways=both_ways))
+    fly = _fly_of(leave, advance, _finish_of(_settle_of(close)), _tables_of(both_ways=both_ways), both_ways=both_ways)
 
     @compiled
     def fly_lent(
@@ -317,7 +327,7 @@ def _batch_of(
         """
         size = turning.size + 2
         lanes = (
-            np.zeros(2 * WIDTH * TABLE * size), np.zeros((NUMBERS, WIDTH)),
+            np.zeros(2 * WIDTH * TABLE * size), np.zeros((NUMBERS + 2 * size, WIDTH)),
             np.zeros((SEEN + 2 * size, WIDTH), dtype=np.int64), np.zeros((3, WIDTH, most)),
             np.zeros((2, WIDTH, most), dtype=np.int64), np.zeros((4, LONGEST_LOCKED)),
         )  # fmt: skip

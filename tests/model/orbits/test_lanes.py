@@ -27,7 +27,8 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     n_up, n_down = np.zeros((2, WIDTH), dtype=np.int64)
     fill_tables(tones, turning, gammas / (1 + law.mu_up), both[: both.size // 2], n_up, found)
     fill_tables(tones, turning, gammas / (1 - law.mu_down), both[both.size // 2 :], n_down, found)
-    work, whole = np.zeros((at.NUMBERS, WIDTH)), np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
+    work = np.zeros((at.NUMBERS + 2 * size, WIDTH))
+    whole = np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
     flights, marks = np.zeros((3, WIDTH, FLIGHTS)), np.zeros((2, WIDTH, FLIGHTS), dtype=np.int64)
     rows = np.arange(WIDTH)
     work[at.GAMMA], work[at.MU_UP], work[at.MU_DOWN] = gammas, law.mu_up, law.mu_down
@@ -37,17 +38,21 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     work[at.LAST_PHI] = both[rows * TABLE * size]
     whole[at.LIMIT], whole[at.STATUS] = FLIGHTS, at.IDLE
     for lane in np.flatnonzero(n_up):
+        at.lay_ladders(both, work, lane)
         kernel.leave(tones, both, False, work, whole, flights, marks, lane)
     while np.any(whole[at.STATUS] == at.FLIES):
         kernel.advance(tones, float(tones[:, 1].sum()), both, False, work, whole, flights, marks)
     return flights, marks, n_up > 0
 
 
-@pytest.mark.parametrize("c", [1, 2, 3])
+FORCINGS = (*(Forcing.superposition(c) for c in (1, 2, 3)), Forcing((1.0, 2.0, 5.0), (0.8, 0.5, 0.1), (0.3, -1.0, 2.0)))
+
+
+@pytest.mark.parametrize("forcing", FORCINGS, ids=["c = 1", "c = 2", "c = 3", "three tones with phases"])
 @pytest.mark.parametrize(("mu", "e"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.2, 0.514), (0.0, 0.8)])
-def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(c, mu, e):
+def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(forcing, mu, e):
     """Time, impact speed and the next take-off agree with one flight at a time, wherever the impact is not a graze."""
-    law, forcing = FrictionRestitution(mu, mu, e, 0.0), Forcing.superposition(c)
+    law = FrictionRestitution(mu, mu, e, 0.0)
     kernel = ideal_lanes if mu == e == 0.0 else friction_lanes
     for low, high in ((0.2, 1.5), (1.5, 6.0)):
         gammas = np.linspace(low, high, WIDTH)

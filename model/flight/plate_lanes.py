@@ -1,0 +1,125 @@
+"""The plate's motion in lanes, and the root that a branch of a flight holds, from one sine and cosine a step.
+
+The harmonics are whole numbers, so ``sin n phi`` and ``cos n phi`` are powers of ``cos phi + i sin phi``: to
+``n`` roundings, as the product ``n phi`` is. The root is begun where the polynomial of fifth degree has it that takes
+h, h' and h'' at both ends of its bracket, and ends with Householder steps of third order.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kernels.lanes import any_of, select, size
+from model.flight.numerics import Floats, Number, inlined, sincos
+
+ROUNDS = 8  # at most; two are taken mostly
+CONVERGED = 1e-5  # a last step smaller than this leaves an error of its fourth power
+ON_POLYNOMIAL = 2  # steps
+
+
+@inlined
+def plate(tones: Floats, x: Number) -> Any:
+    """``s, s', q = -s'', q', -q''`` at ``x``; of harmonics that are whole numbers."""
+    sine, cosine = sincos(x)
+    s, slope, q, jerk, snap = 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x
+    for j in range(tones.shape[0]):
+        n, b = tones[j, 0], tones[j, 1]
+        im, re = sine, cosine
+        if n != 1.0:
+            im, re = _power(n, sine, cosine)
+        if tones[j, 2] != 0.0:
+            sine_p, cosine_p = sincos(tones[j, 2])
+            im, re = im * cosine_p + re * sine_p, re * cosine_p - im * sine_p
+        n2 = n * n
+        im, re = b * im, (b * n) * re
+        s, slope, q, jerk, snap = s + im, slope + re, q + n2 * im, jerk + n2 * re, snap + (n2 * n2) * im
+    return s, slope, q, jerk, snap
+
+
+@inlined
+def _power(n: float, sine: Number, cosine: Number) -> tuple[Number, Number]:
+    """``sin n phi`` and ``cos n phi`` by squaring."""
+    left = int(n)
+    im, re = 0.0 * sine, 0.0 * cosine + 1.0
+    while True:
+        if left % 2 == 1:
+            im, re = re * sine + im * cosine, re * cosine - im * sine
+        left //= 2
+        if left == 0:
+            break
+        sine, cosine = 2.0 * sine * cosine, (cosine - sine) * (cosine + sine)
+    return im, re
+
+
+@inlined
+def start_of_root(left: Any, right: Any, guess: Number, stops: Any) -> Number:
+    """Where the polynomial through ``left`` and ``right`` (phase, h, h', h'') vanishes; where it ``stops``, its slope.
+
+    ``guess`` is a place between; a step that leaves the bracket is not taken.
+    """
+    lo, h, h1, h2 = left
+    hi, g, g1, g2 = right
+    w = hi - lo
+    a1, a2 = w * h1, 0.5 * w * w * h2
+    # what is left of h, h' and h'' at the far end
+    r, r1, r2 = g - (h + a1 + a2), w * g1 - (a1 + 2.0 * a2), w * w * g2 - 2.0 * a2
+    a3 = 10.0 * r - 4.0 * r1 + 0.5 * r2
+    a4 = -15.0 * r + 7.0 * r1 - r2
+    a5 = 6.0 * r - 3.0 * r1 + 0.5 * r2
+    u = (guess - lo) / w
+    for _ in range(ON_POLYNOMIAL):
+        p = h + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5))))
+        p1 = a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * (5.0 * a5))))
+        p2 = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * (20.0 * a5)))
+        p3 = 6.0 * a3 + u * (24.0 * a4 + u * (60.0 * a5))
+        f, f1, f2 = select(stops, p1, p), select(stops, p2, p1), select(stops, p3, p2)
+        new = u - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
+        u = select((new > 0.0) & (new < 1.0), new, u)
+    return lo + w * u
+
+
+@inlined
+def root_in_branch(
+    tones: Floats, gamma: Number, take_off: Any, bracket: Any, x: Number, stops: Any, away: Any
+) -> Any:  # fmt: skip
+    """The one root of ``h'`` (where it ``stops``) or of ``h`` in each bracket, for the lanes ``away`` from it.
+
+    Parameters
+    ----------
+    take_off
+        Start of the segment: its phase (less the turns since), s and s' there, speed, height and pull.
+    bracket
+        ``(lo, hi)``.
+    x
+        Where to begin.
+
+    Returns
+    -------
+    phase, h, h', s, s', q, lanes that have not converged
+    """
+    phi0, s0, slope0, v0, h0, level = take_off
+    lo, hi = bracket
+    h_end, v_end, s_end, slope_end, q_end = x, x, x, x, x
+    for _ in range(ROUNDS):
+        s, slope, q, jerk, snap = plate(tones, x)
+        t = x - phi0
+        h = h0 + gamma * (s0 + slope0 * t - s) + t * (v0 - 0.5 * level * t)
+        h1 = gamma * (slope0 - slope) + v0 - level * t
+        h2, h3, h4 = gamma * q - level, gamma * jerk, -gamma * snap
+        f, f1, f2, f3 = select(stops, h1, h), select(stops, h2, h1), select(stops, h3, h2), select(stops, h4, h3)
+        g = f1 * f1
+        step = 3.0 * f * (2.0 * g - f * f2) / (6.0 * f1 * (g - f * f2) + f * f * f3)
+        new = x - step
+        inside = (new > lo) & (new <= hi)
+        gentle = (size(step) <= CONVERGED) & (size(step * f2) <= CONVERGED * size(f1))
+        third, sixth = step * (1.0 / 3.0), step * (1.0 / 6.0)
+        h_end = select(away, h - step * (h1 - 0.5 * step * (h2 - third * h3)), h_end)
+        v_end = select(away, h1 - step * (h2 - 0.5 * step * (h3 - third * h4)), v_end)
+        s_end = select(away, s - step * (slope + 0.5 * step * (q - third * jerk)), s_end)
+        slope_end = select(away, slope + step * (q - step * (0.5 * jerk + sixth * snap)), slope_end)
+        q_end = select(away, q - step * (jerk + 0.5 * step * snap), q_end)
+        x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
+        away = away & ~(inside & gentle)
+        if not any_of(away):
+            break
+    return x, h_end, v_end, s_end, slope_end, q_end, away
