@@ -16,7 +16,7 @@ from typing import Any
 
 from numba.extending import is_jitted
 
-from kernels import lanes
+from kernels import lanes, rows
 
 
 class NoDevice(ValueError):
@@ -76,6 +76,11 @@ def _gather(array: Any, index: float) -> float:
     return array[int(index)]  # type: ignore[no-any-return]
 
 
+def _gather_row(array: Any, index: float) -> Any:
+    first = int(index)
+    return array[first], array[first + 1], array[first + 2], array[first + 3]
+
+
 def _max(a: float, b: float) -> float:
     return a if a > b else b
 
@@ -92,6 +97,7 @@ _ONE_NUMBER = {
     id(lanes.root): _root,
     id(lanes.size): _size,
     id(lanes.gather): _gather,
+    id(rows.gather_rows): _gather_row,
     id(lanes.spread): _itself,
     id(_max): _max,
     id(_min): _min,

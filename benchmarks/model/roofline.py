@@ -70,10 +70,8 @@ def operations(c: int, n: int) -> float:
     from model.flight import first_landing
     from model.flight.edge_table import TABLE
     from model.flight.ideal_lanes import land_lanes
-    from model.flight.rows import ROW, gather_rows
     from model.flight.segment import shape
 
-    device._ONE_NUMBER[id(gather_rows)] = lambda array, at: tuple(array[int(at) : int(at) + ROW])
     land, forcing = device.remade(land_lanes, lambda function: function), Forcing.superposition(c)
     plain_shape = device.remade(shape, lambda function: function)
     Counted.done = flown = 0

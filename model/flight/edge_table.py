@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from kernels.lanes import WIDTH, any_of, load, root, select, size, spread, store
+from kernels.rows import ROW
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Floats, compiled, inlined, sincos
-from model.flight.rows import ROW
 from model.flight.segment import shape
 
-TABLE = ROW  # numbers a table holds of an edge: its phase, s and s' there, and one to make a row of `model.flight.rows`
+TABLE = ROW  # numbers a table holds of an edge: its phase, s and s' there, and one to make a row of `kernels.rows`
 NEWTON = 80
 CONVERGED = 1e-8  # a last step of Newton smaller than this leaves an error of its square
 

@@ -1,4 +1,4 @@
-"""The plate's motion in lanes, and rows of tables."""
+"""The plate's motion in lanes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from kernels.lanes import WIDTH, load, store
 from model.flight.numerics import compiled
 from model.flight.plate_lanes import plate
-from model.flight.rows import ROW, gather_rows
 
 TONES = np.array([[1.0, 0.7, 0.0], [2.0, 1.0, 0.4], [7.0, 0.5, -2.0], [100.0, 0.01, 3.0]])
 
@@ -21,15 +20,6 @@ def _in_lanes(tones, phases, out):
     store(out, 2 * WIDTH, values[2])
     store(out, 3 * WIDTH, values[3])
     store(out, 4 * WIDTH, values[4])
-
-
-@compiled
-def _columns(table, places, out):
-    columns = gather_rows(table, load(places, 0))
-    store(out, 0, columns[0])
-    store(out, WIDTH, columns[1])
-    store(out, 2 * WIDTH, columns[2])
-    store(out, 3 * WIDTH, columns[3])
 
 
 def test_the_plate_in_lanes_is_that_of_the_tones():
@@ -51,12 +41,3 @@ def test_the_plate_in_lanes_is_that_of_the_tones():
             for k, value in enumerate(wanted):
                 bound = 4e-16 * sum(float(b * n ** (k + 1)) for n, b, _ in tones)
                 assert abs(float(value - mp.mpf(float(out[k * WIDTH + lane])))) < bound
-
-
-def test_rows_come_back_as_columns():
-    """Each lane gets the four numbers of its own row, in any order and with rows that several lanes share."""
-    table = np.arange(40.0 * ROW)
-    rows = np.random.default_rng(2).integers(0, 40, WIDTH)
-    out = np.empty(ROW * WIDTH)
-    _columns(table, rows * float(ROW), out)
-    assert np.array_equal(out.reshape(ROW, WIDTH), table.reshape(40, ROW)[rows].T)

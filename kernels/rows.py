@@ -43,16 +43,12 @@ def _columns(builder: Any, rows: list[Any]) -> list[Any]:
 @intrinsic
 def gather_rows(typing_context: Any, array: Any, index: Any) -> Any:
     """``array[index : index + ROW]`` lane by lane, as a tuple of `ROW`; ``index`` holds whole numbers."""
-    lanes = isinstance(index, Lanes)
-    one = lanes_type if lanes else types.float64
-    result = types.UniTuple(one, ROW)
+    if not isinstance(index, Lanes):
+        return None
+    result = types.UniTuple(lanes_type, ROW)
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         base = context.make_array(sig.args[0])(context, builder, args[0]).data
-        if not lanes:
-            start = builder.gep(base, [builder.fptosi(args[1], ir.IntType(64))])
-            place = [builder.gep(start, [ir.Constant(ir.IntType(64), k)]) for k in range(ROW)]
-            return context.make_tuple(builder, result, [builder.load(pointer) for pointer in place])
         whole = builder.fptosi(args[1], _INTEGERS)
         rows = []
         for k in range(WIDTH):
