@@ -20,6 +20,7 @@ from analysis.thresholds import MOST_OF_A_STEP_NATS
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
 SOME = ("coulomb_friction", "viscous_damping", "quadratic_drag", "local_gravity", "adhesion", "contact_latency")
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
+STRIBECK = {"mu_kinetic": 0.05, "mu_extra": 0.01, "v_s_mps": 0.05, "exponent": 1.0}
 Explain = Callable[..., SelectionResult]
 
 
@@ -86,10 +87,12 @@ def test_an_idle_companion_is_left_out_again(selection_of: Callable[..., Stepwis
 
 
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Callable[..., StepwiseSelection]) -> None:
-    """Stribeck friction chosen first, for what adhesion did: beside adhesion plain friction does as well."""
-    truth = {UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}
-    selection = selection_of(truth, 2, tuple(np.linspace(0.35, 1.35, 14)))
-    both = added(selection, *(named(selection, name) for name in ("stribeck_friction", "adhesion")))
+    """Stribeck friction beside adhesion, where friction is as strong at any speed: plain friction does as well."""
+    start = {UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}
+    selection = selection_of(start, 6, tuple(np.linspace(0.35, 1.35, 14)))
+    stribeck = {("stribeck_friction", k): v for k, v in STRIBECK.items()} | {("adhesion", "a_mps2"): 1.5}
+    candidates = tuple(named(selection, name) for name in ("stribeck_friction", "adhesion"))
+    both = selection.refits.converged(candidates, Whitener.of(selection.world, stribeck), tuple(stribeck), stribeck)
     rounds: list[str] = []
     assert selection.pruning.simplified(both, selection.library, rounds).names == ("coulomb_friction", "adhesion")
     assert rounds == ["step back: a simpler coulomb_friction does as well"]
