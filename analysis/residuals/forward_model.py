@@ -23,7 +23,9 @@ from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.event_slopes import Slopes, slopes_of
+from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead
+from model.integrator.problem import columns_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -276,19 +278,14 @@ class ForwardModel:
 
     def kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
         """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
-        point = self.start(values)
-        here = self._nothing.copy()
-        for key, value in point.items():
-            if not key[1].endswith(TREND):
-                here[offsets()[key]] = value
-        for entry in (effect(name) for name in dict.fromkeys(name for name, _ in point)):
-            omega, _, ratio = (
-                entry.hooks["plate_mode"](here, entry.offset) if "plate_mode" in entry.hooks else (1.0, 0.0, 0.0)
-            )
-            if ratio != 0.0:
-                speed = KICK * ratio * self.gravity * float(np.median(self.evidence.steps.plate.period_s))
-                return (speed / omega, 0.0), (0.0, speed)
-        return ()
+        rows, place = self.inputs(values).rows, columns_of("plate_mode")
+        rows = rows.reshape(-1, rows.shape[-1])
+        if not len(place) or not rows[:, place].any():
+            return ()
+        row = rows[int(np.argmax(np.abs(rows[:, place[0]])))]  # where it is struck most: it may drift
+        omega, _, ratio = plate_mode(row)
+        speed = KICK * ratio * self.gravity * float(np.median(self.evidence.steps.plate.period_s))
+        return (speed / omega, 0.0), (0.0, speed)
 
     def moved_landings(
         self, values: Values, shift_s: Array, wanted: NDArray[np.bool_] | None = None

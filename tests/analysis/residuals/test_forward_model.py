@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.forward_model import TREND, ForwardModel
 from analysis.residuals.whitening import Whitener, step_losses
 from analysis.thresholds import SHARED_S
 
@@ -94,3 +94,14 @@ def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(fly_ramp: C
     change = (trend - plain).sum(axis=1)
     part = world.evidence.steps.run_part[world.evidence.measured.step]
     assert change == pytest.approx(np.maximum(0.6 * part, -0.1))
+
+
+def test_a_plate_mode_that_only_drifts_rings(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A resonance that is nothing amid the run and something at its ends has uncertainties like any other."""
+    mode = {("table_resonance", "frequency_hz"): 7.5, ("table_resonance", "damping"): 0.04}
+    world = fly_ramp({}, 1)
+    drifting = mode | {("table_resonance", "mass_ratio"): 0.0, ("table_resonance", "mass_ratio" + TREND): 0.02}
+    steady = mode | {("table_resonance", "mass_ratio"): 0.01}
+    assert np.array(world.kicks(drifting)) == pytest.approx(np.array(world.kicks(steady)), rel=0.3)
+    assert np.all(np.isfinite(world.uncertainty(drifting).landing_total_s))
+    assert world.kicks(mode) == ()
