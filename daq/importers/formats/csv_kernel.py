@@ -123,6 +123,17 @@ def _nearest(mantissa, power, powers):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
+def _digits(block, at, mantissa):  # type: ignore[no-untyped-def]
+    """The mantissa with the decimal digits from a place on, and the place after them."""
+    digit = block[at] - np.uint8(48)
+    while digit <= 9:
+        mantissa = mantissa * _TEN + np.uint64(digit)
+        at += _NEXT
+        digit = block[at] - np.uint8(48)
+    return mantissa, at
+
+
+@njit(inline="always")
 def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     """Number that starts at a place, the place after it, and whether it was understood."""
     at = start
@@ -131,24 +142,14 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     if negative or c == 43:
         at += _NEXT
         c = block[at]
-    mantissa, first = np.uint64(0), at
-    digit = c - np.uint8(48)
-    while digit <= 9:
-        mantissa = mantissa * _TEN + np.uint64(digit)
-        at += _NEXT
-        c = block[at]
-        digit = c - np.uint8(48)
+    first = at
+    mantissa, at = _digits(block, at, np.uint64(0))
+    c = block[at]
     digits, point, power = np.int64(at - first), _NOWHERE, np.int64(0)
     if c == decimal:
         point = at
-        at += _NEXT
+        mantissa, at = _digits(block, at + _NEXT, mantissa)
         c = block[at]
-        digit = c - np.uint8(48)
-        while digit <= 9:
-            mantissa = mantissa * _TEN + np.uint64(digit)
-            at += _NEXT
-            c = block[at]
-            digit = c - np.uint8(48)
         power = -np.int64(at - point - _NEXT)
         digits -= power
     sure = bool(digits > 0)
