@@ -280,7 +280,7 @@ class ForwardModel:
         """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
         rows, place = self.inputs(values).rows, columns_of("plate_mode")
         rows = rows.reshape(-1, rows.shape[-1])
-        if not len(place) or not rows[:, place].any():
+        if not rows[:, place].any():
             return ()
         row = rows[int(np.argmax(np.abs(rows[:, place[0]])))]  # where it is struck most: it may drift
         omega, _, ratio = plate_mode(row)

@@ -66,14 +66,14 @@ class Counted(float):
 
 def operations(c: int, n: int) -> float:
     """Additions, multiplications and divisions of a flight from the first threshold, mean over ``n`` gammas."""
-    from kernels import device
+    from kernels.device import remade
     from model.flight import first_landing
     from model.flight.edge_table import TABLE
     from model.flight.ideal_lanes import land_lanes
     from model.flight.segment import shape
 
-    land, forcing = device.remade(land_lanes, lambda function: function), Forcing.superposition(c)
-    plain_shape = device.remade(shape, lambda function: function)
+    land, forcing = remade(land_lanes, lambda function: function), Forcing.superposition(c)
+    plain_shape = remade(shape, lambda function: function)
     Counted.done = flown = 0
     for gamma in GRIDS[c][:: 2000 // n]:
         edge, windows = first_landing.edges(forcing, float(gamma))

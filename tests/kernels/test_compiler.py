@@ -90,7 +90,7 @@ def doubled_row(rows):  # type: ignore[no-untyped-def]
 
 @njit()
 def copied(rows):  # type: ignore[no-untyped-def]
-    """Sum of a copy, made here, of a row that is doubled."""
+    """One row, doubled, of a copy made here."""
     own = rows.copy()
     doubled_row(own)
     return second(own)
