@@ -150,9 +150,7 @@ class LockIn:
 
     def response(self) -> Complexes:
         """What the boxcar makes of each tone, gain and delay, shape (k,)."""
-        theta = np.pi * self.frequencies_hz / (self.rate_hz * self.boxcar)  # half a recorded sample's phase
-        gain = np.sin(self.boxcar * theta) / (self.boxcar * np.sin(theta))
-        return np.asarray(gain * np.exp(1j * theta * (self.boxcar - 1)))
+        return boxcar_response(self.frequencies_hz, self.rate_hz, self.boxcar)
 
     def add(self, x: npt.ArrayLike, first: int, mask: npt.ArrayLike | None = None) -> None:
         """Accumulate values ``first, first + 1, ...``.
@@ -206,25 +204,6 @@ class LockIn:
             np.add.reduce(self._counts[chosen], axis=0, keepdims=True),
         )
 
-    def with_tone(self, place: int, frequency_hz: float, rows: Floats, sides: Floats) -> LockIn:
-        """The fit of the same values with tone number ``place`` at another frequency.
-
-        Parameters
-        ----------
-        place : int
-        frequency_hz : float
-        rows : array, shape (2, 2k + 1)
-            Its two rows of the normal matrix, cosine and sine.
-        sides : array, shape (2, channels)
-            Its right sides.
-        """
-        frequencies = self.frequencies_hz.copy()
-        frequencies[place] = frequency_hz
-        own, at = self._summed(np.arange(len(self._counts))), slice(2 * place + 1, 2 * place + 3)
-        own.frequencies_hz = frequencies
-        own._grams[0, at], own._grams[0, :, at], own._sides[0, at] = rows, rows.T, sides
-        return own
-
     def __add__(self, other: LockIn) -> LockIn:
         """The fit of both pieces together (same tones, same channels, sorts merged)."""
         total = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)
@@ -243,19 +222,8 @@ class LockIn:
     def solve(self, channel: int = 0) -> ToneFit:
         """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
         if channel not in self._fits:
-            sums = self.rhs[None, :, channel], self._squares[:, channel].sum(keepdims=True), np.array([self.n])
-            inverse = self.inverse()
-            (solution,), (variance,) = _solutions(inverse[None], *sums)
-            # column pairs are (cos, -sin), so the unknowns are Re z and Im z
-            self._fits[channel] = ToneFit(
-                frequencies_hz=self.frequencies_hz,
-                amplitudes=solution[1::2] + 1j * solution[2::2],
-                covariance=inverse[1:, 1:] * variance,
-                rms=math.sqrt(variance),
-                offset=float(solution[0]),
-                offset_uncertainty=math.sqrt(inverse[0, 0] * variance),
-                n=self.n,
-            )
+            square = float(np.add.reduce(self._squares[:, channel]))
+            self._fits[channel] = solved(self.frequencies_hz, self.inverse(), self.rhs[:, channel], square, self.n)
         return self._fits[channel]
 
     def solve_each(self, channel: int = 0) -> ToneFits:
@@ -265,6 +233,45 @@ class LockIn:
         solutions, variances = _solutions(inverses, *sums)
         amplitudes = solutions[:, 1::2] + 1j * solutions[:, 2::2]
         return ToneFits(self.frequencies_hz, amplitudes, solutions[:, 0], np.sqrt(variances), self._counts)
+
+
+def boxcar_response(frequencies_hz: Floats, rate_hz: float, boxcar: int) -> Complexes:
+    """What the mean over ``boxcar`` samples, ``rate_hz`` means a second, makes of each tone, shape (k,)."""
+    theta = np.pi * frequencies_hz / (rate_hz * boxcar)  # half a recorded sample's phase
+    gain = np.sin(boxcar * theta) / (boxcar * np.sin(theta))
+    return np.asarray(gain * np.exp(1j * theta * (boxcar - 1)))
+
+
+def inverse_of(gram: Floats, n: int, frequencies_hz: Floats) -> Floats:
+    """Inverse of the normal matrix (p, p) of ``n`` values; raises ``ValueError`` where it has none."""
+    return np.asarray(_inverses(gram[None], np.array([n]), frequencies_hz)[0])
+
+
+def solved(frequencies_hz: Floats, inverse: Floats, side: Floats, square: float, n: int) -> ToneFit:
+    """The fit of ``k`` tones to ``n`` values.
+
+    Parameters
+    ----------
+    frequencies_hz : array, shape (k,)
+    inverse : array, shape (2k + 1, 2k + 1)
+        Of the normal matrix.
+    side : array, shape (2k + 1,)
+    square : float
+        Sum of the values' squares.
+    n : int
+    """
+    solution = inverse @ side
+    variance = max(square - float(solution @ side), 0.0) / (n - side.size)
+    # column pairs are (cos, -sin), so the unknowns are Re z and Im z
+    return ToneFit(
+        frequencies_hz=frequencies_hz,
+        amplitudes=solution[1::2] + 1j * solution[2::2],
+        covariance=inverse[1:, 1:] * variance,
+        rms=math.sqrt(variance),
+        offset=float(solution[0]),
+        offset_uncertainty=math.sqrt(inverse[0, 0] * variance),
+        n=n,
+    )
 
 
 def _solutions(
@@ -279,7 +286,7 @@ def _solutions(
 def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floats) -> Floats:
     """Inverses of normal matrices (m, p, p) of ``counts`` (m,) values; raises ``ValueError`` where one has none."""
     p = grams.shape[1]
-    if np.any(counts <= p):
+    if counts.min(initial=p + 1) <= p:
         raise ValueError(f"{counts.min()} values cannot fix {p} unknowns")
     inverses = np.empty(grams.shape)
     unfit = int(invert(np.ascontiguousarray(grams), inverses))

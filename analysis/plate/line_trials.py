@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.plate.step_state import StepState
-from daq.lock_in import LockIn, ToneFit
+from daq.lock_in import ToneFit, boxcar_response, inverse_of, solved
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
 RESYNC = 64  # blocks between exact restarts of the rotating phasors
 
@@ -29,13 +30,16 @@ class LineTrials:
     def __init__(self, state: StepState, rate_hz: float) -> None:
         if state.lock_in is None:
             raise ValueError("wanted a step whose normal equations are accumulated")
-        self._rate_hz = rate_hz
+        sums = state.lock_in.part(state.clear_classes())
+        self._rate_hz, self._boxcar = rate_hz, sums.boxcar
+        self._frequencies_hz, self._n = sums.frequencies_hz.copy(), sums.n
+        self._gram, self._side = sums.gram.copy(), sums.rhs[:, 0].copy()
         self._clear = [(span, span.clear(state.mask_level)) for span in state.spans]
-        self._sums = state.lock_in.part(state.clear_classes())
         self.values = np.concatenate([span.values[clear, 0] for span, clear in self._clear])
         self.time_s = np.concatenate([span.first + np.flatnonzero(clear) for span, clear in self._clear]) / rate_hz
-        self._rows = np.ones((2 * self._sums.frequencies_hz.size + 1, self.values.size))
-        self._rows[1:] = self._rows_of(self._sums)
+        self._square = float(self.values @ self.values)
+        self._rows = np.ones((self._side.size, self.values.size))
+        self._rows[1:] = self._rows_of(self._frequencies_hz)
 
     def residual(self, fit: ToneFit, kept: int) -> Floats:
         """Volts (n,) less the constant and all tones of ``fit`` but number ``kept``."""
@@ -44,27 +48,37 @@ class LineTrials:
         unknowns[2 * kept + 1 : 2 * kept + 3] = 0.0
         return np.asarray(self.values - unknowns @ self._rows)
 
+    def demodulated(self, fit: ToneFit, kept: int) -> Complexes:
+        """`residual` times ``exp(-2 pi i f t)`` of tone ``kept`` and the blocks' gain and delay, (n,)."""
+        residual, at = self.residual(fit, kept), 2 * kept + 1
+        out = np.empty(residual.size, dtype=np.complex128)
+        out.real, out.imag = residual * self._rows[at], residual * self._rows[at + 1]
+        return out
+
     def fit_at(self, place: int, frequency_hz: float) -> ToneFit:
         """The accelerometer's fit with tone number ``place`` at another frequency."""
-        return self._moved(place, frequency_hz)[0].solve()
+        gram, side, _ = self._moved(place, frequency_hz)
+        frequencies_hz = self._frequencies_hz.copy()
+        frequencies_hz[place] = frequency_hz
+        return solved(frequencies_hz, inverse_of(gram, self._n, frequencies_hz), side, self._square, self._n)
 
     def move(self, place: int, frequency_hz: float) -> None:
         """Leave tone number ``place`` at another frequency."""
-        self._sums, self._rows[2 * place + 1 : 2 * place + 3] = self._moved(place, frequency_hz)
+        self._gram, self._side, own = self._moved(place, frequency_hz)
+        self._rows[2 * place + 1 : 2 * place + 3], self._frequencies_hz[place] = own, frequency_hz
 
-    def _moved(self, place: int, frequency_hz: float) -> tuple[LockIn, Floats]:
-        """Normal equations with one tone at another frequency, and its rows (2, n)."""
-        alone = LockIn(self._rate_hz, [frequency_hz], 1, self._sums.boxcar)
-        own = self._rows_of(alone)
+    def _moved(self, place: int, frequency_hz: float) -> tuple[Floats, Floats, Floats]:
+        """Normal matrix and right side with one tone at another frequency, and its rows (2, n)."""
+        own, at = self._rows_of(np.array([frequency_hz])), slice(2 * place + 1, 2 * place + 3)
         products = own @ self._rows.T
-        products[:, 2 * place + 1 : 2 * place + 3] = own @ own.T
-        sides = np.zeros((2, self._sums.rhs.shape[1]))
-        sides[:, 0] = own @ self.values
-        return self._sums.with_tone(place, frequency_hz, products, sides), own
+        products[:, at] = own @ own.T
+        gram, side = self._gram.copy(), self._side.copy()
+        gram[at], gram[:, at], side[at] = products, products.T, own @ self.values
+        return gram, side, own
 
-    def _rows_of(self, tones: LockIn) -> Floats:
-        """Cosine and sine rows (2k, n) of all tones of ``tones``, the blocks' gain and delay included."""
-        cycles, gains = tones.frequencies_hz / self._rate_hz, tones.response()
+    def _rows_of(self, frequencies_hz: Floats) -> Floats:
+        """Cosine and sine rows (2k, n) of tones, the blocks' gain and delay included."""
+        cycles, gains = frequencies_hz / self._rate_hz, boxcar_response(frequencies_hz, self._rate_hz, self._boxcar)
         rows = np.empty((2 * len(cycles), self.values.size))
         at = 0
         for span, clear in self._clear:

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.lock_in import ToneFit
-from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -77,10 +76,13 @@ def lines_apart(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) ->
     return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_CYCLES_APART / length_s]
 
 
-def strongest_hz(residual: Floats, time_s: Floats, line: MainsLine, length_s: float) -> float:
-    """Frequency near the line's at which ``residual`` (n,) at ``time_s`` (n,) of a long step is strongest."""
-    sums = np.zeros(int((time_s[-1] - time_s[0]) / BIN_S) + 1, dtype=np.complex128)
-    _demodulate(residual, time_s, line.hz, sums)
+def strongest_hz(demodulated: Complexes, time_s: Floats, line: MainsLine, length_s: float) -> float:
+    """Frequency near the line's at which the residual of a long step is strongest.
+
+    ``demodulated`` (n,) is the residual at ``time_s`` (n,) times ``exp(-2 pi i f t)`` of the line, in any unit.
+    """
+    bins = ((time_s - time_s[0]) / BIN_S).astype(np.int64)
+    sums = np.bincount(bins, demodulated.real) + 1j * np.bincount(bins, demodulated.imag)
     middles_s = (np.arange(len(sums)) + 0.5) * BIN_S
     count = int(np.ceil(line.reach_hz * length_s / LOBE))
     off_hz = np.arange(-count, count + 1) * LOBE / length_s
@@ -135,12 +137,3 @@ def refined_line(
 def _misfit(fit: ToneFit) -> float:
     """Residual sum of squares of a fit."""
     return fit.rms**2 * (fit.n - 2 * len(fit.amplitudes) - 1)
-
-
-@njit(error_model="numpy")
-def _demodulate(residual, time_s, hz, sums):  # type: ignore[no-untyped-def]
-    """Add ``residual exp(-2 pi i hz t)`` to ``sums``, one for each `BIN_S`."""
-    for i in range(residual.shape[0]):
-        turn = hz * time_s[i]
-        angle = 2.0 * np.pi * (turn - np.floor(turn))
-        sums[int((time_s[i] - time_s[0]) / BIN_S)] += residual[i] * complex(np.cos(angle), -np.sin(angle))

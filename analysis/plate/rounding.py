@@ -25,11 +25,18 @@ EACH_VALUE = 4  # times that each value must come on average before the distance
 
 def converter_step(values: NDArray[Any]) -> float:
     """Distance of neighbouring values of a rounded signal, codes or volts; 0 where they do not show one."""
-    in_order = np.sort(values)
-    different = in_order[np.append(True, np.diff(in_order) != 0)] if len(values) else in_order
+    different = _different(values)
     if len(different) < 2 or EACH_VALUE * len(different) > len(values):
         return 0.0
     return float(np.median(np.diff(different.astype(np.float64))))
+
+
+def _different(values: NDArray[Any]) -> NDArray[Any]:
+    """The values that there are, in order."""
+    if values.dtype == np.int16:  # counted faster than sorted
+        return np.flatnonzero(np.bincount(values.view(np.uint16) ^ 0x8000)) - 0x8000
+    in_order = np.sort(values)
+    return in_order[np.append(True, np.diff(in_order) != 0)] if len(values) else in_order
 
 
 def rounding_sigma(amplitude: float, step: float, noise: float) -> float:
@@ -49,5 +56,7 @@ def rounding_sigma(amplitude: float, step: float, noise: float) -> float:
 def with_rounding(fit: ToneFit, step: float, noise: float) -> ToneFit:
     """The fit with the uncertainty of its tones and offset widened by what rounding leaves in them."""
     sigma = rounding_sigma(float(np.max(np.abs(fit.amplitudes), initial=0.0)), step, noise)
+    if sigma == 0.0:
+        return fit
     covariance = fit.covariance + sigma**2 * np.eye(len(fit.covariance))
     return replace(fit, covariance=covariance, offset_uncertainty=math.hypot(fit.offset_uncertainty, sigma))

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
-from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
+from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, StepState
 from daq.lock_in import ToneFit
 from kernels import njit
 
@@ -45,19 +45,25 @@ class StepTones(NamedTuple):
     rows: Ints
 
 
-class WindowSums(NamedTuple):
-    """Sums over one span: slow residuals and their counts (s,); normal equations of w windows with q unknowns.
+class SpanSums(NamedTuple):
+    """Sums over one span, for w windows with q unknowns: a constant and the forcing's tones, fitted to the residual.
 
-    The unknowns are a constant and the forcing's tones, fitted to the residual: normal matrices ``gram`` (w, q, q),
-    right sides ``side`` (w, q, 2), sums of squares ``power`` (w, 2), and blocks ``used`` (w,).
+    ``slow_s``, ``slow`` (s,) are times and means of the slow residual, NaN where all is masked; ``time_s`` (w,) the
+    middles of the windows. Normal matrices are ``gram`` (w, q, q), right sides ``side`` (w, q, 2), sums of squares
+    ``power`` (w, 2), and blocks ``used`` (w,). ``span_s`` (r, 2), ``window`` and ``contact`` (r,) are the unmasked
+    intervals, as in `FitIntervals`.
     """
 
+    slow_s: Floats
     slow: Floats
-    slow_count: Ints
+    time_s: Floats
     gram: Floats
     side: Floats
     power: Floats
     used: Ints
+    span_s: Floats
+    window: Ints
+    contact: npt.NDArray[np.bool_]
 
 
 def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
@@ -85,56 +91,31 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     )
     group = max(int(rate_hz / (SLOW_PER_CYCLE * state.frequency_hz)), 1)
     length = max(round(WINDOW_CYCLES * rate_hz / state.frequency_hz), 1)
-    q = 2 * tones.rows.size + 1
-    parts, intervals, counted = [], [], 0
+    least = max(MIN_WINDOW_COVER * length, 2.0 * (2 * tones.rows.size + 1))
+    parts: list[SpanSums] = []
+    counted = 0
     for span in state.spans:
-        keep = span.clear(state.mask_level)
-        sums = _span_sums(span, keep, tones, group, length)
-        windows = sums.used.size
-        slow_s = (span.first + (np.arange(sums.slow.size) + 0.5) * group) / rate_hz
-        time_s = (span.first + (np.arange(windows) + 0.5) * length) / rate_hz
-        enough = sums.used >= max(MIN_WINDOW_COVER * length, 2 * q)
-        row_of = np.append(np.where(enough, counted + np.cumsum(enough) - 1, -1), -1)
-        window = row_of[np.minimum(np.arange(keep.size) // length, windows)]
-        contact = span.block_class // N_MASK_LEVELS == CONTACT
-        intervals.append(FitIntervals.of_blocks(span.first, keep, window, contact, 1.0 / rate_hz))
-        counted += int(enough.sum())
-        slow = np.where(sums.slow_count > 0, sums.slow / np.maximum(sums.slow_count, 1), np.nan)
-        parts.append((slow_s, slow, time_s[enough], *(column[enough] for column in sums[2:])))
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    slow_s, slow, time_s, *equations = (np.asarray(column, dtype=np.float64) for column in columns)
-    amplitudes, spread, noise = _solve_windows(tones, fits, *equations)
-    none = np.zeros(len(intervals), dtype=np.int64)
-    return ChunkFit(slow_s, slow, time_s, amplitudes, spread, noise, fits, FitIntervals.join(intervals, none, none))
-
-
-def _span_sums(span: Span, keep: npt.NDArray[np.bool_], tones: StepTones, group: int, length: int) -> WindowSums:
-    """Sums over one span, in slow bins of ``group`` blocks and windows of ``length`` blocks."""
-    n, q = keep.size, 2 * tones.rows.size + 1
-    slow, windows = n // group, n // length
-    sums = WindowSums(
-        np.zeros(slow),
-        np.zeros(slow, dtype=np.int64),
-        np.zeros((windows, q, q)),
-        np.zeros((windows, q, 2)),
-        np.zeros((windows, 2)),
-        np.zeros(windows, dtype=np.int64),
-    )
-    _accumulate(span.values, keep, span.first, tones, group, length, sums)
-    return sums
+        bounds = span.first, state.mask_level, group, length, least, counted
+        parts.append(SpanSums(*_sum_span(span.values, span.block_class, bounds, tones, rate_hz)))
+        counted += parts[-1].time_s.size
+    sums = parts[0] if len(parts) == 1 else SpanSums(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+    amplitudes, spread, noise = _solve_windows(tones, fits, sums)
+    intervals = FitIntervals(np.zeros(len(sums.window), np.int64), sums.span_s, sums.window, sums.contact)
+    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, intervals)
 
 
 def _solve_windows(
-    tones: StepTones, fits: tuple[ToneFit, ToneFit], gram: Floats, side: Floats, power: Floats, used: Floats
+    tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSums
 ) -> tuple[Complexes, Floats, Floats]:
     """Amplitudes (w, tones, 2), their spread in units of the noise (w, tones), and the noise (2,)."""
     q = 2 * tones.rows.size + 1
-    inverse = np.linalg.inv(gram + RIDGE * np.eye(q))
-    solution = inverse @ side
+    inverse = np.linalg.inv(sums.gram + RIDGE * np.eye(q))
+    solution = inverse @ sums.side
     amplitudes = tones.amplitudes[:, tones.rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
-    spread = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(-1, tones.rows.size, 2).mean(axis=2))
-    left = np.maximum(power.sum(axis=0) - np.sum(side * solution, axis=(0, 1)), 0.0)
-    freedom = float(used.sum()) - q * used.size
+    variances = np.diagonal(inverse, axis1=1, axis2=2)
+    spread = np.sqrt(0.5 * (variances[:, 1::2] + variances[:, 2::2]))
+    left = np.maximum(np.add.reduce(sums.power) - np.add.reduce(sums.side * solution, axis=(0, 1)), 0.0)
+    freedom = float(np.add.reduce(sums.used)) - q * sums.used.size
     noise = np.sqrt(left / freedom) if freedom > 0.0 else np.array([f.rms for f in fits])
     return amplitudes, spread, noise
 
@@ -149,64 +130,135 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
         return None
     channel = 1 if has_drive else 0
     multiples = np.array([state.multiples[r] for r in state.rows])
-    strongest = int(np.argmax(np.abs(chunk.amplitudes[:, :, channel]).mean(axis=0) * multiples))
+    strongest = int(np.argmax(np.add.reduce(np.abs(chunk.amplitudes[:, :, channel])) * multiples))
     z = chunk.amplitudes[:, strongest, channel]
     sigma = chunk.fits[channel].rms * chunk.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
-    if np.median(sigma) > MAX_PHASE_SIGMA_RAD:
+    in_order = np.sort(sigma)
+    if in_order[(sigma.size - 1) // 2] + in_order[sigma.size // 2] > 2.0 * MAX_PHASE_SIGMA_RAD:
         return None
     weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
-    time_s = chunk.time_s - np.average(chunk.time_s, weights=weight)
-    curvature = float(np.sum(weight * time_s**2))
+    time_s = chunk.time_s - (weight @ chunk.time_s) / np.add.reduce(weight)
+    pull = weight * time_s
+    curvature = float(pull @ time_s)
     scale = 2.0 * np.pi * float(multiples[strongest])
-    away = float(np.sum(weight * time_s * np.unwrap(np.angle(z)))) / curvature / scale
+    phase = np.angle(z)
+    phase[1:] -= 2.0 * np.pi * np.cumsum(np.rint(np.diff(phase) / (2.0 * np.pi)))
+    away = float(pull @ phase) / curvature / scale
     error = 1.0 / np.sqrt(curvature) / scale
     changed = abs(away) > FREQUENCY_SIGMAS * error and abs(away) * 2.0 * np.pi * state.hold_s > MIN_DRIFT_RAD
     return (state.nominal_hz + away, error, True) if changed else (state.nominal_hz, error, False)
 
 
-@njit(error_model="numpy")
-def _accumulate(x, keep, first, tones, group, length, sums):  # type: ignore[no-untyped-def]
-    """Add the residuals of the block means ``x`` (n, channels) about the step's ``tones`` to ``sums``.
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _sum_span(x, block_class, bounds, tones, rate_hz):  # type: ignore[no-untyped-def]
+    """`SpanSums` of the residuals of the block means ``x`` (n, 2) about the step's ``tones``.
 
-    Slow sums take the first channel; block ``i`` belongs to slow bin ``i // group`` and to window ``i // length``.
+    Slow sums take the first channel; block ``i`` belongs to slow bin ``i // group`` and to window ``i // length``. A
+    window of fewer than ``least`` unmasked blocks is none; the rest are counted from ``counted`` on.
     """
-    cycles, response, amplitudes, offsets, rows = tones
-    slow, slow_count, gram, side, power, used = sums
-    n, channels = x.shape
-    k = cycles.shape[0]
-    q = 2 * rows.shape[0] + 1
-    step = np.exp(2j * np.pi * cycles)
-    phasor = np.empty(k, dtype=np.complex128)
-    row = np.empty(q)
-    row[0] = 1.0
-    residual = np.empty(channels)
-    for i in range(n):
-        if i % RESYNC == 0:
-            for j in range(k):
-                phase = cycles[j] * (first + i)
-                phasor[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
-        if keep[i]:
-            for c in range(channels):
-                fit = offsets[c]
-                for j in range(k):
-                    fit += amplitudes[c, j].real * phasor[j].real - amplitudes[c, j].imag * phasor[j].imag
-                residual[c] = x[i, c] - fit
-            g = i // group
-            if g < slow.shape[0]:
-                slow[g] += residual[0]
-                slow_count[g] += 1
+    first, level, group, length, least, counted = bounds
+    rows = tones.rows
+    n, bins, windows, q = x.shape[0], x.shape[0] // group, x.shape[0] // length, 2 * rows.shape[0] + 1
+    slow, n_slow = np.zeros(bins), np.zeros(bins, dtype=np.int64)
+    gram, side = np.zeros((windows, q, q)), np.zeros((windows, q, 2))
+    power, used, row_of = np.zeros((windows, 2)), np.zeros(windows, dtype=np.int64), np.empty(windows + 1, np.int64)
+    left, row = np.empty((2, RESYNC)), np.empty((RESYNC, q))
+    cosine, sine = _turns(tones.cycles, min(RESYNC, n))
+    for begin in range(0, n, RESYNC):
+        size = min(RESYNC, n - begin)
+        _residuals(x, begin, size, first, tones, cosine, sine, left, row)
+        for at in range(size):
+            i = begin + at
+            if block_class[i] % N_MASK_LEVELS < level:
+                continue
+            if i // group < bins:
+                slow[i // group] += left[0, at]
+                n_slow[i // group] += 1
             w = i // length
-            if w < gram.shape[0]:
+            if w < windows:
                 used[w] += 1
-                for r in range(rows.shape[0]):
-                    row[2 * r + 1] = phasor[rows[r]].real
-                    row[2 * r + 2] = -phasor[rows[r]].imag
-                for c in range(channels):
-                    power[w, c] += residual[c] * residual[c]
                 for a in range(q):
-                    for b in range(q):
-                        gram[w, a, b] += row[a] * row[b]
-                    for c in range(channels):
-                        side[w, a, c] += row[a] * residual[c]
-        for j in range(k):
-            phasor[j] *= step[j]
+                    for b in range(a + 1):
+                        gram[w, a, b] += row[at, a] * row[at, b]
+                    for c in range(2):
+                        side[w, a, c] += row[at, a] * left[c, at]
+                for c in range(2):
+                    power[w, c] += left[c, at] * left[c, at]
+    n_windows = 0
+    time_s = np.empty(windows)
+    for w in range(windows):
+        row_of[w] = -1
+        if used[w] >= least:
+            row_of[w] = counted + n_windows
+            time_s[n_windows] = (first + (w + 0.5) * length) / rate_hz
+            used[n_windows] = used[w]
+            power[n_windows], side[n_windows] = power[w], side[w]
+            for a in range(q):
+                for b in range(a + 1):
+                    gram[n_windows, a, b] = gram[n_windows, b, a] = gram[w, a, b]
+            n_windows += 1
+    row_of[windows] = -1
+    slow_s = np.empty(bins)
+    for g in range(bins):
+        slow_s[g] = (first + (g + 0.5) * group) / rate_hz
+        slow[g] = slow[g] / n_slow[g] if n_slow[g] > 0 else np.nan
+    of_windows = time_s[:n_windows], gram[:n_windows], side[:n_windows], power[:n_windows], used[:n_windows]
+    return (slow_s, slow) + of_windows + _intervals(block_class, first, level, length, row_of, 1.0 / rate_hz)
+
+
+@njit(error_model="numpy")
+def _turns(cycles, n):  # type: ignore[no-untyped-def]
+    """Cosine and sine (k, n) of the tones' turns since block 0."""
+    cosine, sine = np.empty((cycles.shape[0], n)), np.empty((cycles.shape[0], n))
+    for j in range(cycles.shape[0]):
+        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
+        for i in range(n):
+            cosine[j, i], sine[j, i] = turn.real, turn.imag
+            turn *= step
+    return cosine, sine
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _residuals(x, begin, size, first, tones, cosine, sine, left, row):  # type: ignore[no-untyped-def]
+    """Residuals ``left`` (2, size) of the blocks from ``begin`` on, and their forcing's columns ``row`` (size, q)."""
+    cycles, response, amplitudes, offsets, rows = tones
+    for c in range(2):
+        for i in range(size):
+            left[c, i] = x[begin + i, c] - offsets[c]
+    for j in range(cycles.shape[0]):
+        phase = cycles[j] * (first + begin)
+        start = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
+        for c in range(2):
+            z = amplitudes[c, j] * start
+            a, b = z.real, z.imag
+            for i in range(size):
+                left[c, i] -= a * cosine[j, i] - b * sine[j, i]
+        for r in range(rows.shape[0]):
+            if rows[r] == j:
+                a, b = start.real, start.imag
+                for i in range(size):
+                    row[i, 2 * r + 1] = a * cosine[j, i] - b * sine[j, i]
+                    row[i, 2 * r + 2] = -(a * sine[j, i] + b * cosine[j, i])
+    row[:, 0] = 1.0
+
+
+@njit(error_model="numpy")
+def _intervals(block_class, first, level, length, row_of, block_s):  # type: ignore[no-untyped-def]
+    """Unmasked intervals of consecutive blocks, their windows' rows, and whether the ball lay on the plate."""
+    n, count, before, windows = block_class.shape[0], 0, -4, row_of.shape[0] - 1
+    span_s, window, contact = np.empty((n, 2)), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
+    for i in range(n):
+        w, label = row_of[min(i // length, windows)], -3
+        on_plate = block_class[i] // N_MASK_LEVELS == CONTACT
+        if block_class[i] % N_MASK_LEVELS >= level:
+            label = 2 * w + on_plate
+        if label != before:
+            if before >= -2:
+                span_s[count - 1, 1] = (first + i) * block_s
+            if label >= -2:
+                span_s[count, 0], window[count], contact[count] = (first + i) * block_s, w, on_plate
+                count += 1
+            before = label
+    if before >= -2:
+        span_s[count - 1, 1] = (first + n) * block_s
+    return span_s[:count].copy(), window[:count].copy(), contact[:count].copy()
