@@ -112,6 +112,7 @@ class LockIn:
         self._sides = np.zeros((sorts, p, channels))
         self._squares = np.zeros((sorts, channels))
         self._counts = np.zeros(sorts, dtype=np.int64)
+        self._response = boxcar_response(self.frequencies_hz, self.rate_hz, boxcar)
         self.forget()
 
     def forget(self) -> None:
@@ -123,7 +124,8 @@ class LockIn:
     def _of_sums(self, grams: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> LockIn:
         """A fit of the same tones from other sums."""
         own = object.__new__(LockIn)  # the tones are known to be sound
-        own.rate_hz, own.boxcar, own.frequencies_hz = self.rate_hz, self.boxcar, self.frequencies_hz
+        own.rate_hz, own.boxcar = self.rate_hz, self.boxcar
+        own.frequencies_hz, own._response = self.frequencies_hz, self._response
         own._grams, own._sides, own._squares, own._counts = grams, sides, squares, counts
         own.forget()
         return own
@@ -150,7 +152,7 @@ class LockIn:
 
     def response(self) -> Complexes:
         """What the boxcar makes of each tone, gain and delay, shape (k,)."""
-        return boxcar_response(self.frequencies_hz, self.rate_hz, self.boxcar)
+        return self._response
 
     def add(self, x: npt.ArrayLike, first: int, mask: npt.ArrayLike | None = None) -> None:
         """Accumulate values ``first, first + 1, ...``.
@@ -180,7 +182,7 @@ class LockIn:
             sort,
             int(first),
             cycles,
-            self.response(),
+            self._response,
             self._grams,
             self._sides,
             self._squares,

@@ -256,7 +256,7 @@ class StepAccumulator:
                 continue
             begin_hz = line.hz
             if length_s * line.reach_hz > LOBE:
-                begin_hz = strongest_hz(trials.demodulated(fit, place), trials.time_s, line, length_s)
+                begin_hz = strongest_hz(trials.demodulated(fit, place), line, length_s)
             fit_at = partial(trials.fit_at, place)
             found = refined_line(line, place, fit_at, begin_hz, np.delete(every_hz, place), length_s)
             if found.hz != every_hz[place]:

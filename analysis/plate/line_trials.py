@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from analysis.plate.mains_lines import BIN_S
 from analysis.plate.step_state import StepState
 from daq.lock_in import ToneFit, boxcar_response, inverse_of, solved
 from kernels import njit
@@ -15,7 +16,7 @@ from kernels import njit
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-RESYNC = 64  # blocks between exact restarts of the rotating phasors
+RESYNC = 64  # blocks between exact restarts of the rotating phasors, at most
 
 
 class LineTrials:
@@ -23,8 +24,10 @@ class LineTrials:
 
     Attributes
     ----------
-    values, time_s : arrays, shape (n,)
-        Volts of the blocks outside the mask, and their times.
+    values : array, shape (n,)
+        Volts of the blocks outside the mask.
+    blocks : int array, shape (n,)
+        Their numbers.
     """
 
     def __init__(self, state: StepState, rate_hz: float) -> None:
@@ -33,13 +36,14 @@ class LineTrials:
         sums = state.lock_in.part(state.clear_classes())
         self._rate_hz, self._boxcar = rate_hz, sums.boxcar
         self._frequencies_hz, self._n = sums.frequencies_hz.copy(), sums.n
-        self._gram, self._side = sums.gram.copy(), sums.rhs[:, 0].copy()
-        self._clear = [(span, span.clear(state.mask_level)) for span in state.spans]
-        self.values = np.concatenate([span.values[clear, 0] for span, clear in self._clear])
-        self.time_s = np.concatenate([span.first + np.flatnonzero(clear) for span, clear in self._clear]) / rate_hz
+        self._gram, self._side = sums.gram, sums.rhs[:, 0]
+        clear = [span.clear(state.mask_level) for span in state.spans]
+        self.values = np.concatenate([s.values[own, 0] for s, own in zip(state.spans, clear, strict=True)])
+        self.blocks = np.concatenate([s.first + np.flatnonzero(own) for s, own in zip(state.spans, clear, strict=True)])
         self._square = float(self.values @ self.values)
+        self._bins = ((self.blocks / rate_hz - self.blocks[0] / rate_hz) / BIN_S).astype(np.int64)
         self._rows = np.ones((self._side.size, self.values.size))
-        self._rows[1:] = self._rows_of(self._frequencies_hz)
+        _fill_rows(self._frequencies_hz / rate_hz, state.lock_in.response(), self.blocks, self._rows[1:])
 
     def residual(self, fit: ToneFit, kept: int) -> Floats:
         """Volts (n,) less the constant and all tones of ``fit`` but number ``kept``."""
@@ -49,11 +53,10 @@ class LineTrials:
         return np.asarray(self.values - unknowns @ self._rows)
 
     def demodulated(self, fit: ToneFit, kept: int) -> Complexes:
-        """`residual` times ``exp(-2 pi i f t)`` of tone ``kept`` and the blocks' gain and delay, (n,)."""
+        """Sums over bins of `BIN_S` of the residual demodulated at tone ``kept``, the blocks' gain and delay in it."""
         residual, at = self.residual(fit, kept), 2 * kept + 1
-        out = np.empty(residual.size, dtype=np.complex128)
-        out.real, out.imag = residual * self._rows[at], residual * self._rows[at + 1]
-        return out
+        real, imaginary = (np.bincount(self._bins, residual * self._rows[row]) for row in (at, at + 1))
+        return np.asarray(real + 1j * imaginary)
 
     def fit_at(self, place: int, frequency_hz: float) -> ToneFit:
         """The accelerometer's fit with tone number ``place`` at another frequency."""
@@ -69,39 +72,48 @@ class LineTrials:
 
     def _moved(self, place: int, frequency_hz: float) -> tuple[Floats, Floats, Floats]:
         """Normal matrix and right side with one tone at another frequency, and its rows (2, n)."""
-        own, at = self._rows_of(np.array([frequency_hz])), slice(2 * place + 1, 2 * place + 3)
-        products = own @ self._rows.T
-        products[:, at] = own @ own.T
-        gram, side = self._gram.copy(), self._side.copy()
-        gram[at], gram[:, at], side[at] = products, products.T, own @ self.values
+        frequencies_hz = np.array([frequency_hz])
+        gains = boxcar_response(frequencies_hz, self._rate_hz, self._boxcar)
+        gram, side, own = self._gram.copy(), self._side.copy(), np.empty((2, self.values.size))
+        _move(frequencies_hz / self._rate_hz, gains, self.blocks, self.values, self._rows, place, gram, side, own)
         return gram, side, own
-
-    def _rows_of(self, frequencies_hz: Floats) -> Floats:
-        """Cosine and sine rows (2k, n) of tones, the blocks' gain and delay included."""
-        cycles, gains = frequencies_hz / self._rate_hz, boxcar_response(frequencies_hz, self._rate_hz, self._boxcar)
-        rows = np.empty((2 * len(cycles), self.values.size))
-        at = 0
-        for span, clear in self._clear:
-            at = _fill_rows(cycles, gains, span.first, clear, at, rows)
-        return rows
 
 
 @njit(error_model="numpy")
-def _fill_rows(cycles, gains, first, clear, at, rows):  # type: ignore[no-untyped-def]
-    """Put ``gain exp(2 pi i cycles n)`` of the ``clear`` blocks ``n`` from ``first`` on into ``rows`` from ``at`` on.
+def _fill_rows(cycles, gains, blocks, rows):  # type: ignore[no-untyped-def]
+    """Put ``gain exp(2 pi i cycles n)`` of the ``blocks`` n into ``rows`` (2k, n).
 
-    Rows ``2 k`` and ``2 k + 1`` are the real part of tone ``k`` and the negative imaginary part. Returns the column
-    after the last.
+    Rows ``2 k`` and ``2 k + 1`` are the real part of tone ``k`` and the negative imaginary part.
     """
-    end = at
     for k in range(cycles.shape[0]):
-        step, phasor, end = np.exp(2j * np.pi * cycles[k]), 0j, at
-        for i in range(clear.shape[0]):
-            if i % RESYNC == 0:
-                phase = cycles[k] * (first + i)
+        step, phasor = np.exp(2j * np.pi * cycles[k]), 0j
+        for i in range(blocks.shape[0]):
+            if i % RESYNC == 0 or blocks[i] != blocks[i - 1] + 1:
+                phase = cycles[k] * blocks[i]
                 phasor = np.exp(2j * np.pi * (phase - np.floor(phase))) * gains[k]
-            if clear[i]:
-                rows[2 * k, end], rows[2 * k + 1, end] = phasor.real, -phasor.imag
-                end += 1
+            rows[2 * k, i], rows[2 * k + 1, i] = phasor.real, -phasor.imag
             phasor *= step
-    return end
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _move(cycles, gains, blocks, values, rows, place, gram, side, own):  # type: ignore[no-untyped-def]
+    """Put the rows of one tone into ``own`` (2, n), and their products into tone ``place`` of ``gram`` and ``side``."""
+    _fill_rows(cycles, gains, blocks, own)
+    at, n = 2 * place + 1, values.shape[0]
+    cosine, sine = own[0], own[1]
+    for j in range(rows.shape[0]):
+        row, first, second = rows[j], 0.0, 0.0
+        for i in range(n):
+            first += cosine[i] * row[i]
+            second += sine[i] * row[i]
+        gram[at, j] = gram[j, at] = first
+        gram[at + 1, j] = gram[j, at + 1] = second
+    square, both, other, first, second = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        square += cosine[i] * cosine[i]
+        both += cosine[i] * sine[i]
+        other += sine[i] * sine[i]
+        first += cosine[i] * values[i]
+        second += sine[i] * values[i]
+    gram[at, at], gram[at + 1, at + 1], side[at], side[at + 1] = square, other, first, second
+    gram[at, at + 1] = gram[at + 1, at] = both

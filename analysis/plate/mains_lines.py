@@ -76,17 +76,15 @@ def lines_apart(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) ->
     return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_CYCLES_APART / length_s]
 
 
-def strongest_hz(demodulated: Complexes, time_s: Floats, line: MainsLine, length_s: float) -> float:
+def strongest_hz(demodulated: Complexes, line: MainsLine, length_s: float) -> float:
     """Frequency near the line's at which the residual of a long step is strongest.
 
-    ``demodulated`` (n,) is the residual at ``time_s`` (n,) times ``exp(-2 pi i f t)`` of the line, in any unit.
+    ``demodulated`` are its sums over successive bins of `BIN_S`, times ``exp(-2 pi i f t)`` of the line, in any unit.
     """
-    bins = ((time_s - time_s[0]) / BIN_S).astype(np.int64)
-    sums = np.bincount(bins, demodulated.real) + 1j * np.bincount(bins, demodulated.imag)
-    middles_s = (np.arange(len(sums)) + 0.5) * BIN_S
+    middles_s = (np.arange(len(demodulated)) + 0.5) * BIN_S
     count = int(np.ceil(line.reach_hz * length_s / LOBE))
     off_hz = np.arange(-count, count + 1) * LOBE / length_s
-    strength = np.abs(np.exp(-2j * np.pi * off_hz[:, None] * middles_s) @ sums)
+    strength = np.abs(np.exp(-2j * np.pi * off_hz[:, None] * middles_s) @ demodulated)
     return float(line.hz + off_hz[np.argmax(strength)])
 
 

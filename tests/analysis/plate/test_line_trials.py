@@ -46,6 +46,6 @@ def test_the_residual_is_what_all_other_tones_leave() -> None:
     """What is left holds the kept tone and the noise alone."""
     trials = LineTrials(_state(), RATE_HZ)
     fit = trials.fit_at(2, 50.05)
-    line = 0.3 * np.cos(2 * np.pi * 50.05 * trials.time_s + 1.0)
+    line = 0.3 * np.cos(2 * np.pi * 50.05 * trials.blocks / RATE_HZ + 1.0)
     trials.move(2, 50.05)
     assert np.std(trials.residual(fit, 2) - line) < 0.02

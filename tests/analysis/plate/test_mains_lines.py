@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.flights.scan import plate_of
-from analysis.plate.mains_lines import PRIOR_SIGMA_HZ, refined_line, strongest_hz, unmeasured_line
+from analysis.plate.mains_lines import BIN_S, PRIOR_SIGMA_HZ, refined_line, strongest_hz, unmeasured_line
 from daq.lock_in import ToneFit, fit_tones
 from daq.recording import open_recording
 
@@ -51,7 +51,8 @@ def test_a_long_step_finds_a_line_many_turns_off(hz: float) -> None:
     """Over 40 s a line 0.2 Hz off is eight turns away; it is found to a few millihertz, and known to as much."""
     time_s, x = _long(hz, 0.5)
     demodulated = (x - np.cos(2 * np.pi * 25.37 * time_s)) * np.exp(-2j * np.pi * 50.0 * time_s)
-    begin_hz = strongest_hz(demodulated, time_s, unmeasured_line(50.0), 40.0)
+    sums = demodulated.reshape(-1, round(BIN_S * RATE_HZ)).sum(axis=1)
+    begin_hz = strongest_hz(sums, unmeasured_line(50.0), 40.0)
     line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
     assert line.slopes is not None
     assert abs(line.hz - hz) < 4.0 * line.sigma_hz < 2e-3
@@ -61,7 +62,8 @@ def test_noise_moves_no_line() -> None:
     """Where nothing stands out, a line stays where it was and nothing is known of it."""
     time_s, x = _long(50.0, 0.0)
     demodulated = (x - np.cos(2 * np.pi * 25.37 * time_s)) * np.exp(-2j * np.pi * 50.0 * time_s)
-    begin_hz = strongest_hz(demodulated, time_s, unmeasured_line(50.0), 40.0)
+    sums = demodulated.reshape(-1, round(BIN_S * RATE_HZ)).sum(axis=1)
+    begin_hz = strongest_hz(sums, unmeasured_line(50.0), 40.0)
     line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
     assert line == unmeasured_line(50.0)
 
