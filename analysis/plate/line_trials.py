@@ -85,14 +85,25 @@ def _fill_rows(cycles, gains, blocks, rows):  # type: ignore[no-untyped-def]
 
     Rows ``2 k`` and ``2 k + 1`` are the real part of tone ``k`` and the negative imaginary part.
     """
-    for k in range(cycles.shape[0]):
-        step, phasor = np.exp(2j * np.pi * cycles[k]), 0j
-        for i in range(blocks.shape[0]):
-            if i % RESYNC == 0 or blocks[i] != blocks[i - 1] + 1:
-                phase = cycles[k] * blocks[i]
-                phasor = np.exp(2j * np.pi * (phase - np.floor(phase))) * gains[k]
-            rows[2 * k, i], rows[2 * k + 1, i] = phasor.real, -phasor.imag
-            phasor *= step
+    k, n, begin = cycles.shape[0], blocks.shape[0], 0
+    cosine, sine = np.empty((k, RESYNC)), np.empty((k, RESYNC))  # of the turn since the first block of a stretch
+    for j in range(k):
+        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
+        for i in range(RESYNC):
+            cosine[j, i], sine[j, i] = turn.real, turn.imag
+            turn *= step
+    while begin < n:
+        end = begin + 1
+        while end < n and blocks[end] - blocks[begin] < RESYNC:
+            end += 1
+        for j in range(k):
+            phase = cycles[j] * blocks[begin]
+            start = np.exp(2j * np.pi * (phase - np.floor(phase))) * gains[j]
+            a, b = start.real, start.imag
+            for i in range(begin, end):
+                c, d = cosine[j, blocks[i] - blocks[begin]], sine[j, blocks[i] - blocks[begin]]
+                rows[2 * j, i], rows[2 * j + 1, i] = a * c - b * d, -(a * d + b * c)
+        begin = end
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
