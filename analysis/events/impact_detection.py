@@ -67,6 +67,7 @@ class ImpactScan:
         bank = template.fine[points] @ template.projector
         self._norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
         self._bank = bank / self._norms[:, None]
+        self._columns = np.ascontiguousarray(self._bank.T)
         slope = np.gradient(self._bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
         # columns: place (samples), size (units of fine), score and echo (V)
@@ -97,7 +98,7 @@ class ImpactScan:
             found[:n],
             own,
             self.template.fine,
-            self._bank,
+            self._columns,
             self._norms,
             self.template.projector,
             limit,
@@ -176,23 +177,23 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _products(rows, x, out):  # type: ignore[no-untyped-def]
-    """Scalar products of ``x`` and each row; so short that a call of BLAS costs more."""
-    for r in range(rows.shape[0]):
-        row, total = rows[r], 0.0
-        for i in range(row.shape[0]):
-            total += row[i] * x[i]
-        out[r] = total
+def _products(columns, x, out):  # type: ignore[no-untyped-def]
+    """Scalar products of ``x`` (n,) and each column of ``columns`` (n, r), summed along memory."""
+    out[:] = 0.0
+    for i in range(columns.shape[0]):
+        row, factor = columns[i], x[i]
+        for r in range(row.shape[0]):
+            out[r] += row[r] * factor
 
 
 @njit(error_model="numpy")
-def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
+def _time(x, offset, found, count, fine, columns, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
     """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
 
     Candidates after them belong to the next piece; these may be echoes of them.
     """
     own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
-    shifts, longest = bank.shape[0], fine.shape[0] // FINE
+    shifts, longest = columns.shape[1], fine.shape[0] // FINE
     score, top = np.empty(shifts), np.empty(shifts)
     for c in range(count):
         index = found[c]
@@ -209,7 +210,7 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
             loud = np.sqrt(np.sum(later**2))
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
-        _products(bank, own, score)
+        _products(columns, own, score)
         best = min(max(int(np.argmax(score)), 1), shifts - 2)
         left, middle, right = score[best - 1], score[best], score[best + 1]
         place = index + offset + (best - SHIFTS) / FINE
@@ -223,12 +224,14 @@ def _time(x, offset, found, count, fine, bank, norms, projector, limit, out, n):
                 break
             for k in range(LENGTH):
                 own[k] = x[found[ahead] - LEAD + k]
-            _products(bank, own, top)
+            _products(columns, own, top)
             far = int(np.argmax(top))
             later[:] = 0.0
             _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
-            _products(bank[best : best + 1], later, top)
-            leak = max(leak, top[0])
+            total = 0.0
+            for k in range(LENGTH):
+                total += columns[k, best] * later[k]
+            leak = max(leak, total)
         if middle - leak < max(limit, ECHO_MARGIN * leak):
             continue
         curvature = min(left - 2.0 * middle + right, -1e-300)

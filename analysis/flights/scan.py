@@ -196,7 +196,8 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
             landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
             acceleration_v = detector.without_impacts(acceleration_v, piece.first, PAD)
         own = (None if x is None else piece.trim(x) for x in (drive_v, fraction))
-        accumulator.add(PlatePiece(piece.first, piece.trim(acceleration_v), *own), np.concatenate(landings))
+        trimmed = PlatePiece(piece.first, piece.trim(acceleration_v), *own, piece.acceleration_codes)
+        accumulator.add(trimmed, np.concatenate(landings))
         if progress is not None:
             progress(piece.last / recording.n_samples)
     return Scan(

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ from analysis.plate.mains_lines import (
     unmeasured_line,
 )
 from analysis.plate.motion import StepPlate
-from analysis.plate.step_fit import step_plate
+from analysis.plate.step_fit import STEP_SAMPLES, step_plate
 from analysis.plate.step_state import (
     CONTACT,
     FLIGHT,
@@ -69,12 +70,15 @@ class PlatePiece:
         Drive volts; None where the drive was not recorded.
     open_fraction
         Contact voltage as a fraction of the swing, 0 closed, 1 open; None without a contact circuit.
+    codes
+        Accelerometer as it is stored, where that is at hand.
     """
 
     first: int
     acceleration_v: Volts
     drive_v: Volts | None
     open_fraction: Volts | None
+    codes: npt.NDArray[Any] | None = None
 
     @property
     def last(self) -> int:
@@ -135,6 +139,8 @@ class StepAccumulator:
                 return
             if self.open is None:
                 self.open = self._begin_step(k)
+                if piece.codes is not None and piece.first <= start <= piece.last - STEP_SAMPLES:
+                    self.open.first_codes = piece.codes[start - piece.first :][:STEP_SAMPLES].copy()
             for a, b in self._unbroken(max(start, piece.first), min(stop, piece.last)):
                 self._add_span(self.open, piece.first, (a, b), means, begins)
             if stop <= piece.last:

@@ -78,7 +78,9 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     noise_mps2 = min((float(c.noise[0]) for c in state.chunks), default=volts.rms) * abs(factor)
     acceleration = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
     acceleration = with_frequency_uncertainty(acceleration, state.mains, factor)
-    some = recording.codes("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
+    some = state.first_codes
+    if some is None:
+        some = recording.codes("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
     step_v = converter_step(some) * abs(recording.scale("accelerometer")[0])
     acceleration = with_rounding(acceleration, step_v * abs(factor), noise_mps2)
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +78,10 @@ class ChunkFit:
 
 @dataclass
 class StepState:
-    """Accumulated state of one step: open spans, tones, normal equations and closed chunks."""
+    """Accumulated state of one step: open spans, tones, normal equations and closed chunks.
+
+    ``first_codes`` are its first accelerometer samples as stored, where they came in one piece.
+    """
 
     step: int
     nominal_hz: float
@@ -94,6 +98,7 @@ class StepState:
     lock_in: LockIn | None = None
     mask_level: int = N_MASK_LEVELS
     chunks: list[ChunkFit] = field(default_factory=list)
+    first_codes: npt.NDArray[Any] | None = None
 
     @property
     def rows(self) -> list[int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,13 +26,15 @@ Volts = npt.NDArray[np.float32]
 class Piece:
     """Volts of samples ``first, ..., first + count - 1`` and ``pad`` neighbours on both sides.
 
-    Edge values are repeated at the ends of the recording.
+    Edge values are repeated at the ends of the recording. ``acceleration_codes`` (count,) are the
+    accelerometer as it is stored, where it was read.
     """
 
     first: int
     count: int
     channels: dict[str, Volts]
     pad: int = PAD
+    acceleration_codes: npt.NDArray[Any] | None = None
 
     @property
     def last(self) -> int:
@@ -55,7 +58,7 @@ class Piece:
 def read_piece(recording: Recording, channels: tuple[str, ...], first: int, count: int) -> Piece:
     """Read one piece of the named channels."""
     start, stop = max(first - PAD, 0), min(first + count + PAD, recording.n_samples)
-    volts = {}
+    volts, stored = {}, None
     for channel in channels:
         factor, offset = recording.scale(channel)
         codes = recording.codes(channel, start, stop)
@@ -66,7 +69,9 @@ def read_piece(recording: Recording, channels: tuple[str, ...], first: int, coun
         own[:at] = middle[0]
         own[at + codes.size :] = middle[-1]
         volts[channel] = own
-    return Piece(first, count, volts)
+        if channel == "accelerometer":
+            stored = codes[first - start : first - start + count]
+    return Piece(first, count, volts, acceleration_codes=stored)
 
 
 def pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
