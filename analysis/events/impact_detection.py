@@ -203,18 +203,19 @@ def _time(x, offset, found, count, fine, columns, norms, projector, limit, out, 
             if lag > longest:
                 break
             _echo(lag, out[back, 1], fine, echo)
-        rings = n > 0 and index + offset - out[n - 1, 0] <= longest
-        loud = 0.0
-        if rings:
-            _products(projector, echo, later)
-            loud = np.sqrt(np.sum(later**2))
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
         _products(columns, own, score)
         best = min(max(int(np.argmax(score)), 1), shifts - 2)
         left, middle, right = score[best - 1], score[best], score[best + 1]
         place = index + offset + (best - SHIFTS) / FINE
-        if middle < max(limit, ECHO_MARGIN * loud) or (n > 0 and place - out[n - 1, 0] < 0.5 * LEAD):
+        if middle < limit or (n > 0 and place - out[n - 1, 0] < 0.5 * LEAD):
+            continue
+        loud = 0.0
+        if n > 0 and index + offset - out[n - 1, 0] <= longest:
+            _products(projector, echo, later)
+            loud = np.sqrt(np.sum(later**2))
+        if middle < ECHO_MARGIN * loud:
             continue
         # a louder impact soon after also makes a maximum one period of its ringing earlier
         leak = 0.0
