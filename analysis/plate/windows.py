@@ -104,9 +104,7 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, intervals)
 
 
-def _solve_windows(
-    tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSums
-) -> tuple[Complexes, Floats, Floats]:
+def _solve_windows(tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSums) -> tuple[Complexes, Floats, Floats]:
     """Amplitudes (w, tones, 2), their spread in units of the noise (w, tones), and the noise (2,)."""
     q = 2 * tones.rows.size + 1
     inverse = np.linalg.inv(sums.gram + RIDGE * np.eye(q))
@@ -202,8 +200,9 @@ def _sum_span(x, block_class, bounds, tones, rate_hz):  # type: ignore[no-untype
     for g in range(bins):
         slow_s[g] = (first + (g + 0.5) * group) / rate_hz
         slow[g] = slow[g] / n_slow[g] if n_slow[g] > 0 else np.nan
-    of_windows = time_s[:n_windows], gram[:n_windows], side[:n_windows], power[:n_windows], used[:n_windows]
-    return (slow_s, slow) + of_windows + _intervals(block_class, first, level, length, row_of, 1.0 / rate_hz)
+    span_s, window, contact = _intervals(block_class, first, level, length, row_of, 1.0 / rate_hz)
+    time_s, gram, side, power = time_s[:n_windows], gram[:n_windows], side[:n_windows], power[:n_windows]
+    return slow_s, slow, time_s, gram, side, power, used[:n_windows], span_s, window, contact
 
 
 @njit(error_model="numpy")
