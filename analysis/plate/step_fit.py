@@ -49,7 +49,7 @@ def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ra
 @cache
 def _turns(multiple: int) -> Complexes:
     """Phasors of a multiple of the forcing at `PEAK_POINTS` of a period."""
-    return np.exp(2j * np.pi * multiple * np.linspace(0.0, 1.0, PEAK_POINTS))
+    return np.asarray(np.exp(2j * np.pi * multiple * np.linspace(0.0, 1.0, PEAK_POINTS)))
 
 
 def gamma_peak_of(amplitudes: Complexes, multiples: Sequence[int], g_mps2: float) -> float:
