@@ -48,3 +48,9 @@ def test_the_step_is_read_from_the_values() -> None:
     assert converter_step(STEP * np.round(spiky / STEP)) == pytest.approx(STEP)
     assert converter_step(read) == 0.0
     assert converter_step(np.zeros(4096)) == 0.0
+
+
+def test_codes_are_counted_as_volts_are_sorted() -> None:
+    """Codes over the whole range of 16 bits show the step that the same numbers show as floats."""
+    codes = np.repeat(np.array([-32768, -32760, -16, -8, 0, 8, 32760], dtype=np.int16), 10)
+    assert converter_step(codes) == converter_step(codes.astype(np.float64)) == 8.0
