@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
-from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, StepState
+from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
 from daq.lock_in import ToneFit
 from kernels import njit
 
@@ -66,6 +66,25 @@ class SpanSums(NamedTuple):
     contact: npt.NDArray[np.bool_]
 
 
+class SpanWindows(NamedTuple):
+    """Windows of ``length`` blocks, ``least`` of them unmasked, else there is no window; numbered from ``counted`` on."""
+
+    length: int
+    least: float
+    counted: int
+
+
+class Scratch(NamedTuple):
+    """What the sums over a span need meanwhile: turns, residuals and columns of some blocks, counts, windows' rows."""
+
+    cosine: Floats
+    sine: Floats
+    left: Floats
+    row: Floats
+    n_slow: Ints
+    row_of: Ints
+
+
 def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     """Slow residual and windowed amplitudes of the open chunk at ``rate_hz`` blocks a second.
 
@@ -95,8 +114,8 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     parts: list[SpanSums] = []
     counted = 0
     for span in state.spans:
-        bounds = span.first, state.mask_level, group, length, least, counted
-        parts.append(SpanSums(*_sum_span(span.values, span.block_class, bounds, tones, rate_hz)))
+        windows = SpanWindows(length, least, counted)
+        parts.append(_sum_span(span, state.mask_level, group, tones, windows, rate_hz))
         counted += parts[-1].time_s.size
     sums = parts[0] if len(parts) == 1 else SpanSums(*(np.concatenate(own) for own in zip(*parts, strict=True)))
     amplitudes, spread, noise = _solve_windows(tones, fits, sums)
@@ -147,21 +166,44 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
     return (state.nominal_hz + away, error, True) if changed else (state.nominal_hz, error, False)
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _sum_span(x, block_class, bounds, tones, rate_hz):  # type: ignore[no-untyped-def]
-    """`SpanSums` of the residuals of the block means ``x`` (n, 2) about the step's ``tones``.
+def _sum_span(span: Span, level: int, group: int, tones: StepTones, windows: SpanWindows, rate_hz: float) -> SpanSums:
+    """Sums of the residuals of a span's block means about the step's ``tones``, in slow bins of ``group`` blocks."""
+    n, q = len(span.values), 2 * tones.rows.size + 1
+    bins, places = n // group, n // windows.length
+    sums = SpanSums(
+        np.empty(bins),
+        np.zeros(bins),
+        np.empty(places),
+        np.zeros((places, q, q)),
+        np.zeros((places, q, 2)),
+        np.zeros((places, 2)),
+        np.zeros(places, dtype=np.int64),
+        np.empty((n, 2)),
+        np.empty(n, dtype=np.int64),
+        np.empty(n, dtype=np.bool_),
+    )
+    scratch = Scratch(
+        np.empty((tones.cycles.size, RESYNC)),
+        np.empty((tones.cycles.size, RESYNC)),
+        np.empty((2, RESYNC)),
+        np.empty((RESYNC, q)),
+        np.zeros(bins, dtype=np.int64),
+        np.empty(places + 1, dtype=np.int64),
+    )
+    w, r = _fill_sums(span.values, span.block_class, span.first, level, group, tones, windows, rate_hz, sums, scratch)
+    return SpanSums(sums.slow_s, sums.slow, *(column[:w] for column in sums[2:7]), *(column[:r] for column in sums[7:]))
 
-    Slow sums take the first channel; block ``i`` belongs to slow bin ``i // group`` and to window ``i // length``. A
-    window of fewer than ``least`` unmasked blocks is none; the rest are counted from ``counted`` on.
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, sums, scratch):  # type: ignore[no-untyped-def]
+    """Fill a span's ``sums`` from its block means ``x`` (n, 2); the numbers of windows and of unmasked intervals.
+
+    Slow sums take the first channel; block ``i`` belongs to slow bin ``i // group``.
     """
-    first, level, group, length, least, counted = bounds
-    rows = tones.rows
-    n, bins, windows, q = x.shape[0], x.shape[0] // group, x.shape[0] // length, 2 * rows.shape[0] + 1
-    slow, n_slow = np.zeros(bins), np.zeros(bins, dtype=np.int64)
-    gram, side = np.zeros((windows, q, q)), np.zeros((windows, q, 2))
-    power, used, row_of = np.zeros((windows, 2)), np.zeros(windows, dtype=np.int64), np.empty(windows + 1, np.int64)
-    left, row = np.empty((2, RESYNC)), np.empty((RESYNC, q))
-    cosine, sine = _turns(tones.cycles, min(RESYNC, n))
+    length, least, counted = windows
+    cosine, sine, left, row, n_slow, row_of = scratch
+    n, q = x.shape[0], row.shape[1]
+    _turns(tones.cycles, cosine, sine)
     for begin in range(0, n, RESYNC):
         size = min(RESYNC, n - begin)
         _residuals(x, begin, size, first, tones, cosine, sine, left, row)
@@ -169,52 +211,56 @@ def _sum_span(x, block_class, bounds, tones, rate_hz):  # type: ignore[no-untype
             i = begin + at
             if block_class[i] % N_MASK_LEVELS < level:
                 continue
-            if i // group < bins:
-                slow[i // group] += left[0, at]
+            if i // group < n_slow.shape[0]:
+                sums.slow[i // group] += left[0, at]
                 n_slow[i // group] += 1
             w = i // length
-            if w < windows:
-                used[w] += 1
+            if w < sums.used.shape[0]:
+                sums.used[w] += 1
                 for a in range(q):
                     for b in range(a + 1):
-                        gram[w, a, b] += row[at, a] * row[at, b]
+                        sums.gram[w, a, b] += row[at, a] * row[at, b]
                     for c in range(2):
-                        side[w, a, c] += row[at, a] * left[c, at]
+                        sums.side[w, a, c] += row[at, a] * left[c, at]
                 for c in range(2):
-                    power[w, c] += left[c, at] * left[c, at]
-    n_windows = 0
-    time_s = np.empty(windows)
-    for w in range(windows):
-        row_of[w] = -1
-        if used[w] >= least:
-            row_of[w] = counted + n_windows
-            time_s[n_windows] = (first + (w + 0.5) * length) / rate_hz
-            used[n_windows] = used[w]
-            power[n_windows], side[n_windows] = power[w], side[w]
-            for a in range(q):
-                for b in range(a + 1):
-                    gram[n_windows, a, b] = gram[n_windows, b, a] = gram[w, a, b]
-            n_windows += 1
-    row_of[windows] = -1
-    slow_s = np.empty(bins)
-    for g in range(bins):
-        slow_s[g] = (first + (g + 0.5) * group) / rate_hz
-        slow[g] = slow[g] / n_slow[g] if n_slow[g] > 0 else np.nan
-    span_s, window, contact = _intervals(block_class, first, level, length, row_of, 1.0 / rate_hz)
-    time_s, gram, side, power = time_s[:n_windows], gram[:n_windows], side[:n_windows], power[:n_windows]
-    return slow_s, slow, time_s, gram, side, power, used[:n_windows], span_s, window, contact
+                    sums.power[w, c] += left[c, at] * left[c, at]
+    for g in range(n_slow.shape[0]):
+        sums.slow_s[g] = (first + (g + 0.5) * group) / rate_hz
+        sums.slow[g] = sums.slow[g] / n_slow[g] if n_slow[g] > 0 else np.nan
+    kept = _keep_windows(first, length, least, counted, rate_hz, sums, row_of)
+    return kept, _intervals(block_class, first, level, length, row_of, 1.0 / rate_hz, sums)
 
 
 @njit(error_model="numpy")
-def _turns(cycles, n):  # type: ignore[no-untyped-def]
+def _keep_windows(first, length, least, counted, rate_hz, sums, row_of):  # type: ignore[no-untyped-def]
+    """Windows of enough blocks go to the front, numbered, their matrices made whole; how many there are."""
+    kept, q = 0, sums.gram.shape[1]
+    for w in range(sums.used.shape[0]):
+        row_of[w] = -1
+        if sums.used[w] >= least:
+            row_of[w] = counted + kept
+            sums.time_s[kept] = (first + (w + 0.5) * length) / rate_hz
+            sums.used[kept] = sums.used[w]
+            for c in range(2):
+                sums.power[kept, c] = sums.power[w, c]
+            for a in range(q):
+                for c in range(2):
+                    sums.side[kept, a, c] = sums.side[w, a, c]
+                for b in range(a + 1):
+                    sums.gram[kept, a, b] = sums.gram[kept, b, a] = sums.gram[w, a, b]
+            kept += 1
+    row_of[row_of.shape[0] - 1] = -1
+    return kept
+
+
+@njit(error_model="numpy")
+def _turns(cycles, cosine, sine):  # type: ignore[no-untyped-def]
     """Cosine and sine (k, n) of the tones' turns since block 0."""
-    cosine, sine = np.empty((cycles.shape[0], n)), np.empty((cycles.shape[0], n))
     for j in range(cycles.shape[0]):
         step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
-        for i in range(n):
+        for i in range(cosine.shape[1]):
             cosine[j, i], sine[j, i] = turn.real, turn.imag
             turn *= step
-    return cosine, sine
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -238,26 +284,26 @@ def _residuals(x, begin, size, first, tones, cosine, sine, left, row):  # type: 
                 for i in range(size):
                     row[i, 2 * r + 1] = a * cosine[j, i] - b * sine[j, i]
                     row[i, 2 * r + 2] = -(a * sine[j, i] + b * cosine[j, i])
-    row[:, 0] = 1.0
+    for i in range(size):
+        row[i, 0] = 1.0
 
 
 @njit(error_model="numpy")
-def _intervals(block_class, first, level, length, row_of, block_s):  # type: ignore[no-untyped-def]
+def _intervals(block_class, first, level, length, row_of, block_s, sums):  # type: ignore[no-untyped-def]
     """Unmasked intervals of consecutive blocks, their windows' rows, and whether the ball lay on the plate."""
-    n, count, before, windows = block_class.shape[0], 0, -4, row_of.shape[0] - 1
-    span_s, window, contact = np.empty((n, 2)), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
-    for i in range(n):
+    count, before, windows = 0, -4, row_of.shape[0] - 1
+    for i in range(block_class.shape[0]):
         w, label = row_of[min(i // length, windows)], -3
         on_plate = block_class[i] // N_MASK_LEVELS == CONTACT
         if block_class[i] % N_MASK_LEVELS >= level:
             label = 2 * w + on_plate
         if label != before:
             if before >= -2:
-                span_s[count - 1, 1] = (first + i) * block_s
+                sums.span_s[count - 1, 1] = (first + i) * block_s
             if label >= -2:
-                span_s[count, 0], window[count], contact[count] = (first + i) * block_s, w, on_plate
+                sums.span_s[count, 0], sums.window[count], sums.contact[count] = (first + i) * block_s, w, on_plate
                 count += 1
             before = label
     if before >= -2:
-        span_s[count - 1, 1] = (first + n) * block_s
-    return span_s[:count].copy(), window[:count].copy(), contact[:count].copy()
+        sums.span_s[count - 1, 1] = (first + block_class.shape[0]) * block_s
+    return count
