@@ -6,7 +6,7 @@ alone. Why its steps were chosen is kept in the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -206,6 +206,11 @@ def _next(
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
+    left_s = aims.budget_s - sum(block.seconds for block in blocks)
+    if loop is not None and loop.verdict == "nothing_missing":
+        wanted = _can_be_shown(loop, aims, pools, known, left_s)
+        if not wanted:
+            return None, f"nothing is missing; the time left would not show less of {_in_list(_too_large(loop, aims))}"
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
@@ -214,11 +219,9 @@ def _next(
     elif loop is not None and loop.verdict == "explained" and len(loop.ties) > 1:
         others = ", ".join(" + ".join(names) for names in loop.ties[1:])
         return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
-    elif loop is not None and loop.verdict == "nothing_missing":
-        return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
         chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
-    if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
+    if chosen.seconds > left_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
 
@@ -228,7 +231,7 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
     from analysis.explore.choice import bistable
 
     a, b = (" + ".join(names) or "the declared model" for names in block.separates)
-    about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {', '.join(map('.'.join, wanted))}"
+    about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {_in_list(wanted)}"
     words = f"{block.nats:.2g} nats in {block.seconds:.1f} s of rig time, above all {about}"
     if twice := bistable(pools, block):
         side = "below" if block.option.rising else "above"
@@ -240,17 +243,37 @@ def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
     """Why the aims are reached, or an empty text."""
     if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
         return f"{' + '.join(loop.names)} alone explains everything"
-    if loop.verdict == "nothing_missing":
-        from analysis.attribution.priors import parameter_of
-
-        above = [
-            name
-            for name, size in loop.detection.items()
-            if size > aims.limit * parameter_of((name.partition(".")[0], name.partition(".")[2])).scale
-        ]
-        if not above:
-            return "nothing is missing, down to the sizes asked for"
+    if loop.verdict == "nothing_missing" and not _too_large(loop, aims):
+        return "nothing is missing, down to the sizes asked for"
     return ""
+
+
+def _too_large(loop: ClosedLoop, aims: Aims) -> dict[ParameterId, float]:
+    """Detection limits above what is asked for, as multiples of it."""
+    from analysis.attribution.priors import parameter_of
+
+    limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.items()}
+    over = {key: size / (aims.limit * parameter_of(key).scale) for key, size in limits.items()}
+    return {key: multiple for key, multiple in over.items() if multiple > 1.0}
+
+
+def _can_be_shown(
+    loop: ClosedLoop, aims: Aims, pools: Sequence[Pool], known: Weighed, left_s: float
+) -> list[ParameterId]:
+    """Of the limits above what is asked for, those that the rig time left would bring down to it."""
+    from analysis.attribution.priors import parameter_of
+    from analysis.explore.choice import sharpest
+
+    return [
+        key
+        for key, multiple in _too_large(loop, aims).items()
+        if key in known.keys and multiple * sharpest(pools, known, key, left_s) ** parameter_of(key).power <= 1.0
+    ]
+
+
+def _in_list(keys: Iterable[ParameterId]) -> str:
+    """Parameters in words."""
+    return ", ".join(map(".".join, keys))
 
 
 def _loose(best: Hypothesis, aims: Aims) -> list[ParameterId]:
