@@ -6,7 +6,7 @@ alone. Why its steps were chosen is kept in the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -199,18 +199,19 @@ def _next(
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
     loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
-    if loop is not None and (why := _reached(loop, best, aims)):
-        return None, why
     known = weighed(world, fitter, best, judged.ties)
+    hidden = _not_shown(loop, aims, known) if loop is not None and loop.verdict == "nothing_missing" else {}
+    if loop is not None and (why := _reached(loop, best, aims, hidden)):
+        return None, why
     if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
     left_s = aims.budget_s - sum(block.seconds for block in blocks)
-    if loop is not None and loop.verdict == "nothing_missing":
-        wanted = _can_be_shown(loop, aims, pools, known, left_s)
+    if hidden:
+        wanted = _can_be_shown(hidden, pools, known, left_s)
         if not wanted:
-            return None, f"nothing is missing; the time left would not show less of {_in_list(_too_large(loop, aims))}"
+            return None, f"nothing is missing; the time left would not show less of {_in_list(hidden)}"
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
@@ -239,34 +240,43 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
     return words
 
 
-def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
+def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims, hidden: Mapping[ParameterId, float]) -> str:
     """Why the aims are reached, or an empty text."""
     if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
         return f"{' + '.join(loop.names)} alone explains everything"
-    if loop.verdict == "nothing_missing" and not _too_large(loop, aims):
+    if loop.verdict == "nothing_missing" and not hidden:
         return "nothing is missing, down to the sizes asked for"
     return ""
 
 
-def _too_large(loop: ClosedLoop, aims: Aims) -> dict[ParameterId, float]:
-    """Detection limits above what is asked for, as multiples of it."""
-    from analysis.attribution.priors import parameter_of
+def _not_shown(loop: ClosedLoop, aims: Aims, known: Weighed) -> dict[ParameterId, float]:
+    """Detection limits above what is asked for, as multiples of it.
+
+    An effect that is more probable than all else together, and not named yet, is to be shown at its own size, with
+    twice the evidence at least that there is now: a verdict asks for more than probability.
+    """
+    from analysis.attribution.priors import null_value_of, parameter_of
 
     limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.items()}
     over = {key: size / (aims.limit * parameter_of(key).scale) for key, size in limits.items()}
+    first = known.explanations[0]
+    if first.names != loop.names and first.probability > 0.5:
+        for key in set(first.free) & set(limits):
+            own = abs(first.values[key] - null_value_of(key))
+            over[key] = max(limits[key] / own if own else 0.0, 2.0 ** (0.5 * parameter_of(key).power))
     return {key: multiple for key, multiple in over.items() if multiple > 1.0}
 
 
 def _can_be_shown(
-    loop: ClosedLoop, aims: Aims, pools: Sequence[Pool], known: Weighed, left_s: float
+    hidden: Mapping[ParameterId, float], pools: Sequence[Pool], known: Weighed, left_s: float
 ) -> list[ParameterId]:
-    """Of the limits above what is asked for, those that the rig time left would bring down to it."""
+    """Of detection limits above what is asked for, those that the rig time left would bring down to it."""
     from analysis.attribution.priors import parameter_of
     from analysis.explore.choice import sharpest
 
     return [
         key
-        for key, multiple in _too_large(loop, aims).items()
+        for key, multiple in hidden.items()
         if key in known.keys and multiple * sharpest(pools, known, key, left_s) ** parameter_of(key).power <= 1.0
     ]
 
