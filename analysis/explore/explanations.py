@@ -193,7 +193,7 @@ class _Fit:
         """By how much each other coordinate that the fit varies goes back when one of ``own`` goes up by one."""
         shared = self._others(own)
         inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
-        return np.linalg.lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0]
+        return np.asarray(np.linalg.lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0])
 
     def evidence(self, own: NDArray[np.int64], at: Array) -> tuple[float, Array, Array]:
         """Log evidence of freeing ``own`` over not freeing it, and how far its coordinates then move, and deviations.

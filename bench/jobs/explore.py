@@ -211,7 +211,7 @@ def _next(
     if hidden:
         wanted = _can_be_shown(hidden, pools, known, left_s)
         if not wanted:
-            return None, f"nothing is missing; the time left would not show less of {_in_list(hidden)}"
+            return None, f"nothing is missing; the time left would not show a smaller {_in_list(hidden)}"
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
