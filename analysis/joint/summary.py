@@ -19,7 +19,7 @@ from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of
-from analysis.attribution.second_order import gradient_and_information, slopes_at
+from analysis.attribution.second_order import adjusted_gradient_and_information, slopes_at
 from analysis.joint.population import Quadratic
 from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
@@ -227,7 +227,7 @@ def _to_second_order(
     origin = np.zeros(len(columns))
     for i, (key, _) in enumerate(columns[: int(np.flatnonzero(ours)[0])]):
         origin[i] = coordinate_of(key, at.get(key, null_value_of(key)))
-    return Quadratic(origin, *gradient_and_information(whitener, raw, both)), errors.sigma
+    return Quadratic(origin, *adjusted_gradient_and_information(whitener, raw, both)), errors.sigma
 
 
 def _packed(x: Array) -> str:

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from analysis.attribution.second_order import gradient_and_information
+from analysis.attribution.second_order import adjusted_gradient_and_information, gradient_and_information
 from analysis.residuals.noise_model import NEVER
 from analysis.residuals.whitening import Whitener
 
@@ -30,12 +30,15 @@ class Independent:
 @pytest.mark.parametrize("freedom", [5.0, np.inf])
 def test_one_step_is_neither_short_nor_surer_than_it_is(freedom: float) -> None:
     """Over many runs the step from nothing has no bias and scatters as stated, for normal and for Student's noise."""
-    rng, true, pulls = np.random.default_rng(2), 0.1, []
+    rng, true, pulls, short = np.random.default_rng(2), 0.1, [], []
     whitener = cast(Whitener, cast(Any, Independent(300, 200)))
     for _ in range(1500):
         slopes = rng.standard_normal((300, 1))
         noise = rng.standard_normal(300) if np.isinf(freedom) else rng.standard_t(freedom, 300)
         raw = noise - true * slopes[:, 0]
-        gradient, information = gradient_and_information(whitener, raw, slopes)
+        gradient, information = adjusted_gradient_and_information(whitener, raw, slopes)
         pulls.append((gradient[0] / information[0, 0] - true) * np.sqrt(information[0, 0]))
+        gradient, information = gradient_and_information(whitener, raw, slopes)
+        short.append(gradient[0] / information[0, 0] / true)
     assert abs(np.mean(pulls)) < 0.1 and np.std(pulls) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(short) < 0.85
