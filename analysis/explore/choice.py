@@ -14,7 +14,7 @@ A. Kolchinsky, B. D. Tracey, Entropy 19, 361 (2017): bounds on the entropy of a 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,14 +187,26 @@ def mutual_information(probability: Array, divergence: Array) -> float:
 
 def sharpened(total: Array, known: Weighed, wanted: Sequence[ParameterId]) -> float:
     """Nats gained about the parameters ``wanted``: logarithms of the ratio of their deviations before and after."""
-    rows, before = known.known_under(known.explanations[0])
+    return -sum(float(np.log(sharper(total, known, key))) for key in wanted if key in known.keys)
+
+
+def sharper(total: Array, known: Weighed, key: ParameterId) -> float:
+    """Deviation of a parameter after data of products ``total``, over that before, beside the likeliest explanation."""
+    first = known.explanations[0]
+    rows, before = known.known_under(replace(first, free=(*first.free, key)))
     some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
-    after = before + total[np.ix_(some, some)]
-    places = [
-        some.index(known.keys.index(key)) for key in wanted if key in known.keys and known.keys.index(key) in some
+    own = some.index(known.keys.index(key))
+    now, then = (np.linalg.inv(x)[own, own] for x in (before, before + total[np.ix_(some, some)]))
+    return float(np.sqrt(then / now))
+
+
+def sharpest(pools: Sequence[Pool], known: Weighed, key: ParameterId, seconds: float) -> float:
+    """As `sharper`, after so much rig time spent on all steps of one option, the best one for it."""
+    whole = [
+        pool.products.sum(axis=0) * max(seconds, 0.0) / pool.option.seconds(range(len(pool.option.gammas)))
+        for pool in pools
     ]
-    a, b = (np.diag(np.linalg.inv(x))[places] for x in (before, after))
-    return float(0.5 * np.sum(np.log(a / b))) if places else 0.0
+    return min(sharper(total, known, key) for total in whole)
 
 
 def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[float, tuple[ParameterId, ...]]:

@@ -2,7 +2,7 @@
 
 Every candidate of the library is one more effect beside the best set found; its size has a normal prior as wide as the
 size at which it would matter. Around the best fit everything is linear, so probability and size follow from one set of
-derivatives.
+derivatives. What is fitted beside a size goes with it: an explanation contradicts no recording that is there already.
 
 References
 ----------
@@ -117,10 +117,13 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     for candidate, own in zip(library, sizes, strict=True):
         nulls = np.array([fitter.to_x(k, null_value_of(k)) for k in own])
         x = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in own])
-        log, mean, deviation = fit.evidence(np.array([keys.index(k) for k in own], dtype=np.int64), x - nulls)
-        x = x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation
-        bounds = np.array([fitter.bounds(k, released=True) for k in own])
-        values = {**at, **fitter.values(own, np.clip(x, bounds[:, 0], bounds[:, 1]))}
+        places = np.array([keys.index(k) for k in own], dtype=np.int64)
+        log, mean, deviation = fit.evidence(places, x - nulls)
+        moved = _within(fitter, own, x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation)
+        rest = [k for k in shared if k not in own]
+        beside = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in rest])
+        beside = _within(fitter, rest, beside - fit.follow(places) @ (moved - x))
+        values = {**at, **fitter.values(rest, beside), **fitter.values(own, moved)}
         logs.append(log)
         found.append(Explanation((*best.names, *candidate.names), (*best.free, *candidate.free), values, 0.0))
     for rival in ties:
@@ -128,6 +131,12 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
             logs.append(0.0)
             found.append(Explanation(rival.names, rival.free, rival.fitted.values, 0.0))
     return Weighed(_normalised(found, np.array(logs)), keys, len(shared), information, stiffness)
+
+
+def _within(fitter: Fitter, keys: Sequence[ParameterId], x: Array) -> Array:
+    """Coordinates of ``keys``, none beyond its bounds."""
+    bounds = np.array([fitter.bounds(k, released=True) for k in keys]).reshape(-1, 2)
+    return np.clip(x, bounds[:, 0], bounds[:, 1])
 
 
 def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
@@ -176,6 +185,16 @@ class _Fit:
     off: Array
     shared: int
 
+    def _others(self, own: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Places of what the fit varies beside ``own``."""
+        return np.setdiff1d(np.arange(self.shared), own)
+
+    def follow(self, own: NDArray[np.int64]) -> Array:
+        """By how much each other coordinate that the fit varies goes back when one of ``own`` goes up by one."""
+        shared = self._others(own)
+        inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
+        return np.asarray(np.linalg.lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0])
+
     def evidence(self, own: NDArray[np.int64], at: Array) -> tuple[float, Array, Array]:
         """Log evidence of freeing ``own`` over not freeing it, and how far its coordinates then move, and deviations.
 
@@ -183,10 +202,8 @@ class _Fit:
         calibration that is freed no longer has its own prior. A fit leaves a gradient of its own precision; what is
         shared follows it first, else a candidate that it nearly replaces would seem to explain it.
         """
-        shared = np.setdiff1d(np.arange(self.shared), own)
-        inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
+        shared, follow = self._others(own), self.follow(own)
         cross = self.information[np.ix_(shared, own)]
-        follow = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
         profiled = self.information[np.ix_(own, own)] - cross.T @ follow
         score = self.gradient[own] - follow.T @ (self.gradient - self.stiffness * self.off)[shared]
         held = own < self.shared  # calibrations that the fit varies, too, by their own priors

@@ -79,7 +79,7 @@ def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[s
     own, shared = point.own, tuple(sorted(point.shared))
     columns = (*((k, ()) for k in (*own, *shared)), *PLACES, *dict.fromkeys(s for o in options for s in o.sizes))
     mean, precision = np.zeros(len(columns)), np.zeros(len(columns))
-    width = np.array([_width(key, point) for key in own])
+    width = np.array([width_of(key, point.priors[key].sigma) for key in own])
     for i, key in enumerate(own):
         mean[i] = coordinate_of(key, point.priors[key].mean)
         precision[i] = 0.0 if key[0] in released else width[i] ** -2.0
@@ -92,9 +92,9 @@ def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[s
     return Aligned(point, columns, options, runs, Prior(mean, precision), width, low, high)
 
 
-def _width(key: tuple[str, str], point: Point) -> float:
-    """Width of a prior in coordinates."""
-    return float(point.priors[key].sigma ** (1.0 / parameter_of(key).power)) / scale_of(key)
+def width_of(key: tuple[str, str], sigma: float) -> float:
+    """Standard deviation of a parameter's prior in coordinates."""
+    return float(sigma ** (1.0 / parameter_of(key).power)) / scale_of(key)
 
 
 def _bounds(key: tuple[str, str]) -> tuple[float, float]:

@@ -1,4 +1,5 @@
-"""Constancy of a parameter over runs: chi-square of its values, and its trend with the date.
+"""Constancy of a parameter over runs: chi-square of its values, its trend with the date, and whether one run alone
+shows it.
 
 References
 ----------
@@ -12,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
+
+from analysis.thresholds import CALIBRATION_SIGMAS, NULL_P
 
 Array = NDArray[np.float64]
 
@@ -71,3 +74,48 @@ def constancy(values: Array, sigmas: Array, time: Array) -> Constancy:
     slope, sigma = float(weight @ ((t - middle) * v)) / lever, float(lever**-0.5)
     p_trend = float(2.0 * norm.sf(abs(slope) / sigma))
     return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, slope, sigma, p_trend)
+
+
+@dataclass(frozen=True)
+class OneRun:
+    """A run that alone shows a parameter.
+
+    Attributes
+    ----------
+    place
+        Of the run.
+    others, others_sigma
+        Mean of all other runs, and its standard deviation.
+    """
+
+    place: int
+    others: float
+    others_sigma: float
+
+
+def one_run_alone(values: Array, sigmas: Array, null: float, width: float) -> OneRun | None:
+    """The run that alone shows a parameter to differ from what does nothing; None where more do, or none does.
+
+    Of a run, a value counts that is farther off than `CALIBRATION_SIGMAS`; of the others together, one that Wald's test
+    tells from ``null`` at `NULL_P`, with their scatter.
+
+    Parameters
+    ----------
+    values, sigmas
+        Of each run, (R,); a sigma that is infinite leaves the run out.
+    null
+        Value that does nothing.
+    width
+        Standard deviation of what is stated from run to run: a calibration within it is no discovery. 0 for an effect.
+    """
+    known = np.flatnonzero(np.isfinite(sigmas))
+    far = np.abs(values[known] - null) / np.hypot(sigmas[known], width)
+    if len(known) < 3 or np.count_nonzero(far > CALIBRATION_SIGMAS) != 1:
+        return None
+    place = int(known[np.argmax(far)])
+    rest = known[known != place]
+    spread = max(constancy(values[rest], sigmas[rest], np.zeros(len(rest))).spread, width)
+    weight = 1.0 / (sigmas[rest] ** 2 + spread**2)
+    mean, sigma = float(weight @ values[rest] / weight.sum()), float(weight.sum() ** -0.5)
+    shared = abs(mean - null) > norm.isf(0.5 * NULL_P) * sigma
+    return None if shared else OneRun(place, mean, sigma)

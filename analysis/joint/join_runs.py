@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -161,9 +161,11 @@ class _Search:
     limits: Thresholds
     rounds: list[str] = field(default_factory=list)
     dropped: set[tuple[str, ...]] = field(default_factory=set)
+    declared: Mapping[ParameterId, Prior] = field(default_factory=dict)
 
     def run(self) -> JointVerdict:
-        state = self._at(Point(self.passes.priors()), ())
+        self.declared = self.passes.priors()
+        state = self._at(Point(self.declared), ())
         state = self._begun_alone(state)
         first: list[Tested] = []
         ties: tuple[tuple[str, ...], ...] = (state.names,) if state.named else ()
@@ -192,7 +194,7 @@ class _Search:
         )
         times, dated = _days(state.summaries)
         return outcome_of(
-            state.summaries, state.world, state.found, self.limits, times,
+            state.summaries, state.world, state.found, self.limits, times, self.declared,
             names=state.names, ties=ties, candidates=tried, rounds=tuple(self.rounds), passes=self.passes.done,
             dated=dated,
         )  # fmt: skip
@@ -276,7 +278,8 @@ class _Search:
     def _own_where_they_differ(self, state: _State) -> _State:
         """Shared parameters that differ between runs become the runs' own, about a mean."""
         times, _ = _days(state.summaries)
-        differing = outcome_of(state.summaries, state.world, state.found, self.limits, times).differing
+        now = outcome_of(state.summaries, state.world, state.found, self.limits, times, self.declared)
+        differing = now.differing
         keys = {(x.effect, x.parameter): x for x in differing if (x.effect, x.parameter) in state.point.shared}
         if not keys:
             return state

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attribution.priors import parameter_of, value_at
-from analysis.joint.alignment import Aligned
-from analysis.joint.constancy import Constancy, constancy
+from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, value_at
+from analysis.joint.alignment import Aligned, width_of
+from analysis.joint.constancy import Constancy, OneRun, constancy, one_run_alone
 from analysis.joint.population import Population, alone
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, Systematic
 from analysis.joint.summary import RunSummary
@@ -31,6 +31,7 @@ def outcome_of(
     found: Population,
     limits: Thresholds,
     days: Array,
+    declared: Mapping[ParameterId, Prior],
     *,
     names: tuple[str, ...] = (),
     ties: tuple[tuple[str, ...], ...] = (),
@@ -46,6 +47,8 @@ def outcome_of(
         Thresholds of the verdict.
     days
         Time of each run, (R,).
+    declared
+        Priors of calibrations before any run.
     names, ties
         What was named, and what ties with it.
     course
@@ -53,7 +56,9 @@ def outcome_of(
     """
     columns = world.columns[: world.named - len(PLACES)]
     level = limits.best_of_all_p / max(len(columns), 1)
-    parameters = tuple(_over_runs(world, found, i, key, days, level) for i, (key, _) in enumerate(columns))
+    parameters = tuple(
+        _over_runs(world, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
+    )
     runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
     shared = tuple(_systematic(world, found, name, len(columns) + i) for i, name in enumerate(NAMES))
     told = {"candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
@@ -69,7 +74,15 @@ def _systematic(world: Aligned, found: Population, name: str, place: int) -> Sys
     return Systematic(name, us * float(found.x[place]), us * found.sigma(place), us * prior)
 
 
-def _over_runs(world: Aligned, found: Population, place: int, key: ParameterId, days: Array, level: float) -> OverRuns:
+def _over_runs(
+    world: Aligned,
+    found: Population,
+    place: int,
+    key: ParameterId,
+    days: Array,
+    level: float,
+    declared: Prior | None,
+) -> OverRuns:
     """One parameter over the runs."""
     values, sigmas = alone(world.runs, found, place)
     own = place < len(world.width)
@@ -83,8 +96,18 @@ def _over_runs(world: Aligned, found: Population, place: int, key: ParameterId, 
     return OverRuns(
         *key, parameter_of(key).unit, "effect" if effect else "calibration", value_at(key, x), _in_unit(key, x, sigma),
         _in_unit(key, x, spread), tuple(v for v, _ in inside), tuple(s for _, s in inside),
-        _in_units(key, x, test), test.differs(level),
+        _in_units(key, x, test), test.differs(level), _one_run(key, values, sigmas, declared) if effect else None,
     )  # fmt: skip
+
+
+def _one_run(key: ParameterId, values: Array, sigmas: Array, declared: Prior | None) -> OneRun | None:
+    """The run that alone shows a named effect, its others in the parameter's unit."""
+    stated = Prior(null_value_of(key), 0.0) if declared is None else declared
+    found = one_run_alone(values, sigmas, coordinate_of(key, stated.mean), width_of(key, stated.sigma))
+    if found is None:
+        return None
+    sigma = _in_unit(key, found.others, found.others_sigma)
+    return replace(found, others=value_at(key, found.others), others_sigma=sigma)
 
 
 def _in_units(key: ParameterId, x: float, test: Constancy) -> Constancy:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from analysis.joint.constancy import Constancy
+from analysis.joint.constancy import Constancy, OneRun
 from analysis.loop.verdict import Verdict
 
 
@@ -58,6 +58,8 @@ class OverRuns:
         Test of these values, with a trend per day.
     differs
         Whether they differ between runs beyond chance.
+    one_run
+        The run that alone shows a named effect; None where others show it, too.
     """
 
     effect: str
@@ -71,6 +73,7 @@ class OverRuns:
     sigmas: tuple[float, ...]
     constancy: Constancy
     differs: bool
+    one_run: OneRun | None
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,11 @@ class JointVerdict:
     def odd(self) -> tuple[RunOutcome, ...]:
         """Runs that the joint values do not explain."""
         return tuple(run for run in self.runs if run.failed)
+
+    @property
+    def of_one_run(self) -> tuple[tuple[OverRuns, OneRun, RunOutcome], ...]:
+        """Named parameters that one run alone shows, what the others say, and that run."""
+        return tuple((x, x.one_run, self.runs[x.one_run.place]) for x in self.parameters if x.one_run is not None)
 
     @property
     def differing(self) -> tuple[OverRuns, ...]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from analysis.joint.result import JointVerdict, OverRuns
+from analysis.joint.constancy import OneRun
+from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
 
 
 def as_json(found: JointVerdict) -> dict[str, Any]:
@@ -18,7 +20,7 @@ def as_json(found: JointVerdict) -> dict[str, Any]:
         "odd_runs": [run.recording for run in found.odd],
         "dated": found.dated,
         "passes": found.passes,
-        "parameters": [_parameter(x) for x in found.parameters],
+        "parameters": [_parameter(x, found.runs) for x in found.parameters],
         "systematics": [_row(asdict(x)) for x in found.systematics],
         "runs": [_row(asdict(run)) for run in found.runs],
         "candidates": [_row(asdict(x)) for x in found.candidates],
@@ -26,8 +28,8 @@ def as_json(found: JointVerdict) -> dict[str, Any]:
     }
 
 
-def _parameter(x: OverRuns) -> dict[str, Any]:
-    test = x.constancy
+def _parameter(x: OverRuns, runs: Sequence[RunOutcome]) -> dict[str, Any]:
+    test, one = x.constancy, x.one_run
     return {
         "effect": x.effect,
         "parameter": x.parameter,
@@ -37,6 +39,7 @@ def _parameter(x: OverRuns) -> dict[str, Any]:
         "sigma": _finite(x.sigma),
         "spread": _finite(x.spread),
         "differs": x.differs,
+        "one_run": None if one is None else _one_run(one, runs),
         "chi_square": _finite(test.chi_square),
         "degrees": test.degrees,
         "p_constant": _finite(test.p),
@@ -46,6 +49,11 @@ def _parameter(x: OverRuns) -> dict[str, Any]:
         "values": [_finite(v) for v in x.values],
         "sigmas": [_finite(v) for v in x.sigmas],
     }
+
+
+def _one_run(x: OneRun, runs: Sequence[RunOutcome]) -> dict[str, Any]:
+    recording = runs[x.place].recording
+    return {"recording": recording, "others": _finite(x.others), "others_sigma": _finite(x.others_sigma)}
 
 
 def _row(record: dict[str, Any]) -> dict[str, Any]:

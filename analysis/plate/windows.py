@@ -67,7 +67,7 @@ class SpanSums(NamedTuple):
 
 
 class SpanWindows(NamedTuple):
-    """Windows of ``length`` blocks, ``least`` of them unmasked, else there is no window; numbered from ``counted`` on."""
+    """Windows of ``length`` blocks, ``least`` of them unmasked, else there is no window, numbered from ``counted``."""
 
     length: int
     least: float
@@ -194,7 +194,7 @@ def _sum_span(span: Span, level: int, group: int, tones: StepTones, windows: Spa
     return SpanSums(sums.slow_s, sums.slow, *(column[:w] for column in sums[2:7]), *(column[:r] for column in sums[7:]))
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@njit(error_model="numpy")
 def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, sums, scratch):  # type: ignore[no-untyped-def]
     """Fill a span's ``sums`` from its block means ``x`` (n, 2); the numbers of windows and of unmasked intervals.
 

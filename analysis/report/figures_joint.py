@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.joint.result import JointVerdict, OverRuns
+from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
 from analysis.loop.parameters import Z95
 from analysis.report.style import BAND, MEASURED, MODEL, badge_text, save_picture
 from analysis.report.wording import plain
@@ -30,9 +31,8 @@ def draw_runs(found: JointVerdict, figure: Figure) -> None:
         return
     figure.set_size_inches(7.2, HEAD_INCHES + ROW_INCHES * len(shown))
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    days = np.array([run.days for run in found.runs])
     for ax, x in zip(axes, shown, strict=True):
-        _draw_one(ax, x, days)
+        _draw_one(ax, x, found.runs)
     axes[-1].set_xlabel("days since the first run" if found.dated else "run")
 
 
@@ -43,12 +43,15 @@ def write_pictures(found: JointVerdict, folder: Path, *, simulated: bool) -> Pat
     return folder / "runs.png"
 
 
-def _draw_one(ax: Any, x: OverRuns, days: np.ndarray) -> None:
+def _draw_one(ax: Any, x: OverRuns, runs: Sequence[RunOutcome]) -> None:
+    days = np.array([run.days for run in runs])
     known = np.isfinite(x.sigmas)
     values, sigmas = np.array(x.values)[known], np.array(x.sigmas)[known]
     ax.axhspan(x.value - Z95 * x.sigma, x.value + Z95 * x.sigma, color=BAND, lw=0)
     ax.axhline(x.value, color=MODEL, lw=1.0)
     ax.errorbar(days[known], values, Z95 * sigmas, fmt="o", ms=3.5, lw=0.9, color=MEASURED)
     words = "differs between runs" if x.differs else "one value for all runs"
+    if x.one_run is not None:
+        words = f"one run's alone: {Path(runs[x.one_run.place].recording).name}"
     ax.set_title(f"{plain(x.effect)}: {plain(x.parameter)}, {words}", fontsize=9, loc="left")
     ax.set_ylabel(x.unit if x.unit != "1" else "relative")

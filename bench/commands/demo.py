@@ -47,7 +47,7 @@ def command(
     try:
         check_outputs(Folder("--out", folder, makes=()), inputs=[profile, scenario])
         checked, text = _simulated(profile)
-        hidden = _sealed(seed) if scenario is None else load_scenario(find_scenario(scenario))
+        hidden = _sealed(seed, checked) if scenario is None else load_scenario(find_scenario(scenario))
         _claim(folder)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
@@ -103,13 +103,14 @@ def _simulated(name: str) -> tuple[Profile, str]:
     return profile, text
 
 
-def _sealed(seed: int) -> Scenario:
-    """A scenario drawn by chance among the effects that have a name."""
+def _sealed(seed: int, profile: Profile) -> Scenario:
+    """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow."""
     import numpy as np
 
-    from rig.sim.blind_scenarios import pool, sealed_scenario
+    from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
 
-    return sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong")
+    allowed = left_open(profile.setup())
+    return sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong", allowed=allowed)
 
 
 def _claim(folder: Path) -> None:

@@ -27,6 +27,7 @@ def command(
     frequencies: str = typer.Option("", "--frequencies", help="First tones that may be driven, Hz; the profile's."),
     steps: int = typer.Option(4, "--steps", min=2, help="Steps of each block."),
     hold_cycles: int = typer.Option(10, "--hold", min=8, help="Cycles for which each step is held."),
+    settle_cycles: int = typer.Option(4, "--settle", min=0, help="Cycles waited after each fade, for the plate."),
     ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
     real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),
     live: bool = typer.Option(False, "--live", help="Serve a page on which the blocks are watched, held and replaced."),
@@ -66,7 +67,7 @@ def command(
         checked, text = load(profile)
         aims = Aims(
             budget_s or run_seconds(checked), _targets(until), limit, _numbers(ratios, "--ratios", int),
-            _numbers(frequencies, "--frequencies", float), steps, hold_cycles,
+            _numbers(frequencies, "--frequencies", float), steps, hold_cycles, settle_cycles,
         )  # fmt: skip
         out.mkdir(parents=True, exist_ok=True)
         typed = typed_lines()

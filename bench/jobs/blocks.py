@@ -47,6 +47,8 @@ class Aims:
         Values of c, and of the first tone, that may be driven.
     steps, hold_cycles
         Of each block.
+    settle_cycles
+        Waited after each fade. The plate must settle, the ball need not: each flight is judged from the event before.
     """
 
     budget_s: float
@@ -56,6 +58,7 @@ class Aims:
     frequencies_hz: tuple[float, ...] = ()
     steps: int = 4
     hold_cycles: int = 10
+    settle_cycles: int = 4
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,7 @@ def block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: S
         "ramp.gamma": list(gammas),
         "ramp.order": "down" if len(gammas) > 1 and gammas[-1] < gammas[0] else "up",
         "ramp.hold_cycles": aims.hold_cycles,
+        "ramp.settle_cycles": aims.settle_cycles,
     }
     return with_values(text, values, "the profile")
 

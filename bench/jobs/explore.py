@@ -6,7 +6,7 @@ alone. Why its steps were chosen is kept in the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -199,13 +199,19 @@ def _next(
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
     loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
-    if loop is not None and (why := _reached(loop, best, aims)):
-        return None, why
     known = weighed(world, fitter, best, judged.ties)
+    hidden = _not_shown(loop, aims, known) if loop is not None and loop.verdict == "nothing_missing" else {}
+    if loop is not None and (why := _reached(loop, best, aims, hidden)):
+        return None, why
     if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
+    left_s = aims.budget_s - sum(block.seconds for block in blocks)
+    if hidden:
+        wanted = _can_be_shown(hidden, pools, known, left_s)
+        if not wanted:
+            return None, f"nothing is missing; the time left would not show a smaller {_in_list(hidden)}"
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
@@ -214,11 +220,9 @@ def _next(
     elif loop is not None and loop.verdict == "explained" and len(loop.ties) > 1:
         others = ", ".join(" + ".join(names) for names in loop.ties[1:])
         return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
-    elif loop is not None and loop.verdict == "nothing_missing":
-        return None, f"nothing is missing; no block would tell {LEAST_NATS} nats more"
     else:
         chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
-    if sum(block.seconds for block in blocks) + chosen.seconds > aims.budget_s:
+    if chosen.seconds > left_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
 
@@ -228,7 +232,7 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
     from analysis.explore.choice import bistable
 
     a, b = (" + ".join(names) or "the declared model" for names in block.separates)
-    about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {', '.join(map('.'.join, wanted))}"
+    about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {_in_list(wanted)}"
     words = f"{block.nats:.2g} nats in {block.seconds:.1f} s of rig time, above all {about}"
     if twice := bistable(pools, block):
         side = "below" if block.option.rising else "above"
@@ -236,21 +240,50 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
     return words
 
 
-def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims) -> str:
+def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims, hidden: Mapping[ParameterId, float]) -> str:
     """Why the aims are reached, or an empty text."""
     if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
         return f"{' + '.join(loop.names)} alone explains everything"
-    if loop.verdict == "nothing_missing":
-        from analysis.attribution.priors import parameter_of
-
-        above = [
-            name
-            for name, size in loop.detection.items()
-            if size > aims.limit * parameter_of((name.partition(".")[0], name.partition(".")[2])).scale
-        ]
-        if not above:
-            return "nothing is missing, down to the sizes asked for"
+    if loop.verdict == "nothing_missing" and not hidden:
+        return "nothing is missing, down to the sizes asked for"
     return ""
+
+
+def _not_shown(loop: ClosedLoop, aims: Aims, known: Weighed) -> dict[ParameterId, float]:
+    """Detection limits above what is asked for, as multiples of it.
+
+    An effect that is more probable than all else together, and not named yet, is to be shown at its own size, with
+    twice the evidence at least that there is now: a verdict asks for more than probability.
+    """
+    from analysis.attribution.priors import null_value_of, parameter_of
+
+    limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.items()}
+    over = {key: size / (aims.limit * parameter_of(key).scale) for key, size in limits.items()}
+    first = known.explanations[0]
+    if first.names != loop.names and first.probability > 0.5:
+        for key in set(first.free) & set(limits):
+            own = abs(first.values[key] - null_value_of(key))
+            over[key] = max(limits[key] / own if own else 0.0, 2.0 ** (0.5 * parameter_of(key).power))
+    return {key: multiple for key, multiple in over.items() if multiple > 1.0}
+
+
+def _can_be_shown(
+    hidden: Mapping[ParameterId, float], pools: Sequence[Pool], known: Weighed, left_s: float
+) -> list[ParameterId]:
+    """Of detection limits above what is asked for, those that the rig time left would bring down to it."""
+    from analysis.attribution.priors import parameter_of
+    from analysis.explore.choice import sharpest
+
+    return [
+        key
+        for key, multiple in hidden.items()
+        if key in known.keys and multiple * sharpest(pools, known, key, left_s) ** parameter_of(key).power <= 1.0
+    ]
+
+
+def _in_list(keys: Iterable[ParameterId]) -> str:
+    """Parameters in words."""
+    return ", ".join(map(".".join, keys))
 
 
 def _loose(best: Hypothesis, aims: Aims) -> list[ParameterId]:

@@ -19,6 +19,11 @@ def show(found: JointVerdict) -> None:
     out.print(f"\nverdict on {len(found.runs)} runs: {WORDS[found.verdict]}{names}", style="bold", soft_wrap=True)
     for run in found.odd:
         out.print(f"  {run.recording} is not explained ({', '.join(run.failed)})", soft_wrap=True)
+    for x, rest, run in found.of_one_run:
+        own = f"{x.values[rest.place]:.3g} +- {x.sigmas[rest.place]:.2g}"
+        others = f"{rest.others:.2g} +- {rest.others_sigma:.2g}"
+        words = f"one run's alone: {run.recording} has {own}, all others together {others} (unit {x.unit})"
+        out.print(f"  {x.effect}.{x.parameter} is {words}", soft_wrap=True)
     if len(found.ties) > 1:
         others = "; ".join(" + ".join(names) for names in found.ties[1:])
         out.print(f"  the runs cannot tell this from: {others}", soft_wrap=True)

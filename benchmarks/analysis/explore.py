@@ -1,6 +1,7 @@
 """Rig seconds to a verdict: steps chosen by information, steps drawn by chance, and the standard ramp, on sealed rigs.
 
     python -m benchmarks.analysis.explore RESULTS --rigs 40 --seed-base 5000 --workers 2 [--plant other] [--minutes 60]
+    python -m benchmarks.analysis.explore RESULTS --rigs 40 --seed-base 5000 --strategies chosen
     python -m benchmarks.analysis.explore RESULTS --show
 
 Every strategy meets the same sealed rigs. The ramp is judged once, when it is over; a strategy that chooses stops by
@@ -150,22 +151,23 @@ def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def show(rows: list[dict[str, Any]]) -> None:
-    """Rig seconds and verdicts by strategy, on the rigs that every strategy has met."""
+    """Rig seconds and verdicts by strategy, on the rigs that every strategy driven has met."""
     for row in rows:
         if "failed" in row:
             print(f"{row['key']}: {row['failed']}")
     rows = [row for row in rows if "failed" not in row]
-    seeds = set.intersection(*({(r["plant"], r["seed"]) for r in rows if r["strategy"] == s} for s in STRATEGIES))
+    driven = [s for s in STRATEGIES if any(r["strategy"] == s for r in rows)]
+    seeds = set.intersection(*({(r["plant"], r["seed"]) for r in rows if r["strategy"] == s} for s in driven))
     rows = [r for r in rows if (r["plant"], r["seed"]) in seeds]
     clean = len({(r["plant"], r["seed"]) for r in rows if not r["hidden"]})
-    print(f"{len(seeds)} sealed rigs that every strategy has met, {clean} of them hide nothing\n")
+    print(f"{len(seeds)} sealed rigs that every strategy driven has met, {clean} of them hide nothing\n")
     print(
         "| plant | strategy | right and closed | false names | false alarms where nothing is hidden "
         "| rig time over the ramp's, median (95 %) | processor s a rig |"
     )
     print("|---|---|---|---|---|---|---|")
     for plant in sorted({r["plant"] for r in rows}):
-        for strategy in STRATEGIES:
+        for strategy in driven:
             own = [r for r in rows if r["strategy"] == strategy and r["plant"] == plant]
             ratio, low, high = median_interval([r["rig_s"] / r["standard_s"] for r in own])
             cells = (
@@ -185,7 +187,7 @@ def show(rows: list[dict[str, Any]]) -> None:
 def missing(args: argparse.Namespace, journal: Journal, end: float) -> Iterator[tuple[str, tuple[str, str, int]]]:
     """Trials without a row of this version, a rig's one after another, until the time is over."""
     for seed in range(args.seed_base, args.seed_base + args.rigs):
-        for strategy in STRATEGIES:
+        for strategy in args.strategies.split(","):
             key = f"{code_version(*DRIVING)}:{args.plant}/{seed}/{strategy}"
             if time.monotonic() > end:
                 return
@@ -200,6 +202,7 @@ def main() -> None:
     options.add_argument("--rigs", type=int, default=40)
     options.add_argument("--seed-base", type=int, default=5000)
     options.add_argument("--plant", choices=("own", "other"), default="own")
+    options.add_argument("--strategies", default=",".join(STRATEGIES), help="that are driven; shown are those driven")
     options.add_argument("--minutes", type=float, default=60.0, help="no trial is begun later")
     options.add_argument("--workers", type=int, default=1, help="processes")
     options.add_argument("--show", action="store_true", help="only print, of the version that ran last")

@@ -60,7 +60,7 @@ from model.orbits.lane_state import (
     S,
     V,
     X,
-    ladders,
+    edge_rows,
     law_of_lane,
     numbers,
     place_on,
@@ -192,10 +192,10 @@ def turn_segments(both: Floats, work: Floats) -> None:
     """From a standstill in mid-air to the next rise or fall, hanging between, in every lane that stands still."""
     flat = work.reshape(-1)
     stops = numbers(flat, STOPS) > 0.5
-    ladder_up, ladder_down = ladders(work)
+    from_up, from_down = edge_rows(work)
     phi, up_last, down_last = numbers(flat, X), numbers(flat, UP_LAST), numbers(flat, DOWN_LAST)
-    at, i = place_on(flat, (ladder_down, work.shape[0]), phi)
-    at_up, k = place_on(flat, (ladder_up, ladder_down), phi)
+    at, i = place_on(flat, (from_down, work.shape[0]), phi)
+    at_up, k = place_on(flat, (from_up, from_down), phi)
     at = select(down_last > 0.0, at, phi)
     up, down = (numbers(flat, UP), up_last, at_up, k), (numbers(flat, DOWN), down_last, at, i)
     here = numbers(flat, S_X), numbers(flat, SLOPE_X)

@@ -37,15 +37,15 @@ def numbers(flat: Floats, name: int) -> Number:
 
 
 @inlined
-def ladders(work: Floats) -> tuple[int, int]:
+def edge_rows(work: Floats) -> tuple[int, int]:
     """Rows of ``work`` after `NUMBERS`, as many for the tables going up as down: a lane's edges below each other."""
     return NUMBERS, NUMBERS + (work.shape[0] - NUMBERS) // 2
 
 
 @compiled
-def lay_ladders(both: Floats, work: Floats, lane: int) -> None:
-    """Copy the edges of a lane's tables to its ladders; what is left of a ladder is out of reach."""
-    up, down = ladders(work)
+def copy_edges(both: Floats, work: Floats, lane: int) -> None:
+    """Copy the edges of a lane's tables to their rows of ``work``; a row left over is out of reach."""
+    up, down = edge_rows(work)
     for row in range(NUMBERS, work.shape[0]):
         rises = row < down
         k = row - (up if rises else down)
@@ -55,7 +55,7 @@ def lay_ladders(both: Floats, work: Floats, lane: int) -> None:
 
 @inlined
 def place_on(flat: Floats, rows: tuple[int, int], phi: Number) -> tuple[Number, Number]:
-    """``phi`` folded onto the period of the tables whose ladder has the ``rows`` (from, to), and its branch."""
+    """``phi`` folded onto the period of the tables whose edges are in the ``rows`` (from, to), and its branch."""
     first = numbers(flat, rows[0])
     folded = phi - TWO_PI * floor((phi - first) * (1.0 / TWO_PI))
     folded = select(folded < first, folded + TWO_PI, folded)

@@ -56,8 +56,8 @@ from model.orbits.lane_state import (
     TURN,
     UP,
     UP_LAST,
+    copy_edges,
     law_of_lane,
-    lay_ladders,
 )
 
 CHATTERING = 3  # column of the outcome: the cycle holds a completed chatter
@@ -284,7 +284,7 @@ def _fly_of(
                     else:
                         _take_row(tones, taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
                         if both_ways:
-                            lay_ladders(both, work, lane)
+                            copy_edges(both, work, lane)
                         leave(tones, both, closes, work, whole, flights, marks, lane)
                     taken += 1
                 busy += whole[STATUS, lane] == FLIES

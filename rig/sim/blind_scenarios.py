@@ -6,18 +6,20 @@ truth can be kept aside and opened after the verdict is written.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
+from daq.setup.setup import Setup
 from rig.sim.catalogue import BEYOND, EFFECTS, NAMED, EffectEntry
 from rig.sim.scenario import Scenario
 
 Strength = Literal["weak", "medium", "strong"]
 
 STRENGTHS: dict[str, tuple[float, float]] = {"weak": (1.0, 3.0), "medium": (3.0, 5.0), "strong": (5.0, 100.0)}
-"""Typical residual in units of the noise floor."""
+"""Typical residual in units of the noise floor, and least size in units of what a calibration leaves open."""
 
 NUISANCES = ("contact_gap", "contact_closure")
 """Effects of the contact circuit alone: never the one to be found, but may be added."""
@@ -36,6 +38,21 @@ def pool(kind: Literal["named", "beyond", "covariate"]) -> tuple[str, ...]:
     return tuple(entry.name for entry in BEYOND if kind == "beyond" or entry.covariate)
 
 
+def left_open(setup: Setup) -> dict[tuple[str, str], float]:
+    """Size of each effect that the stated uncertainties of a rig's calibrations allow, by effect and parameter.
+
+    Gravity enters through gamma alone, so it is no better known than the scales of acceleration.
+    """
+    drive, sensitivity = setup.drive, setup.channels.accelerometer.sensitivity
+    reads = sensitivity.uncertainty / abs(sensitivity.value)
+    out = {("accelerometer_gain", "relative"): reads, ("local_gravity", "relative"): reads}
+    if drive.g_per_volt is not None:
+        out["drive_gain", "relative"] = drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value)
+        lag_s = np.radians(drive.phase_deg.uncertainty) / (2.0 * np.pi * setup.forcing.frequency_hz)
+        out["phase_lag", "time_constant_s"] = float(lag_s)
+    return out
+
+
 def sealed_scenario(
     rng: np.random.Generator,
     names: Sequence[str],
@@ -43,6 +60,7 @@ def sealed_scenario(
     strength: Strength = "strong",
     count: int = 1,
     floor_us: float = 10.0,
+    allowed: Mapping[tuple[str, str], float] = MappingProxyType({}),
     drift: bool = False,
     nuisances: bool = False,
 ) -> Scenario:
@@ -59,6 +77,9 @@ def sealed_scenario(
         How many effects (2 for a pair, 0 for a clean rig).
     floor_us : float
         The noise floor that strengths are meant against, in microseconds of landing time.
+    allowed : mapping
+        Uncertainties of the rig's calibrations, by effect and parameter, from `left_open`: what they allow is no
+        effect yet, so one that looks like a calibration has at least as many of them as its strength has noise floors.
     drift : bool
         Let the first effect's size drift by half to all of itself in a minute.
     nuisances : bool
@@ -77,7 +98,7 @@ def sealed_scenario(
     if not 0 <= count <= len(names):
         raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")
     chosen = [str(name) for name in rng.permutation(np.array(list(names), dtype=object))[:count]]
-    effects = {name: _draw(rng, EFFECTS[name], strength, floor_us) for name in chosen}
+    effects = {name: _draw(rng, EFFECTS[name], strength, floor_us, allowed) for name in chosen}
     rates: dict[str, float] = {}
     if drift and chosen:
         for parameter in EFFECTS[chosen[0]].parameters:
@@ -91,7 +112,13 @@ def sealed_scenario(
     return Scenario("sealed", effects, rig, rates, rng.bytes(16).hex())
 
 
-def _draw(rng: np.random.Generator, entry: EffectEntry, strength: Strength, floor_us: float) -> dict[str, float]:
+def _draw(
+    rng: np.random.Generator,
+    entry: EffectEntry,
+    strength: Strength,
+    floor_us: float,
+    allowed: Mapping[tuple[str, str], float],
+) -> dict[str, float]:
     """Values of one effect: shapes from their ranges, sizes scaled to the strength but never above the strong range."""
     low, high = STRENGTHS[strength]
     target_us = floor_us * float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -102,7 +129,7 @@ def _draw(rng: np.random.Generator, entry: EffectEntry, strength: Strength, floo
             values[parameter.name] = float(rng.uniform(*parameter.strong))
             continue
         middle = 0.5 * sum(parameter.strong)
-        size = share * middle * rng.uniform(0.8, 1.25)
+        size = max(share * middle * rng.uniform(0.8, 1.25), low * allowed.get((entry.name, parameter.name), 0.0))
         if parameter.low < 0.0 and rng.random() < 0.5:
             size = -size
         values[parameter.name] = float(np.clip(size, parameter.low, parameter.high))

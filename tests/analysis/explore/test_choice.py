@@ -5,7 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.explore.choice import Pool, apart, divergences, limits_of, mutual_information, sharpened
+from analysis.explore.choice import (
+    Option,
+    Pool,
+    apart,
+    divergences,
+    limits_of,
+    mutual_information,
+    sharpened,
+    sharpest,
+)
 from analysis.explore.explanations import Explanation, Weighed, _Fit
 
 A, B, SCALE = ("effect", "a"), ("effect", "b"), ("gauge", "gain")
@@ -86,6 +95,39 @@ def test_sharpening_is_the_logarithm_of_the_deviations():
     total[1, 1] = 60.0
     assert sharpened(total, found, [A]) == pytest.approx(np.log(4.0), rel=1e-6)
     assert sharpened(total, found, []) == 0.0
+
+
+def test_the_time_left_is_spent_on_the_best_option_and_not_beyond_a_calibration():
+    """A size is as sharp as its best option makes it in the time left; one that a calibration bounds, hardly at all."""
+    size, gain = ("coulomb_friction", "mu_up"), ("accelerometer_gain", "relative")
+    none = Explanation((), (), {}, 1.0)
+
+    def pool(information, seconds):
+        option = Option(None, (0.5, 0.6), 10, lambda places: seconds * len(places))
+        return Pool(option, np.array([np.pad(information, (0, 1))] * 2), np.zeros(2))
+
+    apart_ = np.diag([0.0, 15.0])
+    known_apart = Weighed((none,), (gain, size), 1, np.diag([0.0, 10.0]), np.array([4.0, 0.0]))
+    pools = [pool(apart_, 1.0), pool(apart_, 5.0)]
+    assert sharpest(pools, known_apart, size, 2.0) == pytest.approx(0.5)  # 10 before, 30 more in two seconds
+    assert sharpest(pools, known_apart, size, -1.0) == pytest.approx(1.0)
+    both = 100.0 * np.ones((2, 2))  # data see gain + size alone
+    known_both = Weighed((none,), (gain, size), 1, both, np.array([4.0, 0.0]))
+    assert sharpest([pool(both, 1.0)], known_both, size, 200.0) > 0.98
+
+
+def test_calibrations_go_with_a_size():
+    """An explanation one deviation away contradicts what is recorded by half a nat, not by what gauges could absorb."""
+    data = 1e4 * np.array([[1.0, 1.0], [1.0, 1.001]])  # a gain, and a size that looks nearly like it
+    stiffness = np.array([4.0, 0.0])
+    fit = _Fit(data, np.zeros(2), stiffness, np.zeros(2), 1)
+    own = np.array([1])
+    _, _, deviation = fit.evidence(own, np.zeros(1))
+    size = float(deviation[0])
+    moved = np.array([-float(fit.follow(own)[0, 0]) * size, size])
+    prior = np.diag([4.0, 1.0])  # of the gain; of the size, one unit
+    assert 0.5 * moved @ (data + prior) @ moved == pytest.approx(0.5, rel=1e-6)
+    assert 0.5 * size**2 * data[1, 1] > 100.0
 
 
 def test_a_fit_that_stopped_short_is_no_evidence():

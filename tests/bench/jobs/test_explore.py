@@ -1,15 +1,21 @@
 """A rig that chooses its own steps: within the limits, to the hidden cause, from where it was stopped."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import shakerbench as sb
+from analysis.attribution.priors import parameter_of
+from analysis.explore.choice import Pool
+from analysis.explore.explanations import Explanation, Weighed
 from bench.commands.explore import Driver
 from bench.jobs.blocks import Aims, Driven, by_person, offers, run_seconds, tells
 from bench.jobs.blocks import Chosen as Block
-from bench.jobs.explore import explore
+from bench.jobs.explore import _can_be_shown, _not_shown, explore
 from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
@@ -33,6 +39,51 @@ def test_every_offer_is_within_the_limits():
         assert not planned(parse_profile(with_values(tight, ramp, "p")))[2]
     with pytest.raises(InputError, match="allow no block"):
         offers(with_values(TEXT, {"limits.plate_mps2": 3.0}, "p"), Aims(60.0))
+
+
+def test_blocks_wait_for_the_plate_alone():
+    """A step of a block settles for as many cycles as are asked for, whatever the profile's ramp waits."""
+    for option in offers(TEXT, Aims(60.0, settle_cycles=3)):
+        whole, half = option.seconds(range(8)), option.seconds(range(4))
+        waited = offers(TEXT, Aims(60.0, settle_cycles=7))[0]
+        if option.setup.forcing == waited.setup.forcing and option.rising == waited.rising:
+            period_s = 1.0 / option.setup.forcing.frequency_hz
+            assert waited.seconds(range(8)) - whole == pytest.approx(8 * 4 * period_s, rel=1e-3)
+            assert waited.seconds(range(4)) - half == pytest.approx(4 * 4 * period_s, rel=1e-3)
+
+
+def weighed_with(first):
+    """One explanation, of a calibration and two sizes."""
+    keys = (("accelerometer_gain", "relative"), ("adhesion", "a_mps2"), ("quadratic_drag", "k_per_m"))
+    return Weighed((first,), keys, 1, np.diag([1.0, 50.0, 50.0]), np.zeros(3))
+
+
+def test_what_is_not_shown_yet():
+    """Detection limits above the sizes that matter; and an effect more probable than all else, at its own size."""
+    adhesion, drag = ("adhesion", "a_mps2"), ("quadratic_drag", "k_per_m")
+    limits = {key: parameter_of(key).scale for key in (adhesion, drag)}
+    loop = SimpleNamespace(
+        names=(), detection={"adhesion.a_mps2": 0.5 * limits[adhesion], "quadratic_drag.k_per_m": 1.5 * limits[drag]}
+    )
+    declared = Explanation((), (), {}, 0.6)
+    assert _not_shown(loop, Aims(60.0), weighed_with(declared)) == {drag: pytest.approx(1.5)}
+    assert _not_shown(loop, Aims(60.0, limit=2.0), weighed_with(declared)) == {}
+    values = {adhesion: 0.25 * limits[adhesion]}
+    likely = Explanation(("adhesion",), (adhesion,), values, 0.9)
+    assert _not_shown(loop, Aims(60.0, limit=2.0), weighed_with(likely)) == {adhesion: pytest.approx(2.0)}
+    sure = replace(likely, values={adhesion: 10.0 * limits[adhesion]})  # shown long ago, and still not named
+    assert _not_shown(loop, Aims(60.0, limit=2.0), weighed_with(sure))[adhesion] == pytest.approx(2.0**0.5)
+
+
+def test_what_the_time_left_can_show():
+    """Of two limits above what is asked for, the one that enough blocks bring down to it; none without time."""
+    adhesion, drag = ("adhesion", "a_mps2"), ("quadratic_drag", "k_per_m")
+    option = SimpleNamespace(gammas=(0.5, 0.6), seconds=lambda places: 1.0 * len(places))
+    pool = Pool(option, np.array([np.diag([0.0, 50.0, 0.5, 0.0])] * 2), np.zeros(2))
+    known = weighed_with(Explanation((), (), {}, 1.0))
+    hidden = {adhesion: 1.5, drag: 1.5}
+    assert _can_be_shown(hidden, [pool], known, 10.0) == [adhesion]
+    assert _can_be_shown(hidden, [pool], known, 0.1) == []
 
 
 def test_a_person_cannot_pass_the_limits():

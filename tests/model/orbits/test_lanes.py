@@ -38,7 +38,7 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     work[at.LAST_PHI] = both[rows * TABLE * size]
     whole[at.LIMIT], whole[at.STATUS] = FLIGHTS, at.IDLE
     for lane in np.flatnonzero(n_up):
-        at.lay_ladders(both, work, lane)
+        at.copy_edges(both, work, lane)
         kernel.leave(tones, both, False, work, whole, flights, marks, lane)
     while np.any(whole[at.STATUS] == at.FLIES):
         kernel.advance(tones, float(tones[:, 1].sum()), both, False, work, whole, flights, marks)

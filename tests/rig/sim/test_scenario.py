@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from daq.setup.errors import InputError
-from rig.sim.blind_scenarios import STRENGTHS, pool, sealed_scenario
+from rig.profile import load_setup
+from rig.sim.blind_scenarios import STRENGTHS, left_open, pool, sealed_scenario
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
 from rig.sim.scenario import Scenario, load_scenario
+
+PROFILE = Path(__file__).parents[3] / "rig_profiles" / "simulated.toml"
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "scenarios").glob("*.toml"))
 
@@ -76,6 +79,18 @@ def test_sealed_draws_are_valid_and_reproducible(kind: str, strength: str) -> No
         again = sealed_scenario(np.random.default_rng(seed), [name], strength=strength)  # type: ignore[arg-type]
         assert set(draw.effects) == {name}
         assert draw.sha256 == again.sha256
+
+
+@pytest.mark.parametrize("strength", list(STRENGTHS))
+def test_a_sealed_effect_is_beyond_what_calibrations_allow(strength: str) -> None:
+    """What a stated calibration could be, too, has at least as many of its uncertainties as noise floors."""
+    allowed = left_open(load_setup(PROFILE)[0])
+    assert {name for name, _ in allowed} == {"accelerometer_gain", "local_gravity", "drive_gain", "phase_lag"}
+    for (name, parameter), uncertainty in allowed.items():
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            draw = sealed_scenario(rng, [name], strength=strength, allowed=allowed)  # type: ignore[arg-type]
+            assert abs(draw.effects[name][parameter]) >= 0.999 * STRENGTHS[strength][0] * uncertainty
 
 
 def test_stronger_draws_have_larger_sizes() -> None:

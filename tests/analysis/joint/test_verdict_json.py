@@ -1,0 +1,39 @@
+"""A joint verdict as JSON and on the terminal: what is one run's alone is said to be that."""
+
+import pytest
+
+from analysis.joint.constancy import Constancy, OneRun
+from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
+from analysis.joint.verdict_json import as_json
+from bench.terminal.joint_display import show
+
+CONSTANT = Constancy(9.0, 2, 0.01, 0.007, 0.0, float("inf"), 1.0)
+
+
+def verdict(one: OneRun | None) -> JointVerdict:
+    """Three runs with a drive gain, of which the last may be the only one that shows it."""
+    gain = OverRuns(
+        "drive_gain", "relative", "1", "effect", 0.0047, 0.004, 0.007, (0.0, 1e-4, 0.0142), (2e-4,) * 3, CONSTANT,
+        True, one,
+    )  # fmt: skip
+    runs = tuple(
+        RunOutcome(f"{x}.h5", "", 150, 10, float(i), 1.0, 1.0, 0.5, 27.0, 27.0, ()) for i, x in enumerate("abc")
+    )
+    return JointVerdict("explained", ("drive_gain",), (("drive_gain",),), (gain,), (), runs, (), (), 1, False)
+
+
+def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """JSON and terminal name the run, its value and what the others say together."""
+    found = verdict(OneRun(2, 5e-5, 0.0035))
+    told = as_json(found)["parameters"][0]["one_run"]
+    assert told == {"recording": "c.h5", "others": 5e-5, "others_sigma": 0.0035}
+    show(found)
+    out = " ".join(capsys.readouterr().out.split())
+    assert "drive_gain.relative is one run's alone: c.h5 has 0.0142 +- 0.0002, all others together 5e-05" in out
+
+
+def test_what_the_runs_share_is_nobodys_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without such a run JSON says null, and the terminal nothing."""
+    assert as_json(verdict(None))["parameters"][0]["one_run"] is None
+    show(verdict(None))
+    assert "one run's alone" not in capsys.readouterr().out
