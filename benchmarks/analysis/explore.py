@@ -4,7 +4,7 @@
     python -m benchmarks.analysis.explore RESULTS --rigs 40 --seed-base 5000 --strategies chosen
     python -m benchmarks.analysis.explore RESULTS --show
 
-Every strategy meets the same sealed rigs. The ramp is judged once, when it is over; a strategy that chooses stops by
+Every strategy meets the same sealed rigs; what is hidden is beyond what the profile's calibrations allow. The ramp is judged once, when it is over; a strategy that chooses stops by
 itself, at the ramp's rig time at the latest. One rig in five hides nothing. Results are kept as they come in, by the
 version of the code: the same call goes on where it was stopped.
 """
@@ -48,9 +48,11 @@ def rig(plant: str, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Driv
 def _own(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Drive]:
     """The simulated rig with an effect drawn by chance."""
     from bench.profiles.find import load
-    from rig.sim.blind_scenarios import pool, sealed_scenario
+    from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
 
-    scenario = sealed_scenario(rng, pool("named"), strength="strong", count=0 if nothing else 1)
+    checked, text = load("simulated")
+    count, allowed = 0 if nothing else 1, left_open(checked.setup())
+    scenario = sealed_scenario(rng, pool("named"), strength="strong", count=count, allowed=allowed)
     sealed = folder / "sealed.toml"
     sealed.write_text(scenario.to_toml(), encoding="utf-8")
 
@@ -62,7 +64,7 @@ def _own(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> tu
         done = record(profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=True)
         return Driven("" if done.how == "complete" else done.why)
 
-    return load("simulated")[1], tuple(scenario.effects), drive
+    return text, tuple(scenario.effects), drive
 
 
 def _other(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Drive]:
