@@ -4,9 +4,10 @@
     python -m benchmarks.analysis.explore RESULTS --rigs 40 --seed-base 5000 --strategies chosen
     python -m benchmarks.analysis.explore RESULTS --show
 
-Every strategy meets the same sealed rigs; what is hidden is beyond what the profile's calibrations allow. The ramp is judged once, when it is over; a strategy that chooses stops by
-itself, at the ramp's rig time at the latest. One rig in five hides nothing. Results are kept as they come in, by the
-version of the code: the same call goes on where it was stopped.
+Every strategy meets the same sealed rigs; what is hidden is beyond what the profile's calibrations allow. The ramp is
+judged once, when it is over; a strategy that chooses stops by itself, at the ramp's rig time at the latest. One rig in
+five hides nothing. Results are kept as they come in, by the version of the
+code: the same call goes on where it was stopped.
 """
 
 from __future__ import annotations
