@@ -18,6 +18,7 @@ from typing import Any, cast
 import numba
 from numba.core import compiler, config, event, serialize
 from numba.core.caching import NullCache
+from numba.core.runtime import rtsys
 from numba.extending import is_jitted
 
 from kernels import folder
@@ -96,8 +97,11 @@ class KernelCache(NullCache):
         return str(next(iter(folder.places()), ""))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kept code for the argument types ``sig``; None when there is none."""
-        target_context.refresh()
+        """The kept code for the argument types ``sig``; None when there is none.
+
+        What numba knows of types and operators is loaded when something is compiled: kept code needs its memory alone.
+        """
+        rtsys.initialize(target_context)
         data = folder.read(self._name(sig, target_context.codegen()))
         if data is None or hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
             return None  # a damaged file is compiled anew, and written over

@@ -41,6 +41,7 @@ HARMONICS = (  # colour (Okabe and Ito's, which the colour-blind tell apart), ma
     ("#e69f00", "P", "--"),
     ("#56b4e9", "X", ":"),
 )
+PNG_DPI = 160
 STYLE: dict[Any, Any] = {
     "font.family": "serif",
     "mathtext.fontset": "cm",
@@ -49,7 +50,8 @@ STYLE: dict[Any, Any] = {
     "xtick.direction": "in",
     "ytick.direction": "in",
     "figure.constrained_layout.use": True,
-    "savefig.dpi": 160,
+    "figure.dpi": PNG_DPI,  # texts are measured once for placing the axes and for the PNG
+    "savefig.dpi": PNG_DPI,
     "svg.fonttype": "none",
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
@@ -76,10 +78,12 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
         When the folder cannot be written.
     """
     import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
         figure = Figure()
+        FigureCanvasAgg(figure)  # the PNG's: it keeps the extents of the texts between placing and drawing
         draw(figure)
         if not figure.axes:
             return
@@ -87,6 +91,7 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+                _keep_ticks(figure)
                 _lay_out(figure)
                 for form, metadata in FORMATS.items():
                     with whole(folder / f"{name}.{form}") as part:
@@ -112,6 +117,31 @@ def _lay_out(figure: Figure) -> None:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine(None)
+
+
+def _keep_ticks(figure: Figure) -> None:
+    """Choose each axis' ticks once for a range and a place of the axes, not anew each time that one asks for them."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            choose = getattr(axis, "_update_ticks", None)  # matplotlib's own: pictures are right without it, but slower
+            if choose is not None:
+                axis._update_ticks = _Kept(axis, choose)  # type: ignore[attr-defined]
+
+
+class _Kept:
+    """The ticks of an axis, chosen anew when the range shown or the place of the axes is another."""
+
+    def __init__(self, axis: Any, choose: Callable[[], list[Any]]) -> None:
+        self._axis, self._choose = axis, choose
+        self._chosen_for: tuple[float, ...] = ()
+        self._ticks: list[Any] = []
+
+    def __call__(self) -> list[Any]:
+        """The ticks to draw, with their labels and places."""
+        now = (*self._axis.get_view_interval(), *self._axis.axes.get_position().bounds)
+        if now != self._chosen_for:
+            self._ticks, self._chosen_for = self._choose(), now
+        return self._ticks
 
 
 def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:

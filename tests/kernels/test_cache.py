@@ -64,6 +64,47 @@ def test_an_edit_of_a_called_file_is_seen_and_two_processes_share_the_folder(tmp
     assert answers(start(tmp_path)) == [[6.0, 0.0]]
 
 
+KEPT = """
+import sys
+
+import numpy as np
+
+from kernels import njit
+
+
+@njit()
+def powers(x, count):
+    found = np.empty(count)
+    for i in range(count):
+        found[i] = x**i
+    return found, found[1:]
+
+
+@njit()
+def fewer(x):
+    return np.sort(x)[:2]
+
+
+print(*powers(2.0, 3)[0], *powers(2.0, 3)[1], int("numba.np.arraymath" in sys.modules))
+if len(sys.argv) > 1:
+    print(*fewer(powers(0.5, 3)[0]))
+"""
+
+
+def test_kept_kernels_need_nothing_that_compiles(tmp_path: Path) -> None:
+    """A kept kernel that makes arrays runs before numba's implementations are loaded, and others compile after it."""
+    (tmp_path / "kept.py").write_text(KEPT, encoding="utf-8")
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+
+    def run(*arguments: str) -> list[float]:
+        command = [sys.executable, "kept.py", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=env, check=True, capture_output=True, text=True)
+        return [float(word) for word in done.stdout.split()]
+
+    assert run() == [1.0, 2.0, 4.0, 2.0, 4.0, 1.0]
+    assert run("compile another") == [1.0, 2.0, 4.0, 2.0, 4.0, 0.0, 0.25, 0.5]
+
+
 def compiled_with(factor: float, inner_options: dict[str, bool]) -> Callable[[float], float]:
     """A kernel that calls another one with a constant and options of its own."""
     names = {"FACTOR": factor, "TABLE": np.arange(3.0)}

@@ -1,16 +1,18 @@
 """What the pictures promise: one measure of gamma, clipped points marked, harmonics told apart without colour."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from analysis.loop.result import ClosedLoop
+from analysis.report import style
 from analysis.report.figures_loop import draw_candidates, draw_errors
 from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
 from analysis.report.gamma import gamma_scale
-from analysis.report.style import HARMONICS, clipped_dots
+from analysis.report.style import HARMONICS, clipped_dots, save_picture
 from daq.setup.setup import Forcing
 
 
@@ -49,6 +51,37 @@ def test_harmonics_differ_in_more_than_colour() -> None:
     marks, lines = [mark for _, mark, _ in HARMONICS], [line for *_, line in HARMONICS]
     assert len(set(marks)) == len(HARMONICS)
     assert all(a != b for a, b in itertools.pairwise(lines))
+
+
+def test_ticks_chosen_once_are_those_of_every_drawing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With ticks kept, pictures with shared, logarithmic and small axes are the same files, byte for byte."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(2, 2, sharex="col", gridspec_kw={"height_ratios": [1, 4]})
+        for ax, scale in zip(axes.flat, (1e-7, 1.0, 3e5, 40.0), strict=True):
+            ax.plot(np.linspace(0.1, 2.0, 9), scale * np.arange(1.0, 10.0), "o")
+            ax.set_ylabel("$z_0$, m")
+        axes[1, 1].set_yscale("log")
+
+    save_picture(tmp_path / "kept", "a", "SIMULATED RIG: run", draw)
+    monkeypatch.setattr(style, "_keep_ticks", lambda figure: None)
+    save_picture(tmp_path / "anew", "a", "SIMULATED RIG: run", draw)
+    for name in ("a.png", "a.svg"):
+        assert (tmp_path / "kept" / name).read_bytes() == (tmp_path / "anew" / name).read_bytes()
+
+
+def test_kept_ticks_follow_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another range, another choice; the same range, none."""
+    ax = Figure().subplots()
+    chosen: list[tuple[float, float]] = []
+    choose = ax.xaxis._update_ticks
+    monkeypatch.setattr(ax.xaxis, "_update_ticks", lambda: chosen.append(ax.get_xlim()) or choose())
+    style._keep_ticks(ax.figure)
+    for limits in ((0.0, 1.0), (0.0, 1.0), (0.0, 50.0)):
+        ax.set_xlim(*limits)
+        drawn = [tick.get_loc() for tick in ax.xaxis._update_ticks()]
+        assert drawn[-1] == limits[1]
+    assert chosen == [(0.0, 1.0), (0.0, 50.0)]
 
 
 def test_figures_are_laid_out_around_their_labels(closed_loop: ClosedLoop) -> None:
