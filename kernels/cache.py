@@ -16,9 +16,8 @@ from types import FunctionType
 from typing import Any, cast
 
 import numba
-from numba.core import compiler, config, event, serialize
+from numba.core import compiler, config, event, runtime, serialize
 from numba.core.caching import NullCache
-from numba.core.runtime import rtsys
 from numba.extending import is_jitted
 
 from kernels import folder
@@ -27,6 +26,7 @@ from kernels.fingerprint import fingerprint, fingerprint_of_closure
 
 DIGEST_BYTES = 32
 _CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
+_runtime = cast(Any, runtime)
 
 
 def njit(**options: Any) -> Any:
@@ -101,7 +101,7 @@ class KernelCache(NullCache):
 
         What numba knows of types and operators is loaded when something is compiled: kept code needs its memory alone.
         """
-        rtsys.initialize(target_context)
+        _runtime.rtsys.initialize(target_context)
         data = folder.read(self._name(sig, target_context.codegen()))
         if data is None or hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
             return None  # a damaged file is compiled anew, and written over

@@ -122,10 +122,11 @@ def _lay_out(figure: Figure) -> None:
 def _keep_ticks(figure: Figure) -> None:
     """Choose each axis' ticks once for a range and a place of the axes, not anew each time that one asks for them."""
     for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
+        both: tuple[Any, Any] = (axes.xaxis, axes.yaxis)
+        for axis in both:
             choose = getattr(axis, "_update_ticks", None)  # matplotlib's own: pictures are right without it, but slower
             if choose is not None:
-                axis._update_ticks = _Kept(axis, choose)  # type: ignore[attr-defined]
+                axis._update_ticks = _Kept(axis, choose)
 
 
 class _Kept:
