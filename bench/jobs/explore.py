@@ -203,8 +203,7 @@ def _next(
     from analysis.explore.choice import Pool, best_block
     from analysis.explore.explanations import weighed
 
-    if judged is not None and judged.loop is not None and judged.loop.verdict == "unexplained":
-        aims = replace(aims, hold_cycles=LONGER_HOLD * aims.hold_cycles)
+    aims = _held(aims, None if judged is None else judged.loop)
     options = offered(aims.hold_cycles)
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
@@ -235,6 +234,13 @@ def _next(
     if chosen.seconds > left_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
+
+
+def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
+    """With longer steps where what was recorded so far is unexplained."""
+    if loop is None or loop.verdict != "unexplained":
+        return aims
+    return replace(aims, hold_cycles=LONGER_HOLD * aims.hold_cycles)
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
