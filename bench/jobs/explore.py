@@ -208,6 +208,8 @@ def _next(
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
     loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
+    if loop is None:
+        return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
     known = weighed(world, fitter, best, judged.ties)
     hidden = _not_shown(loop, aims, known) if loop is not None and loop.verdict == "nothing_missing" else {}
     if loop is not None and (why := _reached(loop, best, aims, hidden)):
