@@ -195,8 +195,13 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         if detector is not None:
             landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
             acceleration_v = detector.without_impacts(acceleration_v, piece.first, PAD)
-        own = (None if x is None else piece.trim(x) for x in (drive_v, fraction))
-        trimmed = PlatePiece(piece.first, piece.trim(acceleration_v), *own, piece.acceleration_codes)
+        trimmed = PlatePiece(
+            piece.first,
+            piece.trim(acceleration_v),
+            None if drive_v is None else piece.trim(drive_v),
+            None if fraction is None else piece.trim(fraction),
+            piece.acceleration_codes,
+        )
         accumulator.add(trimmed, np.concatenate(landings))
         if progress is not None:
             progress(piece.last / recording.n_samples)

@@ -191,7 +191,16 @@ def _sum_span(span: Span, level: int, group: int, tones: StepTones, windows: Spa
         np.empty(places + 1, dtype=np.int64),
     )
     w, r = _fill_sums(span.values, span.block_class, span.first, level, group, tones, windows, rate_hz, sums, scratch)
-    return SpanSums(sums.slow_s, sums.slow, *(column[:w] for column in sums[2:7]), *(column[:r] for column in sums[7:]))
+    return sums._replace(
+        time_s=sums.time_s[:w],
+        gram=sums.gram[:w],
+        side=sums.side[:w],
+        power=sums.power[:w],
+        used=sums.used[:w],
+        span_s=sums.span_s[:r],
+        window=sums.window[:r],
+        contact=sums.contact[:r],
+    )
 
 
 @njit(error_model="numpy")

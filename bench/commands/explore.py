@@ -26,7 +26,9 @@ def command(
     ratios: str = typer.Option("1,2,3", "--ratios", help="Values of c that may be driven."),
     frequencies: str = typer.Option("", "--frequencies", help="First tones that may be driven, Hz; the profile's."),
     steps: int = typer.Option(4, "--steps", min=2, help="Steps of each block."),
-    hold_cycles: int = typer.Option(10, "--hold", min=8, help="Cycles for which each step is held."),
+    hold_cycles: int = typer.Option(
+        14, "--hold", min=8, help="Cycles for which each step is held; twice as many while unexplained."
+    ),
     settle_cycles: int = typer.Option(4, "--settle", min=0, help="Cycles waited after each fade, for the plate."),
     ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
     real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),

@@ -57,7 +57,7 @@ class Aims:
     ratios: tuple[int, ...] = (1, 2, 3)
     frequencies_hz: tuple[float, ...] = ()
     steps: int = 4
-    hold_cycles: int = 10
+    hold_cycles: int = 14
     settle_cycles: int = 4
 
 

@@ -6,6 +6,7 @@ alone. Why its steps were chosen is kept in the recording.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel, ParameterId
     from analysis.residuals.observations import Observations
 
+LONGER_HOLD = 2  # times as long where it is unexplained: tones as near as mains and a harmonic part
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time
 
 
@@ -99,7 +101,8 @@ def explore(
     InputError
         For a profile that cannot be driven, or recordings that cannot be read.
     """
-    options = offers(text, aims)
+    offered = functools.cache(lambda hold_cycles: offers(text, replace(aims, hold_cycles=hold_cycles)))
+    offered(aims.hold_cycles)  # what cannot be driven is refused before anything is judged
     made, number = _recorded(folder, say)
     blocks = [as_driven(path) for path in made]
 
@@ -114,7 +117,7 @@ def explore(
     while True:
         if own is None:
             judged = _judge(made, known) if made else None
-            own, why = _next(text, judged, blocks, options, aims)
+            own, why = _next(text, judged, blocks, offered, aims)
             if own is None:
                 return ended(why)
             say(f"\nblock {number + 1}: {own.reason}")
@@ -190,12 +193,18 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations]) -> _Judged:
 
 # -- what to drive next ------------------------------------------------------------------------------------------------
 def _next(
-    text: str, judged: _Judged | None, blocks: Sequence[Chosen], options: Sequence[Option], aims: Aims
+    text: str,
+    judged: _Judged | None,
+    blocks: Sequence[Chosen],
+    offered: Callable[[int], Sequence[Option]],
+    aims: Aims,
 ) -> tuple[Chosen | None, str]:
-    """The next block; or why there is none."""
+    """The next block; or why there is none. ``offered`` gives the options by the cycles for which steps are held."""
     from analysis.explore.choice import Pool, best_block
     from analysis.explore.explanations import weighed
 
+    aims = _held(aims, None if judged is None else judged.loop)
+    options = offered(aims.hold_cycles)
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
     loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
@@ -225,6 +234,13 @@ def _next(
     if chosen.seconds > left_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
+
+
+def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
+    """With longer steps where what was recorded so far is unexplained."""
+    if loop is None or loop.verdict != "unexplained":
+        return aims
+    return replace(aims, hold_cycles=LONGER_HOLD * aims.hold_cycles)
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:

@@ -50,7 +50,9 @@ def map_picture(path: Path, job: Job, picture: Path) -> None:
         edges = norm.boundaries
         bar.set_ticks(0.5 * (edges[:-1] + edges[1:]))
         bar.set_ticklabels(["chaotic", "at rest", *_labels()])
-        ax.set_title(f"c = {job.ratio}: {columns} x {rows} points" + (f", one of {step} x {step} shown" if step > 1 else ""))
+        ax.set_title(
+            f"c = {job.ratio}: {columns} x {rows} points" + (f", one of {step} x {step} shown" if step > 1 else "")
+        )
         figure.savefig(picture, dpi=200)
 
 

@@ -15,7 +15,7 @@ from analysis.explore.explanations import Explanation, Weighed
 from bench.commands.explore import Driver
 from bench.jobs.blocks import Aims, Driven, by_person, offers, run_seconds, tells
 from bench.jobs.blocks import Chosen as Block
-from bench.jobs.explore import _can_be_shown, _not_shown, explore
+from bench.jobs.explore import _can_be_shown, _held, _not_shown, explore
 from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
@@ -50,6 +50,13 @@ def test_blocks_wait_for_the_plate_alone():
             period_s = 1.0 / option.setup.forcing.frequency_hz
             assert waited.seconds(range(8)) - whole == pytest.approx(8 * 4 * period_s, rel=1e-3)
             assert waited.seconds(range(4)) - half == pytest.approx(4 * 4 * period_s, rel=1e-3)
+
+
+def test_steps_are_held_longer_while_something_is_unexplained():
+    """Twice the cycles after an unexplained verdict, the cycles asked for before a verdict and after any other."""
+    aims = Aims(60.0, hold_cycles=9)
+    assert _held(aims, SimpleNamespace(verdict="unexplained")).hold_cycles == 18
+    assert _held(aims, None) == _held(aims, SimpleNamespace(verdict="explained")) == aims
 
 
 def weighed_with(first):
