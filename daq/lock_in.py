@@ -262,8 +262,8 @@ def solved(frequencies_hz: Floats, inverse: Floats, side: Floats, square: float,
         Sum of the values' squares.
     n : int
     """
-    solution = inverse @ side
-    variance = max(square - float(solution @ side), 0.0) / (n - side.size)
+    solutions, variances = _solutions(inverse[None], side[None], np.array([square]), np.array([n]))
+    solution, variance = solutions[0], float(variances[0])
     # column pairs are (cos, -sin), so the unknowns are Re z and Im z
     return ToneFit(
         frequencies_hz=frequencies_hz,

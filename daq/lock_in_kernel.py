@@ -12,6 +12,16 @@ from kernels import njit
 RESYNC = 512  # samples between exact restarts of the rotating phasors: rounding stays below 1e-13
 
 
+@njit(error_model="numpy")
+def turns(cycles, cosine, sine):  # type: ignore[no-untyped-def]
+    """Cosine and sine (k, n) of what tones turn by in 0 to n - 1 values, ``cycles`` (k,) in each."""
+    for j in range(cycles.shape[0]):
+        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
+        for i in range(cosine.shape[1]):
+            cosine[j, i], sine[j, i] = turn.real, turn.imag
+            turn *= step
+
+
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
     """Add the normal equations of the rows of ``x`` to those of their sort.
@@ -24,12 +34,8 @@ def accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):
     rows = np.empty((p + channels, RESYNC + 8))  # not a power of two: rows must not share cache lines' places
     ends = np.empty(sorts + 1, dtype=np.int64)
     order = np.empty(RESYNC, dtype=np.uint64)  # unsigned: signed indices may count from the end, and are not vectorised
-    cosine, sine = np.empty((k, RESYNC)), np.empty((k, RESYNC))  # of the turn since a stretch's first value
-    for j in range(k):
-        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
-        for i in range(min(RESYNC, n)):
-            cosine[j, i], sine[j, i] = turn.real, turn.imag
-            turn *= step
+    cosine, sine = np.empty((k, min(RESYNC, n))), np.empty((k, min(RESYNC, n)))
+    turns(cycles, cosine, sine)
     for begin in range(0, n, RESYNC):
         size = min(RESYNC, n - begin)
         ends[:] = 0

@@ -20,7 +20,6 @@ from analysis.plate.motion import PlateMotion
 from analysis.statistics import nearest
 from daq.recording import Recording
 from daq.setup.setup import Setup
-from model.tones import Plate
 
 __all__ = ["FlightFlag", "Flights", "flights_of", "write_csv"]
 
@@ -299,20 +298,12 @@ def _hidden(
         index = np.flatnonzero(rest & (step == k))
         start = plate.true_time_s(takeoff[index])[:, None]
         since = np.linspace(0.0, 1.0, HIDDEN_POINTS)[None, 1:] * (landing - takeoff)[index, None]
-        moved = _displacements(motion, start, since)
+        moved = motion.position_at(start + since) - motion.position_at(start)
         height = motion.velocity_at(start) * since - 0.5 * g * since**2 - moved
         early = height[:, :HIDDEN_BEFORE]
         suspicious = early.min(axis=1) < -HIDDEN_DEPTH * np.maximum(np.abs(height).max(axis=1), 1e-6)
         out[index[suspicious]] |= int(FlightFlag.UNSURE)
     return out
-
-
-def _displacements(motion: Plate, start_s: Floats, since_s: Floats) -> Floats:
-    """Motion of the plate from ``start_s`` (m, 1) until even multiples of the first of ``since_s`` (m, n) later."""
-    size = motion.acceleration / (1j * motion.omega_radps) ** 2 * np.exp(1j * motion.omega_radps * start_s)
-    turn = np.exp(1j * motion.omega_radps * since_s[:, :1])
-    turns = np.cumprod(np.broadcast_to(turn[:, None], (*since_s.shape, turn.shape[1])), axis=1)
-    return np.asarray((size[:, None] * (turns - 1.0)).real.sum(axis=-1))
 
 
 def _gammas(found: Scan, step: Ints) -> Floats:

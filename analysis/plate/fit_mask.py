@@ -69,7 +69,9 @@ class FitIntervals:
     ) -> Self:
         """Intervals of consecutive blocks from number ``first`` on: ``keep``, ``window`` and ``contact`` are (n,)."""
         label = np.where(keep, 2 * window + contact, -3)
-        starts = np.flatnonzero(np.diff(label, prepend=-4))
+        changed = np.ones(len(label), dtype=np.bool_)
+        changed[1:] = label[1:] != label[:-1]
+        starts = np.flatnonzero(changed)
         ends = np.append(starts[1:], len(label))
         rows = keep[starts]
         span_s = (first + np.column_stack([starts, ends])[rows]) * block_s

@@ -11,12 +11,13 @@ import numpy.typing as npt
 from analysis.plate.mains_lines import BIN_S
 from analysis.plate.step_state import StepState
 from daq.lock_in import ToneFit, boxcar_response, inverse_of, solved
+from daq.lock_in_kernel import turns
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-RESYNC = 64  # blocks between exact restarts of the rotating phasors, at most
+STRETCH = 64  # blocks between exact restarts of the rotating phasors, at most
 
 
 class LineTrials:
@@ -86,15 +87,11 @@ def _fill_rows(cycles, gains, blocks, rows):  # type: ignore[no-untyped-def]
     Rows ``2 k`` and ``2 k + 1`` are the real part of tone ``k`` and the negative imaginary part.
     """
     k, n, begin = cycles.shape[0], blocks.shape[0], 0
-    cosine, sine = np.empty((k, RESYNC)), np.empty((k, RESYNC))  # of the turn since the first block of a stretch
-    for j in range(k):
-        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
-        for i in range(RESYNC):
-            cosine[j, i], sine[j, i] = turn.real, turn.imag
-            turn *= step
+    cosine, sine = np.empty((k, STRETCH)), np.empty((k, STRETCH))  # of the turn since the first block of a stretch
+    turns(cycles, cosine, sine)
     while begin < n:
         end = begin + 1
-        while end < n and blocks[end] - blocks[begin] < RESYNC:
+        while end < n and blocks[end] - blocks[begin] < STRETCH:
             end += 1
         for j in range(k):
             phase = cycles[j] * blocks[begin]

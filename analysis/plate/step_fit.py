@@ -6,9 +6,7 @@ version stands beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +22,7 @@ from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording
 from daq.setup.setup import Setup
+from model.tones import Plate
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -46,16 +45,10 @@ def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ra
     return float("nan")
 
 
-@cache
-def _turns(multiple: int) -> Complexes:
-    """Phasors of a multiple of the forcing at `PEAK_POINTS` of a period."""
-    return np.asarray(np.exp(2j * np.pi * multiple * np.linspace(0.0, 1.0, PEAK_POINTS)))
-
-
-def gamma_peak_of(amplitudes: Complexes, multiples: Sequence[int], g_mps2: float) -> float:
-    """``max(-a_p) / g`` over one period of the forcing, from tones in m/s^2 at its ``multiples``."""
-    motion = sum((z * _turns(m)).real for z, m in zip(amplitudes, multiples, strict=True))
-    return -float(np.min(motion)) / g_mps2
+def gamma_peak_of(plate: Plate, frequency_hz: float, g_mps2: float) -> float:
+    """``max(-a_p) / g`` over one period of the forcing."""
+    t = np.linspace(0.0, 1.0 / frequency_hz, PEAK_POINTS)
+    return float(np.max(-plate.acceleration_at(t))) / g_mps2
 
 
 def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
@@ -87,6 +80,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
     gamma = gamma_of(unmasked, multiples, setup, state.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
+    forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], unmasked[rows])
     total.forget()  # its sums stay with the step until the recording is read to its end
     return StepPlate(
         step=state.step,
@@ -103,7 +97,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms, factor, zero_v),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
-        gamma_peak=gamma_peak_of(unmasked[rows], [multiples[r] for r in rows], setup.g_mps2.value),
+        gamma_peak=gamma_peak_of(forcing, state.frequency_hz, setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, state.ratio),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),

@@ -14,13 +14,13 @@ import numpy.typing as npt
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
 from daq.lock_in import ToneFit
+from daq.lock_in_kernel import RESYNC, turns
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Ints = npt.NDArray[np.int64]
 
-RESYNC = 512  # means between exact restarts of the rotating phasors
 WINDOW_CYCLES = 2.0  # length of a window
 SLOW_PER_CYCLE = 4.0  # values of the slow residual per period of the forcing
 MIN_WINDOW_COVER = 0.4  # part of a window's blocks that must be unmasked
@@ -50,8 +50,7 @@ class SpanSums(NamedTuple):
 
     ``slow_s``, ``slow`` (s,) are times and means of the slow residual, NaN where all is masked; ``time_s`` (w,) the
     middles of the windows. Normal matrices are ``gram`` (w, q, q), right sides ``side`` (w, q, 2), sums of squares
-    ``power`` (w, 2), and blocks ``used`` (w,). ``span_s`` (r, 2), ``window`` and ``contact`` (r,) are the unmasked
-    intervals, as in `FitIntervals`.
+    ``power`` (w, 2), and blocks ``used`` (w,).
     """
 
     slow_s: Floats
@@ -61,9 +60,6 @@ class SpanSums(NamedTuple):
     side: Floats
     power: Floats
     used: Ints
-    span_s: Floats
-    window: Ints
-    contact: npt.NDArray[np.bool_]
 
 
 class SpanWindows(NamedTuple):
@@ -75,14 +71,13 @@ class SpanWindows(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What the sums over a span need meanwhile: turns, residuals and columns of some blocks, counts, windows' rows."""
+    """What the sums over a span need meanwhile: turns, residuals and columns of some blocks, and counts."""
 
     cosine: Floats
     sine: Floats
     left: Floats
     row: Floats
     n_slow: Ints
-    row_of: Ints
 
 
 def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
@@ -111,16 +106,22 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     group = max(int(rate_hz / (SLOW_PER_CYCLE * state.frequency_hz)), 1)
     length = max(round(WINDOW_CYCLES * rate_hz / state.frequency_hz), 1)
     least = max(MIN_WINDOW_COVER * length, 2.0 * (2 * tones.rows.size + 1))
-    parts: list[SpanSums] = []
-    counted = 0
+    parts, intervals, counted = [], [], 0
     for span in state.spans:
         windows = SpanWindows(length, least, counted)
-        parts.append(_sum_span(span, state.mask_level, group, tones, windows, rate_hz))
-        counted += parts[-1].time_s.size
-    sums = parts[0] if len(parts) == 1 else SpanSums(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+        sums, row_of = _sum_span(span, state.mask_level, group, tones, windows, rate_hz)
+        window = np.repeat(row_of, length)[: len(span.values)]
+        contact = span.block_class // N_MASK_LEVELS == CONTACT
+        intervals.append(
+            FitIntervals.of_blocks(span.first, span.clear(state.mask_level), window, contact, 1.0 / rate_hz)
+        )
+        parts.append(sums)
+        counted += sums.time_s.size
+    sums = SpanSums(*(np.concatenate(own) for own in zip(*parts, strict=True)))
     amplitudes, spread, noise = _solve_windows(tones, fits, sums)
-    intervals = FitIntervals(np.zeros(len(sums.window), np.int64), sums.span_s, sums.window, sums.contact)
-    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, intervals)
+    none = np.zeros(len(intervals), dtype=np.int64)
+    whole = FitIntervals.join(intervals, none, none)
+    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, whole)
 
 
 def _solve_windows(tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSums) -> tuple[Complexes, Floats, Floats]:
@@ -150,24 +151,26 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
     strongest = int(np.argmax(np.add.reduce(np.abs(chunk.amplitudes[:, :, channel])) * multiples))
     z = chunk.amplitudes[:, strongest, channel]
     sigma = chunk.fits[channel].rms * chunk.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
-    in_order = np.sort(sigma)
-    if in_order[(sigma.size - 1) // 2] + in_order[sigma.size // 2] > 2.0 * MAX_PHASE_SIGMA_RAD:
+    if np.median(sigma) > MAX_PHASE_SIGMA_RAD:
         return None
     weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
-    time_s = chunk.time_s - (weight @ chunk.time_s) / np.add.reduce(weight)
+    time_s = chunk.time_s - np.average(chunk.time_s, weights=weight)
     pull = weight * time_s
     curvature = float(pull @ time_s)
     scale = 2.0 * np.pi * float(multiples[strongest])
-    phase = np.angle(z)
-    phase[1:] -= 2.0 * np.pi * np.cumsum(np.rint(np.diff(phase) / (2.0 * np.pi)))
-    away = float(pull @ phase) / curvature / scale
+    away = float(pull @ np.unwrap(np.angle(z))) / curvature / scale
     error = 1.0 / np.sqrt(curvature) / scale
     changed = abs(away) > FREQUENCY_SIGMAS * error and abs(away) * 2.0 * np.pi * state.hold_s > MIN_DRIFT_RAD
     return (state.nominal_hz + away, error, True) if changed else (state.nominal_hz, error, False)
 
 
-def _sum_span(span: Span, level: int, group: int, tones: StepTones, windows: SpanWindows, rate_hz: float) -> SpanSums:
-    """Sums of the residuals of a span's block means about the step's ``tones``, in slow bins of ``group`` blocks."""
+def _sum_span(
+    span: Span, level: int, group: int, tones: StepTones, windows: SpanWindows, rate_hz: float
+) -> tuple[SpanSums, Ints]:
+    """Sums of the residuals of a span's block means about the step's ``tones``, in slow bins of ``group`` blocks.
+
+    Beside them the number of the window of each place of ``windows.length`` blocks, and of the rest; -1 for none.
+    """
     n, q = len(span.values), 2 * tones.rows.size + 1
     bins, places = n // group, n // windows.length
     sums = SpanSums(
@@ -178,9 +181,6 @@ def _sum_span(span: Span, level: int, group: int, tones: StepTones, windows: Spa
         np.zeros((places, q, 2)),
         np.zeros((places, 2)),
         np.zeros(places, dtype=np.int64),
-        np.empty((n, 2)),
-        np.empty(n, dtype=np.int64),
-        np.empty(n, dtype=np.bool_),
     )
     scratch = Scratch(
         np.empty((tones.cycles.size, RESYNC)),
@@ -188,31 +188,30 @@ def _sum_span(span: Span, level: int, group: int, tones: StepTones, windows: Spa
         np.empty((2, RESYNC)),
         np.empty((RESYNC, q)),
         np.zeros(bins, dtype=np.int64),
-        np.empty(places + 1, dtype=np.int64),
     )
-    w, r = _fill_sums(span.values, span.block_class, span.first, level, group, tones, windows, rate_hz, sums, scratch)
-    return sums._replace(
+    row_of = np.full(places + 1, -1)
+    given = span.values, span.block_class, span.first, level, group, tones, windows, rate_hz
+    w = _fill_sums(*given, sums, scratch, row_of)
+    kept = sums._replace(
         time_s=sums.time_s[:w],
         gram=sums.gram[:w],
         side=sums.side[:w],
         power=sums.power[:w],
         used=sums.used[:w],
-        span_s=sums.span_s[:r],
-        window=sums.window[:r],
-        contact=sums.contact[:r],
     )
+    return kept, row_of
 
 
 @njit(error_model="numpy")
-def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, sums, scratch):  # type: ignore[no-untyped-def]
-    """Fill a span's ``sums`` from its block means ``x`` (n, 2); the numbers of windows and of unmasked intervals.
+def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, sums, scratch, row_of):  # type: ignore[no-untyped-def]
+    """Fill a span's ``sums`` from its block means ``x`` (n, 2), and ``row_of``; returns the number of windows.
 
     Slow sums take the first channel; block ``i`` belongs to slow bin ``i // group``.
     """
-    length, least, counted = windows
-    cosine, sine, left, row, n_slow, row_of = scratch
+    length = windows.length
+    cosine, sine, left, row, n_slow = scratch
     n, q = x.shape[0], row.shape[1]
-    _turns(tones.cycles, cosine, sine)
+    turns(tones.cycles, cosine, sine)
     for begin in range(0, n, RESYNC):
         size = min(RESYNC, n - begin)
         _residuals(x, begin, size, first, tones, cosine, sine, left, row)
@@ -236,16 +235,15 @@ def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, sum
     for g in range(n_slow.shape[0]):
         sums.slow_s[g] = (first + (g + 0.5) * group) / rate_hz
         sums.slow[g] = sums.slow[g] / n_slow[g] if n_slow[g] > 0 else np.nan
-    kept = _keep_windows(first, length, least, counted, rate_hz, sums, row_of)
-    return kept, _intervals(block_class, first, level, length, row_of, 1.0 / rate_hz, sums)
+    return _keep_windows(first, windows, rate_hz, sums, row_of)
 
 
 @njit(error_model="numpy")
-def _keep_windows(first, length, least, counted, rate_hz, sums, row_of):  # type: ignore[no-untyped-def]
+def _keep_windows(first, windows, rate_hz, sums, row_of):  # type: ignore[no-untyped-def]
     """Windows of enough blocks go to the front, numbered, their matrices made whole; how many there are."""
+    length, least, counted = windows
     kept, q = 0, sums.gram.shape[1]
     for w in range(sums.used.shape[0]):
-        row_of[w] = -1
         if sums.used[w] >= least:
             row_of[w] = counted + kept
             sums.time_s[kept] = (first + (w + 0.5) * length) / rate_hz
@@ -258,18 +256,7 @@ def _keep_windows(first, length, least, counted, rate_hz, sums, row_of):  # type
                 for b in range(a + 1):
                     sums.gram[kept, a, b] = sums.gram[kept, b, a] = sums.gram[w, a, b]
             kept += 1
-    row_of[row_of.shape[0] - 1] = -1
     return kept
-
-
-@njit(error_model="numpy")
-def _turns(cycles, cosine, sine):  # type: ignore[no-untyped-def]
-    """Cosine and sine (k, n) of the tones' turns since block 0."""
-    for j in range(cycles.shape[0]):
-        step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
-        for i in range(cosine.shape[1]):
-            cosine[j, i], sine[j, i] = turn.real, turn.imag
-            turn *= step
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -295,24 +282,3 @@ def _residuals(x, begin, size, first, tones, cosine, sine, left, row):  # type: 
                     row[i, 2 * r + 2] = -(a * sine[j, i] + b * cosine[j, i])
     for i in range(size):
         row[i, 0] = 1.0
-
-
-@njit(error_model="numpy")
-def _intervals(block_class, first, level, length, row_of, block_s, sums):  # type: ignore[no-untyped-def]
-    """Unmasked intervals of consecutive blocks, their windows' rows, and whether the ball lay on the plate."""
-    count, before, windows = 0, -4, row_of.shape[0] - 1
-    for i in range(block_class.shape[0]):
-        w, label = row_of[min(i // length, windows)], -3
-        on_plate = block_class[i] // N_MASK_LEVELS == CONTACT
-        if block_class[i] % N_MASK_LEVELS >= level:
-            label = 2 * w + on_plate
-        if label != before:
-            if before >= -2:
-                sums.span_s[count - 1, 1] = (first + i) * block_s
-            if label >= -2:
-                sums.span_s[count, 0], sums.window[count], sums.contact[count] = (first + i) * block_s, w, on_plate
-                count += 1
-            before = label
-    if before >= -2:
-        sums.span_s[count - 1, 1] = (first + block_class.shape[0]) * block_s
-    return count
