@@ -176,26 +176,6 @@ class Fitter:
         state.fill(bare, x, best.raw, (0,), kept=True)
         return bare[:, 0]
 
-    def detectable(self, best: Fitted, key: ParameterId, nats: float) -> float:
-        """Size of a parameter, beyond ``best``, at which it would gain ``nats``; infinite where it changes nothing.
-
-        The derivative is taken one scale away from the null value. The parameter's own prior is left out; all others
-        stay free.
-        """
-        keys = [key, *(k for k in best.keys if k != key)]
-        q = parameter_of(key)
-        at = {**best.values, key: min(max(best.values.get(key, q.null_value) + q.scale, q.low), q.high)}
-        x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
-        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
-        bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
-        state.fill(bare, x, state.raw(x), (0,))
-        normal, _ = state.normal(bare, best.raw, x, state.mask)
-        others = normal[1:, 1:] + 1e-12 * np.eye(len(keys) - 1)
-        information = float(normal[0, 0] - normal[0, 1:] @ np.linalg.lstsq(others, normal[1:, 0], rcond=None)[0])
-        if information <= 1e-9:
-            return math.inf
-        return float((math.sqrt(2.0 * nats / information) * self.scale(key)) ** q.power)
-
 
 class _State:
     """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""

@@ -25,22 +25,31 @@ from analysis.residuals.whitening import Whitener
 Array = NDArray[np.float64]
 
 STEP = 0.01  # finite difference of a coordinate
+LARGEST_STEP = 1.0  # secant of a coordinate
 LEAST_GROUP, LEAST_CURVATURE = 20, 0.25  # residuals that tell of their own scatter; of their mean curvature
 STUDENT = 0.75  # mean square slope of the robust loss, and mean curvature, where residuals are Student's own
 ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
 
 
 def slopes_of(
-    world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, keys: Sequence[ParameterId]
+    world: ForwardModel,
+    fitter: Fitter,
+    whitener: Whitener,
+    at: Values,
+    keys: Sequence[ParameterId],
+    step: float = STEP,
 ) -> tuple[Array, Array]:
-    """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K)."""
+    """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K).
+
+    ``step`` is that of the finite differences.
+    """
     base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
     raw = whitener.stacked(world.residuals(base))
     out = np.zeros((len(raw), len(keys)))
     for j, key in enumerate(keys):
         x = fitter.to_x(key, base[key])
         low, high = fitter.bounds(key, released=True)
-        h = STEP if x + STEP <= high or x - STEP < low else -STEP
+        h = step if x + step <= high or x - step < low else -step
         change = whitener.stacked(world.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
         out[:, j] = of_same_events(change, whitener) / h
     return raw, out
@@ -56,6 +65,32 @@ def slopes_at(
         rows = [j for j, place in enumerate(places) if place[1] == shapes]
         out[:, rows] = slopes_of(world, fitter, whitener, {**at, **dict(shapes)}, [places[j][0] for j in rows])[1]
     return raw, out
+
+
+def secants_at(
+    world: ForwardModel,
+    fitter: Fitter,
+    whitener: Whitener,
+    at: Values,
+    places: Sequence[Place],
+    raw: Array,
+    slopes: Array,
+) -> Array:
+    """Derivatives, (r, K), with secants for what can only grow from where it is.
+
+    A size that begins at nothing is told by what it does at a size that the run resolves: one standard deviation by
+    itself, all else known. A pull at take-off, for one, does nothing to first order where the contact opens late.
+    """
+    out = slopes.copy()
+    for j, (key, shapes) in enumerate(places):
+        x = fitter.to_x(key, at.get(key, null_value_of(key)))
+        low, high = fitter.bounds(key, released=True)
+        if low < x < high:
+            continue
+        known = float(np.sum(whitener.white_slopes(slopes[:, [j]], raw) ** 2))
+        step = min(max(known**-0.5, STEP), LARGEST_STEP) if known > 0.0 else LARGEST_STEP
+        out[:, [j]] = slopes_of(world, fitter, whitener, {**at, **dict(shapes)}, [key], step)[1]
+    return out
 
 
 def of_same_events(change: Array, whitener: Whitener) -> Array:

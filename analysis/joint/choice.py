@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.attribution.chance import DRAWS, ScoreSpace
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.attribution.priors import parameter_of, scale_of
 from analysis.joint.alignment import Aligned
 from analysis.joint.population import Places, Population, Quadratic, normal_equations
 from analysis.joint.summary import Option
@@ -119,6 +120,20 @@ class Candidates:
         costs = [self.limits.tie_nats * len(t.option.sizes) for t in close]
         best = close[penalised_best(passing[0].losses, [t.losses for t in close], costs, self.every)]
         return best, tuple(t for t in found if t is best or self._tied(best, t))
+
+    def detection_limits(self) -> dict[str, float]:
+        """By ``effect.parameter``, the size that gains `Thresholds.gain_nats` in the fit of all runs.
+
+        Beside calibrations, what is named and the errors that all runs share; of several settings of its shapes the one
+        that shows least. What no run shows is left out.
+        """
+        out: dict[str, float] = {}
+        for j, (key, _) in enumerate(self.world.columns[self.world.named :]):
+            if self._shown[j]:
+                width = np.sqrt(2.0 * self.limits.gain_nats) * self._scale[j] * scale_of(key)
+                name = f"{key[0]}.{key[1]}"
+                out[name] = max(out.get(name, 0.0), float(width ** parameter_of(key).power))
+        return dict(sorted(out.items()))
 
     def judged_again(self, first: Tested, gain: float, gains: Array, depth: int) -> Tested:
         """A candidate with its gains as runs linearised at its value have them, too.

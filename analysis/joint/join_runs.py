@@ -7,6 +7,7 @@ and chance does not let the best of all candidates gain as much.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -161,10 +162,13 @@ class _Search:
     limits: Thresholds
     rounds: list[str] = field(default_factory=list)
     dropped: set[tuple[str, ...]] = field(default_factory=set)
-    declared: Mapping[ParameterId, Prior] = field(default_factory=dict)
+
+    @functools.cached_property
+    def declared(self) -> Mapping[ParameterId, Prior]:
+        """Priors of calibrations before any run."""
+        return self.passes.priors()
 
     def run(self) -> JointVerdict:
-        self.declared = self.passes.priors()
         state = self._at(Point(self.declared), ())
         state = self._begun_alone(state)
         first: list[Tested] = []
@@ -196,7 +200,7 @@ class _Search:
         return outcome_of(
             state.summaries, state.world, state.found, self.limits, times, self.declared,
             names=state.names, ties=ties, candidates=tried, rounds=tuple(self.rounds), passes=self.passes.done,
-            dated=dated,
+            dated=dated, detection=Candidates(state.world, state.found, self.limits).detection_limits(),
         )  # fmt: skip
 
     def _at(self, point: Point, named: tuple[tuple[str, ...], ...]) -> _State:

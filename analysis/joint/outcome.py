@@ -52,7 +52,7 @@ def outcome_of(
     names, ties
         What was named, and what ties with it.
     course
-        ``candidates``, ``rounds``, ``passes`` and ``dated`` of the result.
+        ``detection``, ``candidates``, ``rounds``, ``passes`` and ``dated`` of the result.
     """
     columns = world.columns[: world.named - len(PLACES)]
     level = limits.best_of_all_p / max(len(columns), 1)
@@ -61,7 +61,7 @@ def outcome_of(
     )
     runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
     shared = tuple(_systematic(world, found, name, len(columns) + i) for i, name in enumerate(NAMES))
-    told = {"candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
+    told = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
     verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
     first = tuple(sorted(parameters, key=lambda x: x.kind != "effect"))
     return JointVerdict(verdict, names, ties, first, shared, runs, **told)

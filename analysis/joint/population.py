@@ -2,10 +2,13 @@
 
 Each run is a quadratic form in its own calibrations and the shared parameters. A run's calibrations are normal about
 the means of the population, with one spread a calibration; means, shared parameters and spreads follow from all runs.
+Where runs tell little of a calibration, its spread is no more than what is stated of it: spreads have a half-normal
+prior of that width.
 
 References
 ----------
 N. M. Laird and J. H. Ware, Biometrics 38, 963 (1982): random effects, spreads by the EM algorithm.
+A. Gelman, Bayesian Anal. 1, 515 (2006): half-normal priors of spreads where there are few groups.
 A. Gelman and J. Hill, Data Analysis Using Regression and Multilevel Models (Cambridge, 2007), chapter 12.
 """
 
@@ -111,7 +114,7 @@ class Population:
 def fit_population(
     runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places, *, fixed_spread: bool = False
 ) -> Population:
-    """Means, shared parameters and spreads of greatest likelihood.
+    """Means, shared parameters and spreads of greatest posterior probability.
 
     Parameters
     ----------
@@ -120,7 +123,7 @@ def fit_population(
     start
         Values of what is not free, (K,).
     spread
-        Where the spreads begin, (q,); a spread of zero stays zero.
+        Widths of the spreads' half-normal priors, where they begin, (q,); a spread of zero stays zero.
     prior
         Of means and shared parameters.
     free
@@ -136,12 +139,21 @@ def fit_population(
     for _ in range(0 if fixed_spread else MOST_ROUNDS):
         found = _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
         squares = np.mean([_own_squares(run, found) for run in runs], axis=0)
-        after = spread * np.sqrt(squares)
+        after = _likeliest_spread(len(runs) * squares * spread**2, len(runs), width)
         change = float(np.max(np.abs(after - spread) / width, initial=0.0))
         spread = np.where(after < LEAST_SPREAD * width, 0.0, after)
         if change < SETTLED:
             break
     return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
+
+
+def _likeliest_spread(squares: Array, runs: int, width: Array) -> Array:
+    """Most probable spread of deviations whose squares add up to ``squares``, (q,), with a half-normal prior.
+
+    It is where ``-n log s - S / (2 s^2) - s^2 / (2 w^2)`` is greatest.
+    """
+    ratio = squares / width**2
+    return np.asarray(width * np.sqrt(2.0 * ratio / (runs + np.sqrt(runs**2 + 4.0 * ratio))))
 
 
 def _solved(runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places) -> Population:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from analysis.joint.constancy import Constancy, OneRun
@@ -124,6 +125,8 @@ class JointVerdict:
     systematics
         Errors of the contact's edges that all runs share.
     runs
+    detection
+        By ``effect.parameter``, the size below which all runs together could not have shown it.
     candidates
         Of the first round, the best first.
     rounds
@@ -140,6 +143,7 @@ class JointVerdict:
     parameters: tuple[OverRuns, ...]
     systematics: tuple[Systematic, ...]
     runs: tuple[RunOutcome, ...]
+    detection: Mapping[str, float]
     candidates: tuple[Candidate, ...]
     rounds: tuple[str, ...]
     passes: int

@@ -19,7 +19,7 @@ from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of
-from analysis.attribution.second_order import adjusted_gradient_and_information, slopes_at
+from analysis.attribution.second_order import adjusted_gradient_and_information, secants_at, slopes_at
 from analysis.joint.population import Quadratic
 from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
@@ -222,6 +222,10 @@ def _to_second_order(
     errors = Systematics.of(world, whitener, at)
     ours = np.array([place in PLACES for place in columns])
     raw, slopes = slopes_at(world, fitter, whitener, at, [p for p in columns if p not in PLACES])
+    sizes = len(columns) - int(np.flatnonzero(ours)[-1]) - 1  # of candidates, last of all
+    if sizes:
+        tried = columns[-sizes:]
+        slopes[:, -sizes:] = secants_at(world, fitter, whitener, at, tried, raw, slopes[:, -sizes:])
     both = np.empty((len(raw), len(columns)))
     both[:, ours], both[:, ~ours] = errors.slopes, slopes
     origin = np.zeros(len(columns))

@@ -23,6 +23,7 @@ def as_json(found: JointVerdict) -> dict[str, Any]:
         "parameters": [_parameter(x, found.runs) for x in found.parameters],
         "systematics": [_row(asdict(x)) for x in found.systematics],
         "runs": [_row(asdict(run)) for run in found.runs],
+        "detection_limits": {name: _finite(size) for name, size in found.detection.items()},
         "candidates": [_row(asdict(x)) for x in found.candidates],
         "rounds": list(found.rounds),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from analysis.attribution.detectability import Detectability
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.thresholds import Thresholds
 from model.effects.registry import registry
@@ -10,10 +11,10 @@ from model.effects.registry import registry
 def detection_limits(best: Hypothesis, limits: Thresholds) -> tuple[dict[str, float], tuple[str, ...]]:
     """Detection limits by ``effect.parameter``, and the effects that no size would show.
 
-    The limit is the size that gains ``limits.gain_nats``, from the derivatives at ``best``, with calibrations and
-    nuisances free.
+    The limit is the smallest size whose expected gains pass the tests of a verdict, with calibrations and nuisances
+    free: see `analysis.attribution.detectability`.
     """
-    fitted = best.fitted
+    fitted, detectability = best.fitted, Detectability(best.fitted, limits)
     sizes: dict[str, float] = {}
     unidentifiable: list[str] = []
     for entry in registry():
@@ -25,7 +26,7 @@ def detection_limits(best: Hypothesis, limits: Thresholds) -> tuple[dict[str, fl
             key = (e.name, q.name)
             if q.is_shape or key in fitted.free:
                 continue
-            size = fitted.fitter.detectable(fitted, key, limits.gain_nats)
+            size = detectability.limit(key)
             if size < q.high - q.low:
                 shown.append(q.name)
                 sizes[f"{e.name}.{q.name}"] = size

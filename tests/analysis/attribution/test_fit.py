@@ -90,24 +90,6 @@ def test_a_promise_leaves_out_what_the_fit_itself_would_still_gain(fly_ramp: Cal
     assert abs(fitter.linear_step(short, (UP, DOWN))[0]) < 4.0
 
 
-@pytest.mark.parametrize(("part", "seen"), [(0.4, False), (2.5, True)])
-def test_what_lies_beyond_the_detection_limit_gains_the_threshold(
-    fly_ramp: Callable[..., ForwardModel], part: float, seen: bool
-) -> None:
-    """A damping of 2.5 times the limit is worth the 12 nats that a name needs, one of 0.4 times it is not."""
-    clean = fly_ramp({}, 5)
-    all_steps = np.ones(len(clean.evidence.steps), dtype=bool)
-    priors = priors_of(clean.evidence.setup)
-    fitter = Fitter(clean, priors, all_steps)
-    limit = fitter.detectable(fitter.fit(Whitener.of(clean, {}), (), {}), RATE, 12.0)
-    assert 0.0 < limit < 1.0
-    world = fly_ramp({RATE: part * limit}, 6)
-    fitter = Fitter(world, priors, all_steps)
-    whitener = Whitener.of(world, {RATE: part * limit})
-    gain = fitter.fit(whitener, (), {}).loss - fitter.fit(whitener, (RATE,), {}).loss
-    assert (gain > 12.0) == seen
-
-
 def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Friction of 0.12 differs from none, a damping that is not there does not, and a shape never counts."""
     world = fly_ramp(TRUTH, 3)

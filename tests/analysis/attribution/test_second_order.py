@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from analysis.attribution.second_order import adjusted_gradient_and_information, gradient_and_information
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import Prior, scale_of
+from analysis.attribution.second_order import (
+    adjusted_gradient_and_information,
+    gradient_and_information,
+    secants_at,
+    slopes_at,
+)
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import NEVER
 from analysis.residuals.whitening import Whitener
 
@@ -42,3 +51,17 @@ def test_one_step_is_neither_short_nor_surer_than_it_is(freedom: float) -> None:
         short.append(gradient[0] / information[0, 0] / true)
     assert abs(np.mean(pulls)) < 0.1 and np.std(pulls) == pytest.approx(1.0, abs=0.06)
     assert np.mean(short) < 0.85
+
+
+def test_a_pull_at_takeoff_is_told_by_its_secant(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Where the contact opens late, no pull shows to first order: a secant tells what a real one does."""
+    pull, gap = ("adhesion", "a_mps2"), ("contact_gap", "gap_m")
+    world, at = fly_ramp({}, 3), {gap: 1e-12}
+    fitter = Fitter(world, {gap: Prior(0.0, 2e-6)}, np.ones(len(world.evidence.steps), dtype=bool))
+    whitener = Whitener.of(world, at)
+    raw, slopes = slopes_at(world, fitter, whitener, at, [(pull, ())])
+    secants = secants_at(world, fitter, whitener, at, [(pull, ())], raw, slopes)
+    assert np.linalg.norm(secants) > 3.0 * np.linalg.norm(slopes)
+    known = 1.0 / np.linalg.norm(whitener.white_slopes(slopes, raw))
+    after = whitener.stacked(world.residuals({**at, pull: known * scale_of(pull)}))
+    np.testing.assert_allclose(secants[:, 0] * known, after - raw, atol=1e-9)

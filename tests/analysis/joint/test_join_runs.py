@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from analysis.joint.join_runs import join_runs
 from analysis.joint.result import JointVerdict
 from analysis.joint.summary import RunSummary
+from analysis.loop.close_loop import close_loop
 from analysis.thresholds import FROZEN
 from bench.cli import app
 from benchmarks.analysis.joint import short_runs
@@ -73,6 +74,14 @@ def test_summaries_are_kept_and_gone_on_with(tmp_path: Path, monkeypatch: pytest
     row = next(iter(Journal(tmp_path / "runs.rows").rows.values()))
     again = RunSummary.from_row(RunSummary.from_row(row).as_row())
     assert np.array_equal(again.quadratic.information, RunSummary.from_row(row).quadratic.information)
+
+
+def test_runs_together_show_smaller_sizes(tmp_path: Path) -> None:
+    """The verdict states what all runs could have shown: less than what one of them could."""
+    paths = short_runs(tmp_path, 3, 505, {})
+    one, all_three = close_loop(paths[:1]).detection, join_runs(paths).detection
+    for name in ("viscous_damping.rate_per_s", "adhesion.a_mps2"):
+        assert 0.2 * one[name] < all_three[name] < one[name]
 
 
 def test_two_runs_are_refused(tmp_path: Path) -> None:

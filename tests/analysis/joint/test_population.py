@@ -71,6 +71,16 @@ def test_the_spread_from_run_to_run_is_found():
     assert found.x[Q:] == pytest.approx([0.5, -0.5], abs=4.0 * found.sigma(Q))
 
 
+def test_runs_that_tell_little_do_not_widen_a_spread():
+    """Of a calibration that each run knows to ten times its stated width, noise between runs is no spread."""
+    rng, known = np.random.default_rng(5), np.diag([0.01, 1e4])
+    prior, free = Prior(np.zeros(2), np.array([1.0, 0.0])), np.arange(2)
+    for _ in range(20):
+        noise = [np.sqrt(np.diag(known)) * rng.standard_normal(2) for _ in range(10)]
+        runs = [Quadratic(np.zeros(2), score, known) for score in noise]
+        assert fit_population(runs, np.zeros(2), np.ones(1), prior, free).spread[0] < 1.0
+
+
 def test_a_spread_changes_the_weights_of_runs():
     """Where calibrations differ, a shared parameter that they can imitate is known less well than if they were one."""
     information = np.array([[100.0, 99.0], [99.0, 100.0]])

@@ -19,7 +19,7 @@ def verdict(one: OneRun | None) -> JointVerdict:
     runs = tuple(
         RunOutcome(f"{x}.h5", "", 150, 10, float(i), 1.0, 1.0, 0.5, 27.0, 27.0, ()) for i, x in enumerate("abc")
     )
-    return JointVerdict("explained", ("drive_gain",), (("drive_gain",),), (gain,), (), runs, (), (), 1, False)
+    return JointVerdict("explained", ("drive_gain",), (("drive_gain",),), (gain,), (), runs, {}, (), (), 1, False)
 
 
 def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,62 @@
+"""Detection limits: what lies well beyond is named, what lies well below is not, and one step's word is not enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.constants import g as G_MPS2
+
+from analysis.attribution.detectability import Detectability
+from analysis.attribution.fit import Fitter
+from analysis.attribution.priors import priors_of
+from analysis.loop.close_loop import close_loop
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.whitening import Whitener
+from analysis.thresholds import FROZEN
+from benchmarks.analysis.joint import short_runs
+
+RATE, PULL = ("viscous_damping", "rate_per_s"), ("adhesion", "a_mps2")
+
+
+def detectability(world: ForwardModel) -> Detectability:
+    """Beside the fit of calibrations alone, all steps seen."""
+    fitter = Fitter(world, priors_of(world.evidence.setup), np.ones(len(world.evidence.steps), dtype=bool))
+    return Detectability(fitter.fit(Whitener.of(world, {}), (), {}), FROZEN)
+
+
+@pytest.mark.parametrize(("part", "seen"), [(0.4, False), (2.5, True)])
+def test_what_lies_beyond_the_limit_gains_the_threshold(
+    fly_ramp: Callable[..., ForwardModel], part: float, seen: bool
+) -> None:
+    """A damping of 2.5 times the limit is worth the 12 nats that a name needs, one of 0.4 times it is not."""
+    limit = detectability(fly_ramp({}, 5)).limit(RATE)
+    assert 0.0 < limit < 1.0
+    world = fly_ramp({RATE: part * limit}, 6)
+    fitter = detectability(world).best.fitter
+    whitener = Whitener.of(world, {RATE: part * limit})
+    gain = fitter.fit(whitener, (), {}).loss - fitter.fit(whitener, (RATE,), {}).loss
+    assert (gain > 12.0) == seen
+
+
+def test_few_data_of_unknown_scatter_tell_less(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A change of all residuals gains as its square while it is small, and only as a logarithm where it is large."""
+    of = detectability(fly_ramp({}, 5))
+    change = np.ones(len(of.best.raw))
+    small, part = of._gain(0.1 * change)
+    large, less = of._gain(10.0 * change)
+    assert 0.5 < part.min() <= part.max() <= 1.0
+    assert large < 0.1 * 1e4 * small and less.max() < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("part", "seen"), [(0.4, False), (1.7, True)])
+def test_runs_of_another_plant_confirm_the_limit_of_adhesion(tmp_path: Path, part: float, seen: bool) -> None:
+    """Of three runs well beyond the limit most name the adhesion, of three well below none does."""
+    clean = close_loop(short_runs(tmp_path / "clean", 1, 560, {})[:1])
+    limit = clean.detection["adhesion.a_mps2"]
+    paths = short_runs(tmp_path / "hidden", 3, 561, {"adhesion.pull_g": part * limit / G_MPS2})
+    named = [any("adhesion" in names for names in close_loop([path]).ties) for path in paths]
+    assert sum(named) >= 2 if seen else not any(named)
