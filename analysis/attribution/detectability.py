@@ -21,11 +21,11 @@ from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.thresholds import Thresholds
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-LEAST_INFORMATION = 1e-9  # of one scale of a parameter: below, it changes nothing
-MOST_ROUNDS = 6  # of sizes that are tried
+MOST_ROUNDS = 8  # of sizes that are tried
 SETTLED = 0.1  # relative change of a size at which it has been found
-FARTHEST = 100.0  # times the size tried, or its part, up to which expected gains are tested
+FARTHEST, COARSE = 8.0, 7  # times the size tried, or its part, up to which expected gains are tested; at so many sizes
 
 
 class Detectability:
@@ -46,78 +46,86 @@ class Detectability:
         self._weight = np.where(self._state.mask, robust_weight(self._z, self._whitener.odds), 0.0)
         opening = self._whitener.order < len(self._whitener.opening)
         self._channel = np.concatenate([opening.astype(np.int64), 2 + best.fitter.world.evidence.plate.kind])
+        self._loss = robust_loss(self._z, self._whitener.odds)
         self._beside = self._whitener.white_slopes(best.bare, best.raw)
-        self._stiffness = self._state.inverse**2
+        folds = np.array([fold[self._state.step] for fold in best.fitter.folds])
+        self._weights = np.array([self._weight, *np.where(folds, 0.0, self._weight)])  # of all, and without a fold each
+        self._covariances: dict[bytes, list[Array]] = {}
 
     def limit(self, key: ParameterId) -> float:
         """Smallest detectable size of a parameter, in its own unit; infinite where it changes nothing.
 
-        The parameter's own prior is left out; all others stay free.
+        The parameter's own prior is left out; all others stay free. A calibration needs no gain on steps left out: what
+        tells it from the others is what the profile states of them, and that is known beside any step.
         """
         fitter, q = self.best.fitter, parameter_of(key)
-        at = self.best.values.get(key, null_value_of(key))
-        x = fitter.to_x(key, at)
+        x = fitter.to_x(key, self.best.values.get(key, null_value_of(key)))
         low, high = fitter.to_x(key, q.low), fitter.to_x(key, q.high)
-        size, found = 1.0, math.inf
+        most, up = max(high - x, x - low), high - x >= x - low
+        size, found = min(1.0, most), math.inf
+        others = np.array([k != key for k in self.best.keys])
         for _ in range(MOST_ROUNDS):
-            reached = x + size if x + size <= high else max(x - size, low)
-            tried = abs(reached - x)
-            multiple = self._multiple(key, self._change(key, reached) / tried, tried, high - low)
-            found = tried * multiple
-            if not math.isfinite(found) or abs(multiple - 1.0) < SETTLED or (found > tried and tried < size):
+            slope = self._change(key, x + size if up else x - size, others) / size
+            multiple = self._multiple(key, others, slope, size, high - low)
+            found = size * multiple
+            if abs(multiple - 1.0) < SETTLED or (size == most and multiple > 1.0):
                 break
-            size = found
-        return float((found * fitter.scale(key)) ** q.power) if math.isfinite(found) else math.inf
+            size = min(size * min(multiple, FARTHEST), most)
+        return float((found * fitter.scale(key)) ** q.power) if found <= most else math.inf
 
-    def _change(self, key: ParameterId, x: float) -> Array:
-        """Change of the whitened residuals when a parameter goes to the coordinate ``x``.
+    def _change(self, key: ParameterId, x: float, others: Mask) -> Array:
+        """Change of the whitened residuals when a parameter goes to the coordinate ``x``, (r,).
 
         It is taken where calibrations have followed, less what they have done by their derivatives: what they hide to
         first order they mostly hide to second.
         """
-        others = np.array([k != key for k in self.best.keys])
-        beside, stiffness = self._beside[:, others], self._stiffness[others]
-        now = self.best.x[others]
-        alone = self._moved(key, x, now)
-        follow = -_fitted(beside, stiffness, self._weight, alone)
-        after = np.clip(now + follow, self._state.low[others], self._state.high[others])
-        return np.asarray(self._moved(key, x, after) - beside @ (after - now))
+        now, state = self.best.x, self._state
+        wanted = now - self._followed(others, self._moved(key, x, now), 0)
+        after = np.clip(wanted, state.low, state.high)
+        return np.asarray(self._moved(key, x, after) - self._beside @ (after - now))
 
-    def _moved(self, key: ParameterId, x: float, others: Array) -> Array:
-        """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted beside it."""
+    def _moved(self, key: ParameterId, x: float, beside: Array) -> Array:
+        """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted, (q,)."""
         fitter, raw = self.best.fitter, self.best.raw
-        keys = [k for k in self.best.keys if k != key]
-        values = {**fitter.values(keys, others), **fitter.values((key,), np.array([x]))}
+        values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), np.array([x]))}
         change = self._whitener.stacked(fitter.world.residuals(values)) - raw
         events = np.arange(len(change)) < len(self._whitener.step)
         change[(events & (np.abs(change) > LEAP_S)) | ~np.isfinite(change)] = 0.0
         return np.asarray(self._whitener.white_slopes(change[:, None], raw)[:, 0])
 
-    def _multiple(self, key: ParameterId, slope: Array, tried: float, reach: float) -> float:
+    def _multiple(self, key: ParameterId, others: Mask, slope: Array, tried: float, reach: float) -> float:
         """By what the size tried has to be multiplied to be named; ``slope`` is the change per unit of it."""
-        others = np.array([k != key for k in self.best.keys])
-        beside, stiffness = self._beside[:, others], self._stiffness[others]
-        left = slope - beside @ _fitted(beside, stiffness, self._weight, slope)
-        if float(slope @ (self._weight * left)) <= LEAST_INFORMATION:
-            return math.inf
-        signal, lost = self._left_out(slope, beside, stiffness, reach)
-        low, high = math.log(1.0 / FARTHEST), math.log(FARTHEST)
-        if not self._named(tried * FARTHEST, left, signal, lost):
-            return math.inf
-        while high - low > 0.25 * SETTLED:
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if self._named(tried * math.exp(middle), left, signal, lost) else (middle, high)
-        return math.exp(high)
+        follow = self._followed(others, slope, 0)
+        left, pulled = (
+            slope - self._beside @ follow,
+            float((self._state.inverse * follow) @ (self._state.inverse * follow)),
+        )
+        signal, lost = self._left_out(others, slope, reach)
 
-    def _named(self, size: float, left: Array, signal: Array, lost: Array) -> bool:
-        """Whether expected gains of a size pass; what a unit leaves beside calibrations, and does to steps left out."""
-        gain, weakened = self._gain(size * left)
-        if gain < self.limits.gain_nats:
-            return False
-        seen, m = self.best.fitter.train, len(self.best.fitter.train)
-        won = np.bincount(self._state.step, size**2 * signal * weakened, minlength=m)
-        lose = np.bincount(self._state.step, lost, minlength=m)
-        return LogScoreDifference.of(won, lose, seen).exceeds(*self._wanted)
+        def named(multiple: float) -> bool:
+            size = tried * multiple
+            gain, weakened = self._gain(size * left)
+            if gain + 0.5 * size**2 * pulled < self.limits.gain_nats:
+                return False
+            return key in self.best.fitter.priors or self._confirmed(size**2 * signal * weakened, lost)
+
+        if not named(1.0):
+            above = (m for m in np.geomspace(1.0, FARTHEST, COARSE)[1:] if named(m))
+            high = next(above, math.inf)
+        else:
+            below = (m for m in np.geomspace(1.0, 1.0 / FARTHEST, COARSE)[1:] if not named(m))
+            high = next(below, 1.0 / FARTHEST) * FARTHEST ** (1.0 / (COARSE - 1))
+        low = high / FARTHEST ** (1.0 / (COARSE - 1))
+        while math.isfinite(high) and high > (1.0 + 0.3 * SETTLED) * low:
+            middle = math.sqrt(low * high)
+            low, high = (low, middle) if named(middle) else (middle, high)
+        return high
+
+    def _confirmed(self, signal: Array, lost: Array) -> bool:
+        """Whether steps left out gain enough by a size; what each residual gains and loses: see `_left_out`."""
+        m = len(self.best.fitter.train)
+        won, lose = (_sums(self._state.step, x, m) for x in (signal, lost))
+        return LogScoreDifference.of(won, lose, self.best.fitter.train).exceeds(*self._wanted)
 
     def _gain(self, change: Array) -> tuple[float, Array]:
         """Expected gain of a change of whitened residuals, nats, and by what it is below a square law, (r,).
@@ -127,13 +135,12 @@ class Detectability:
         """
         square = 0.5 * self._weight * change**2
         z, odds, seen = self._z, self._whitener.odds, self._state.mask
-        gain = 0.5 * (robust_loss(z + change, odds) + robust_loss(z - change, odds)) - robust_loss(z, odds)
-        channels = self._channel[seen]
-        of, n = np.bincount(channels, gain[seen]), np.bincount(channels)
-        of = 0.5 * n * np.log1p(np.maximum(2.0 * of / np.maximum(n, 1), 0.0))
-        whole = np.bincount(channels, square[seen], minlength=len(of))
-        part = np.divide(of, whole, out=np.zeros(len(of)), where=whole > 0.0)
-        return float(of.sum()), np.append(part, np.zeros(int(self._channel.max()) + 1 - len(part)))[self._channel]
+        gain = 0.5 * (robust_loss(z + change, odds) + robust_loss(z - change, odds)) - self._loss
+        m = int(self._channel.max(initial=-1)) + 1
+        known, whole, n = (_sums(self._channel, np.where(seen, x, 0.0), m) for x in (gain, square, np.ones(len(z))))
+        of = 0.5 * n * np.log1p(np.maximum(2.0 * known / np.maximum(n, 1.0), 0.0))
+        part = np.divide(of, whole, out=np.zeros(m), where=whole > 0.0)
+        return float(of.sum()), part[self._channel]
 
     @property
     def _wanted(self) -> tuple[float, float]:
@@ -142,34 +149,33 @@ class Detectability:
             return self.limits.next_effect_nats, self.limits.next_effect_sigmas
         return self.limits.first_effect_nats, self.limits.first_effect_sigmas
 
-    def _left_out(self, slope: Array, beside: Array, stiffness: Array, reach: float) -> tuple[Array, Array]:
+    def _left_out(self, others: Mask, slope: Array, reach: float) -> tuple[Array, Array]:
         """What each residual gains by a unit of the size where it is left out, and loses by its uncertainty, (r,) nats.
 
         Without the size, a fit to the other steps is off by what calibrations cannot follow; with it, by the error of
         the size found there, at most ``reach``.
         """
-        both, stiff = np.column_stack([slope, beside]), np.append(reach**-2.0, stiffness)
         signal, lost = np.zeros(len(slope)), np.zeros(len(slope))
-        for fold in self.best.fitter.folds:
+        for i, fold in enumerate(self.best.fitter.folds, start=1):
             held = fold[self._state.step]
-            weight = np.where(held, 0.0, self._weight)
-            bias = slope - beside @ _fitted(beside, stiffness, weight, slope)
-            more = _variance(both, stiff, weight) - _variance(beside, stiffness, weight)
+            bias = slope - self._beside @ self._followed(others, slope, i)
+            known = float(slope @ (self._weights[i] * bias)) + reach**-2.0
             signal[held] = (0.5 * self._weight * bias**2)[held]
-            lost[held] = (0.5 * self._weight * more)[held]
+            lost[held] = signal[held] / known
         return signal, lost
 
+    def _followed(self, others: Mask, values: Array, part: int) -> Array:
+        """Coefficients of ``others`` in a fit to ``values``, (q,), with priors about zero.
 
-def _covariance(columns: Array, stiffness: Array, weight: Array) -> Array:
-    normal = (columns * weight[:, None]).T @ columns + np.diag(stiffness)
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
+        ``part`` is 0 for all steps, else the number of the fold left out.
+        """
+        if (key := others.tobytes()) not in self._covariances:
+            beside, stiffness = self._beside * others, np.where(others, self._state.inverse**2, 1.0)
+            normals = [(beside * w[:, None]).T @ beside + np.diag(stiffness) for w in self._weights]
+            inverses = (np.linalg.pinv(normal, rcond=1e-14, hermitian=True) for normal in normals)
+            self._covariances[key] = [others[:, None] * np.asarray(x) * others for x in inverses]
+        return np.asarray(self._covariances[key][part] @ (self._beside.T @ (self._weights[part] * values)))
 
 
-def _fitted(columns: Array, stiffness: Array, weight: Array, values: Array) -> Array:
-    """Coefficients of a weighted fit of ``columns`` to ``values`` with priors about zero."""
-    return np.asarray(_covariance(columns, stiffness, weight) @ (columns.T @ (weight * values)))
-
-
-def _variance(columns: Array, stiffness: Array, weight: Array) -> Array:
-    """Variance of each row's fitted value, (n,)."""
-    return np.asarray(np.einsum("ij,jk,ik->i", columns, _covariance(columns, stiffness, weight), columns))
+def _sums(place: NDArray[np.int64], values: Array, count: int) -> Array:
+    return np.asarray(np.bincount(place, values, minlength=count), dtype=np.float64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from analysis.attribution.priors import parameter_of
 from analysis.joint.result import JointVerdict, OverRuns
 
 WORDS = {"explained": "explained", "unexplained": "unexplained", "nothing_missing": "nothing missing"}
@@ -48,8 +49,16 @@ def show(found: JointVerdict) -> None:
             f"{run.noise_floor_us:.1f}",
         )  # fmt: skip
     out.print(runs)
+    limits = (f"{name} {size:.2g} {_unit(name)}" for name, size in found.detection.items())
+    if found.detection:
+        out.print(f"  all runs together could not have shown less than: {'; '.join(limits)}", soft_wrap=True)
     for line in found.rounds:
         out.print(f"  {line}", soft_wrap=True)
+
+
+def _unit(name: str) -> str:
+    effect, _, parameter = name.partition(".")
+    return parameter_of((effect, parameter)).unit
 
 
 def _row(x: OverRuns) -> tuple[str, ...]:

@@ -9,6 +9,8 @@ from bench.terminal.joint_display import show
 
 CONSTANT = Constancy(9.0, 2, 0.01, 0.007, 0.0, float("inf"), 1.0)
 
+LIMITS = {"viscous_damping.rate_per_s": 0.047}
+
 
 def verdict(one: OneRun | None) -> JointVerdict:
     """Three runs with a drive gain, of which the last may be the only one that shows it."""
@@ -19,7 +21,7 @@ def verdict(one: OneRun | None) -> JointVerdict:
     runs = tuple(
         RunOutcome(f"{x}.h5", "", 150, 10, float(i), 1.0, 1.0, 0.5, 27.0, 27.0, ()) for i, x in enumerate("abc")
     )
-    return JointVerdict("explained", ("drive_gain",), (("drive_gain",),), (gain,), (), runs, {}, (), (), 1, False)
+    return JointVerdict("explained", ("drive_gain",), (("drive_gain",),), (gain,), (), runs, LIMITS, (), (), 1, False)
 
 
 def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,3 +39,11 @@ def test_what_the_runs_share_is_nobodys_alone(capsys: pytest.CaptureFixture[str]
     assert as_json(verdict(None))["parameters"][0]["one_run"] is None
     show(verdict(None))
     assert "one run's alone" not in capsys.readouterr().out
+
+
+def test_what_all_runs_could_not_have_shown_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """JSON and terminal state the joint detection limits, with their units."""
+    assert as_json(verdict(None))["detection_limits"] == LIMITS
+    show(verdict(None))
+    out = " ".join(capsys.readouterr().out.split())
+    assert "could not have shown less than: viscous_damping.rate_per_s 0.047 1/s" in out
