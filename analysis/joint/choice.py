@@ -124,12 +124,12 @@ class Candidates:
     def detection_limits(self) -> dict[str, float]:
         """By ``effect.parameter``, the size that gains `Thresholds.gain_nats` in the fit of all runs.
 
-        Beside calibrations, what is named and the errors that all runs share; of several settings of its shapes the one
-        that shows least. What no run shows is left out.
+        Beside calibrations, which have their own intervals, what is named and the errors that all runs share; of
+        several settings of its shapes the one that shows least. What no run shows is left out.
         """
         out: dict[str, float] = {}
         for j, (key, _) in enumerate(self.world.columns[self.world.named :]):
-            if self._shown[j]:
+            if self._shown[j] and key not in self.world.point.own:
                 width = np.sqrt(2.0 * self.limits.gain_nats) * self._scale[j] * scale_of(key)
                 name = f"{key[0]}.{key[1]}"
                 out[name] = max(out.get(name, 0.0), float(width ** parameter_of(key).power))
