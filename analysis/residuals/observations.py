@@ -107,6 +107,8 @@ class Observations:
         Lines that stand out below the forcing in several steps: where a table resonance may be.
     modulation : AmplitudeModulation or None
         Change of the forcing's amplitude within steps and from step to step.
+    sampling_s : float
+        Interval of the samples to which edges are rounded where their uncertainty allows it; 0 where they are not.
     """
 
     measured: Measured
@@ -124,6 +126,7 @@ class Observations:
     hints_hz: tuple[float, ...] = ()
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
+    sampling_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -193,8 +196,10 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     lines = [_lines_radps(steps, i, hints) for i in range(len(steps))]
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    sigmas_open = with_jitter(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines)
-    sigmas_land = with_jitter(measured.landing_s, bare[1], step, scored, period_s, lines)
+    sampling_s = 1.0 / recording.rate_hz
+    own = scored & ~measured.relaunched
+    sigmas_open = with_jitter(measured.opening_s, bare[0], step, own, period_s, lines, sampling_s)
+    sigmas_land = with_jitter(measured.landing_s, bare[1], step, scored, period_s, lines, sampling_s)
     weak = np.full(len(scored), np.inf)
     if flights.edges.sensor_offset is not None:
         weak = _weak_mps(measured, steps, flights, keep)
@@ -215,6 +220,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         notes=notes,
         hints_hz=hints,
         closure_s=_closure_s(measured),
+        sampling_s=sampling_s,
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
     )
 
@@ -397,6 +403,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
+        sampling_s=max(p.sampling_s for p in parts),
         modulation=AmplitudeModulation.join(modulation)
         if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
