@@ -226,7 +226,9 @@ def _next(
     if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
-    if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
+    if block is not None and block.sharpening < 0.5 and _in_vain(block, blocks):
+        chosen = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
+    elif block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
     elif loop is not None and loop.verdict == "explained" and len(loop.ties) > 1:
         others = ", ".join(" + ".join(names) for names in loop.ties[1:])
@@ -243,6 +245,19 @@ def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
     if loop is None or loop.verdict != "unexplained":
         return aims
     return replace(aims, hold_cycles=LONGER_HOLD * aims.hold_cycles)
+
+
+def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
+    """Whether the same steps were driven before: what they were to tell apart, they did not."""
+
+    def steps(ratio: int, frequency_hz: float, gammas: Sequence[float]) -> tuple[int, float, frozenset[float]]:
+        return ratio, frequency_hz, frozenset(gammas)
+
+    profiles = [parse_profile(driven.text, "block") for driven in blocks]
+    forcing = block.option.setup.forcing
+    return steps(forcing.ratio, forcing.frequency_hz, block.gammas) in [
+        steps(p.forcing.ratio, p.forcing.frequency_hz, p.ramp.gammas()) for p in profiles
+    ]
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
