@@ -25,7 +25,7 @@ MIN_EDGES = 6  # edges needed that have a next cycle
 MIN_STEPS = 3
 
 
-def with_jitter(
+def excess_of_steps(
     time_s: Array,
     sigma_s: Array,
     step: Ints,
@@ -33,7 +33,7 @@ def with_jitter(
     period_s: Array,
     lines_radps: Sequence[Array] = (),
 ) -> Array:
-    """Uncertainty of edges, raised by their excess scatter from cycle to cycle.
+    """Excess variance of edges from cycle to cycle, in each step that repeats.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def with_jitter(
 
     Returns
     -------
-    array, shape (n,)
-        ``sigma_s`` itself where fewer than `MIN_STEPS` steps repeat.
+    array, shape (k,)
+        Square seconds, for each of the k steps that repeat; below zero where edges scatter by less than is stated.
     """
     excess = []
     for i, period in enumerate(period_s):
@@ -61,9 +61,24 @@ def with_jitter(
         if freedom >= MIN_FREEDOM:
             middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
             excess.append(squares / freedom / middle - float(np.median(sigma_s[own])) ** 2)
-    if len(excess) < MIN_STEPS:
+    return np.array(excess, dtype=np.float64)
+
+
+def raised(sigma_s: Array, excess_s2: Array) -> Array:
+    """Uncertainties (n,) raised by the median excess variance; as they are where fewer than `MIN_STEPS` steps tell."""
+    if len(excess_s2) < MIN_STEPS:
         return sigma_s
-    return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(excess)), 0.0)))
+    return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(excess_s2)), 0.0)))
+
+
+def raised_together(sigmas_s: Sequence[Array], excesses_s2: Sequence[Array]) -> list[Array]:
+    """Uncertainties of several recordings of one rig, each `raised` by its own steps that repeat.
+
+    Where these are fewer than `MIN_STEPS`, as in a short block, the circuit is the same, and those of all recordings
+    tell. The uncertainties are those without excess there, and already raised elsewhere.
+    """
+    every = np.concatenate(list(excesses_s2))
+    return [raised(s, every) if len(own) < MIN_STEPS else s for s, own in zip(sigmas_s, excesses_s2, strict=True)]
 
 
 def _scatter(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[float, int]:

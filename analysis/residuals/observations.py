@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.events.edge_jitter import with_jitter
+from analysis.events.edge_jitter import excess_of_steps, raised, raised_together
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
@@ -107,6 +107,8 @@ class Observations:
         Lines that stand out below the forcing in several steps: where a table resonance may be.
     modulation : AmplitudeModulation or None
         Change of the forcing's amplitude within steps and from step to step.
+    excess_s2 : pair of arrays
+        Excess variance of openings and of landings in each step that repeats; see `analysis.events.edge_jitter`.
     """
 
     measured: Measured
@@ -124,6 +126,7 @@ class Observations:
     hints_hz: tuple[float, ...] = ()
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
+    excess_s2: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -193,8 +196,10 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     lines = [_lines_radps(steps, i, hints) for i in range(len(steps))]
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    sigmas_open = with_jitter(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines)
-    sigmas_land = with_jitter(measured.landing_s, bare[1], step, scored, period_s, lines)
+    excess = (
+        excess_of_steps(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines),
+        excess_of_steps(measured.landing_s, bare[1], step, scored, period_s, lines),
+    )
     weak = np.full(len(scored), np.inf)
     if flights.edges.sensor_offset is not None:
         weak = _weak_mps(measured, steps, flights, keep)
@@ -202,8 +207,8 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
-        sigmas_open,
-        sigmas_land,
+        raised(bare[0], excess[0]),
+        raised(bare[1], excess[1]),
         scored,
         measured.landing_s.copy(),
         weak,
@@ -216,6 +221,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         hints_hz=hints,
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+        excess_s2=excess,
     )
 
 
@@ -382,10 +388,11 @@ def join(parts: Sequence[Observations]) -> Observations:
         spread_mps2=column(lambda p: p.steps.spread_mps2),
         forcing=column(lambda p: p.steps.forcing),
     )
+    opening_s2, landing_s2 = zip(*(p.excess_s2 for p in parts), strict=True)
     return Observations(
         measured=measured,
-        opening_sigma_s=column(lambda p: p.opening_sigma_s),
-        landing_sigma_s=column(lambda p: p.landing_sigma_s),
+        opening_sigma_s=np.concatenate(raised_together([p.opening_sigma_s for p in parts], opening_s2)),
+        landing_sigma_s=np.concatenate(raised_together([p.landing_sigma_s for p in parts], landing_s2)),
         scored=column(lambda p: p.scored),
         time_s=column(lambda p: p.time_s),
         weak_mps=column(lambda p: p.weak_mps),
@@ -400,4 +407,5 @@ def join(parts: Sequence[Observations]) -> Observations:
         modulation=AmplitudeModulation.join(modulation)
         if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
+        excess_s2=(np.concatenate(opening_s2), np.concatenate(landing_s2)),
     )
