@@ -20,6 +20,7 @@ from analysis.plate.motion import StepPlate
 from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
+from analysis.residuals.slow_lines import clustered, hints_of, other_lines_radps
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
@@ -34,8 +35,6 @@ MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball leaves at once
 MAX_TONES = 8
 TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
-WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
-SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
 DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
@@ -192,8 +191,8 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     measured = replace(
         measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
     )
-    hints = _hints_hz(fitted)
-    lines = [_lines_radps(steps, i, hints) for i in range(len(steps))]
+    hints = hints_of(fitted)
+    lines = other_lines_radps(steps.plate, hints)
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     excess = (
@@ -293,25 +292,6 @@ def _closure_s(measured: Measured) -> float:
     """Middle of the contacts from which the ball left at once; 0 where there are few."""
     brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.relaunched[1:] & measured.linked[1:]]
     return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
-
-
-def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
-    """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
-    return clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
-
-
-def clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
-    """Middles of clusters of at least ``least`` lines."""
-    found = np.sort(lines_hz)
-    clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
-    return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
-
-
-def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
-    """Angular frequencies in step ``i`` that are no multiple of the forcing."""
-    w = steps.plate.omega_radps[i][steps.plate.acceleration_mps2[i] != 0.0]
-    cycles = w * steps.plate.period_s[i] / (2.0 * np.pi)
-    return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
 
 
 def _events(

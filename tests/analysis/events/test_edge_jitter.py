@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.edge_jitter import with_jitter
+from analysis.events.edge_jitter import MIN_STEPS, excess_of_steps, raised, raised_together
 
 PERIOD_S = 1.0 / 22.31
 RATE_HZ = 20000.0
+
+
+def with_jitter(time_s, sigma_s, *rest):
+    """Uncertainty of the edges, raised by their own scatter."""
+    return raised(sigma_s, excess_of_steps(time_s, sigma_s, *rest))
 
 
 def edges(rng: np.random.Generator, jitter_s: float, cycle: int = 1, swell_s: float = 0.0) -> tuple[np.ndarray, ...]:
@@ -69,3 +74,20 @@ def test_a_line_beside_a_harmonic_does_not_explain_the_jitter_away() -> None:
         own, lines = np.full(time_s.size, 1e-6), [np.array([line])] * 12
         found.append(with_jitter(time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S), lines)[0])
     assert np.mean(found) == pytest.approx(np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5), rel=0.2)
+
+
+def test_a_short_recording_takes_the_scatter_of_all() -> None:
+    """One with two steps that repeat is raised by those of all together; one with enough of its own is left."""
+    few, own = np.full(MIN_STEPS - 1, 9e-12), np.full(MIN_STEPS, 25e-12)
+    short, long, silent = np.full(5, 4e-6), np.full(7, 5e-6), np.full(2, 4e-6)
+    found = raised_together([short, long, silent], [few, own, np.zeros(0)])
+    assert found[0] == pytest.approx(np.hypot(4e-6, 5e-6))
+    assert found[1] is long
+    assert found[2] == pytest.approx(np.hypot(4e-6, 5e-6))
+    assert raised_together([short, silent], [few, few[:1]])[1] == pytest.approx(np.full(2, 5e-6))
+
+
+def test_fewer_steps_than_that_say_nothing() -> None:
+    """Two recordings without a third step that repeats stay as they are."""
+    short = np.full(5, 4e-6)
+    assert raised_together([short, short], [np.full(1, 9e-12), np.zeros(0)])[0] is short
