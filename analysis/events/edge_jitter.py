@@ -2,14 +2,20 @@
 
 No model of the ball is used. In a step where the motion repeats after a few periods, corresponding edges of successive
 cycles form a sequence. Its slow change (an amplitude modulation) and its spectral lines (hum) do not count as jitter.
+
+Edges that are rounded to samples scatter by the rounding as well, unless a cycle is a whole number of samples: then the
+rounding repeats, and jitter shows only where it carries an edge over the bound between two samples.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.statistics import nearest
 
@@ -23,62 +29,133 @@ N_COEFFICIENTS = 4  # coefficients of the polynomial that a sequence of edges ma
 MIN_FREEDOM = 3  # degrees of freedom needed in a step
 MIN_EDGES = 6  # edges needed that have a next cycle
 MIN_STEPS = 3
+LEAST_PART = 0.95  # of a rounding's standard deviation that an edge's error has at least if it was rounded
+DRIFT = 0.5  # samples by which edges may move against the samples in a step, for its rounding to repeat
+FARTHEST = 3.0  # times the middle of the steps' squared scatters, beyond which a step's counts as so much
 
 
-def excess_of_steps(
-    time_s: Array,
-    sigma_s: Array,
-    step: Ints,
-    seen: NDArray[np.bool_],
-    period_s: Array,
-    lines_radps: Sequence[Array] = (),
-) -> Array:
-    """Excess variance of edges from cycle to cycle, in each step that repeats.
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter of edges from cycle to cycle, in each step that repeats.
 
-    Parameters
+    Attributes
     ----------
-    time_s, sigma_s, step
-        Edges in order, their uncertainty and their step, arrays (n,).
-    seen
-        Edges used, (n,).
-    period_s
-        Period of the forcing in each step, (m,).
-    lines_radps
-        Angular frequencies of each step's lines that are no multiple of the forcing.
-
-    Returns
-    -------
-    array, shape (k,)
-        Square seconds, for each of the k steps that repeat; below zero where edges scatter by less than is stated.
+    excess_s2
+        Variance beyond what is stated, s^2, (k,); below zero where edges scatter by less.
+    repeated_s2, freedom
+        Squared scatter of the steps in which the rounding to samples repeats, s^2, and its degrees of freedom, (r,).
+    sampling_s
+        Interval of the samples to which edges are rounded; 0 where they are not.
     """
-    excess = []
-    for i, period in enumerate(period_s):
-        own = np.flatnonzero(seen & (step == i))
-        squares, freedom = 0.0, 0
-        for sequence, off in _sequences(time_s[own], float(period)):
-            left, free = _scatter(sequence, off, lines_radps[i] if len(lines_radps) else np.zeros(0))
-            squares, freedom = squares + left, freedom + free
-        if freedom >= MIN_FREEDOM:
-            middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
-            excess.append(squares / freedom / middle - float(np.median(sigma_s[own])) ** 2)
-    return np.array(excess, dtype=np.float64)
+
+    excess_s2: Array = field(default_factory=lambda: np.zeros(0))
+    repeated_s2: Array = field(default_factory=lambda: np.zeros(0))
+    freedom: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    sampling_s: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        time_s: Array,
+        sigma_s: Array,
+        step: Ints,
+        seen: NDArray[np.bool_],
+        period_s: Array,
+        lines_radps: Sequence[Array] = (),
+        sampling_s: float = 0.0,
+    ) -> Self:
+        """From edges.
+
+        Parameters
+        ----------
+        time_s, sigma_s, step
+            Edges in order, their uncertainty and their step, arrays (n,).
+        seen
+            Edges used, (n,).
+        period_s
+            Period of the forcing in each step, (m,).
+        lines_radps
+            Angular frequencies of each step's lines that are no multiple of the forcing.
+        sampling_s
+            Interval of the samples to which edges are rounded; 0 where they are not.
+        """
+        excess, repeated, freedoms = [], [], []
+        for i, period in enumerate(period_s):
+            own = np.flatnonzero(seen & (step == i))
+            squares, freedom, repeats = 0.0, 0, False
+            for sequence, off, cycle_s in _sequences(time_s[own], float(period)):
+                left, free = _scatter(sequence, off, lines_radps[i] if len(lines_radps) else np.zeros(0))
+                squares, freedom = squares + left, freedom + free
+                repeats = repeats or _rounding_repeats(cycle_s, len(off), sampling_s, sigma_s[own])
+            if freedom < MIN_FREEDOM:
+                continue
+            if repeats:
+                repeated.append(squares / freedom)
+                freedoms.append(freedom)
+            else:
+                middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
+                excess.append(squares / freedom / middle - float(np.median(sigma_s[own])) ** 2)
+        return cls(np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), sampling_s)
+
+    @classmethod
+    def together(cls, parts: Sequence[Scatter]) -> Scatter:
+        """Of several recordings, at least one, that are sampled alike."""
+        return cls(
+            np.concatenate([x.excess_s2 for x in parts]),
+            np.concatenate([x.repeated_s2 for x in parts]),
+            np.concatenate([x.freedom for x in parts]),
+            parts[0].sampling_s,
+        )
+
+    @property
+    def tells(self) -> bool:
+        """Whether enough steps repeat."""
+        return max(len(self.excess_s2), len(self.repeated_s2)) >= MIN_STEPS
+
+    def raised(self, sigma_s: Array) -> Array:
+        """Uncertainties (n,) raised by the jitter; as they are where fewer than `MIN_STEPS` steps repeat."""
+        if len(self.repeated_s2) >= MIN_STEPS:
+            return np.hypot(sigma_s, _before_rounding(self.repeated_s2, self.freedom, self.sampling_s))
+        if len(self.excess_s2) < MIN_STEPS:
+            return sigma_s
+        return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0)))
 
 
-def raised(sigma_s: Array, excess_s2: Array) -> Array:
-    """Uncertainties (n,) raised by the median excess variance; as they are where fewer than `MIN_STEPS` steps tell."""
-    if len(excess_s2) < MIN_STEPS:
-        return sigma_s
-    return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(excess_s2)), 0.0)))
+def raised_together(sigmas_s: Sequence[Array], scatters: Sequence[Scatter]) -> list[Array]:
+    """Uncertainties of several recordings of one rig, each raised by its own steps that repeat.
 
-
-def raised_together(sigmas_s: Sequence[Array], excesses_s2: Sequence[Array]) -> list[Array]:
-    """Uncertainties of several recordings of one rig, each `raised` by its own steps that repeat.
-
-    Where these are fewer than `MIN_STEPS`, as in a short block, the circuit is the same, and those of all recordings
-    tell. The uncertainties are those without excess there, and already raised elsewhere.
+    Where these are too few, as in a short block, the circuit is the same, and those of all recordings tell that are
+    sampled alike. The uncertainties are those without jitter there, and already raised elsewhere.
     """
-    every = np.concatenate(list(excesses_s2))
-    return [raised(s, every) if len(own) < MIN_STEPS else s for s, own in zip(sigmas_s, excesses_s2, strict=True)]
+    out = []
+    for sigma_s, own in zip(sigmas_s, scatters, strict=True):
+        alike = [x for x in scatters if x.sampling_s == own.sampling_s]
+        out.append(sigma_s if own.tells else Scatter.together(alike).raised(sigma_s))
+    return out
+
+
+def rounded(sigma_s: ArrayLike, sampling_s: float) -> NDArray[np.bool_]:
+    """Whether edges were rounded to samples: they are known no better than to the rounding's standard deviation."""
+    return np.asarray(sigma_s) >= LEAST_PART * sampling_s / math.sqrt(12.0)
+
+
+def _rounding_repeats(cycle_s: float, n: int, sampling_s: float, sigma_s: Array) -> bool:
+    """Whether ``n`` edges a cycle apart are rounded to samples, and all alike."""
+    if sampling_s == 0.0 or not rounded(float(np.median(sigma_s)), sampling_s):
+        return False
+    samples = cycle_s / sampling_s
+    return n * abs(samples - round(samples)) < DRIFT
+
+
+def _before_rounding(squares: Array, freedom: Ints, sampling_s: float) -> float:
+    """Jitter from the squared scatter of steps whose edges repeat at one place between two samples, unknown in each.
+
+    Averaged over all places, jitter of J leaves the variance ``J T / sqrt(pi)`` while it is below a third of the
+    interval ``T``, else ``J^2 + T^2 / 12``.
+    """
+    most = max(FARTHEST * float(np.median(squares)), 0.25 * sampling_s**2)  # two neighbouring samples in turn
+    share = float(np.average(np.minimum(squares, most), weights=freedom)) / sampling_s**2
+    return sampling_s * (math.sqrt(math.pi) * share if share < 1.0 / 6.0 else math.sqrt(share - 1.0 / 12.0))
 
 
 def _scatter(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[float, int]:
@@ -93,8 +170,11 @@ def _scatter(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[float, in
     return float(left @ left), len(off_s) - shapes.shape[1]
 
 
-def _sequences(time_s: Array, period_s: float) -> list[tuple[Array, Array]]:
-    """Sequences of corresponding edges a cycle apart, for the shortest cycle after which most edges repeat."""
+def _sequences(time_s: Array, period_s: float) -> list[tuple[Array, Array, float]]:
+    """Sequences of corresponding edges a cycle apart, for the shortest cycle after which most edges repeat.
+
+    Of each the times, the times less whole cycles, and the cycle.
+    """
     for cycle in range(1, MAX_CYCLE + 1):
         later = time_s + cycle * period_s
         inside = later < time_s[-1] + MATCH_S if len(time_s) else np.zeros(0, dtype=bool)
@@ -107,13 +187,15 @@ def _sequences(time_s: Array, period_s: float) -> list[tuple[Array, Array]]:
     return []
 
 
-def _chained(time_s: Array, partner: Ints, matched: NDArray[np.bool_], cycle_s: float) -> list[tuple[Array, Array]]:
-    """Each sequence from its first edge on: times, and times less whole cycles."""
+def _chained(
+    time_s: Array, partner: Ints, matched: NDArray[np.bool_], cycle_s: float
+) -> list[tuple[Array, Array, float]]:
+    """Each sequence from its first edge on: times, times less whole cycles, and the cycle."""
     out = []
     for first in np.setdiff1d(np.flatnonzero(matched), partner[matched]):
         chain = [int(first)]
         while matched[chain[-1]]:
             chain.append(int(partner[chain[-1]]))
         own = time_s[chain]
-        out.append((own, own - own[0] - cycle_s * np.arange(len(chain))))
+        out.append((own, own - own[0] - cycle_s * np.arange(len(chain)), cycle_s))
     return out

@@ -42,12 +42,15 @@ class Impacts:
         Output of the matched filter in units of its noise: proportional to the impact speed.
     onset_s : float
         Uncertainty of the template's onset, where no edge confirms it.
+    rounding_s : float
+        Part of the uncertainty that comes from a rounding to samples, as that of contact edges; 0 for none.
     """
 
     time_s: Floats
     uncertainty_s: Floats
     strength: Floats
     onset_s: float = ONSET_S
+    rounding_s: float = 0.0
 
 
 NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))

@@ -6,7 +6,8 @@ combined by their uncertainties.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ HALF_WIDTH = 1.35  # width of the half of a normal distribution about its centre
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
 MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
 MIN_VARIETY = 0.3  # relative range of impact strengths below which a chatter cannot be excluded
+MIN_TO_ROUND, ONE_PLACE = 20, 0.9  # impacts needed, and length of their mean phasor, to call them rounded to samples
 CHATTER_SPREAD = 0.25  # spread of a chatter's length over that of the impact strengths, relative
 
 
@@ -49,7 +51,12 @@ class SensorOffset:
 
 
 def calibrate(
-    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, edge_bias_s: float
+    impacts: Impacts,
+    takeoff_s: Floats,
+    landing_s: Floats,
+    landing_sigma_s: Floats,
+    edge_bias_s: float,
+    sampling_s: float,
 ) -> tuple[Impacts, SensorOffset]:
     """Impacts on the time axis of the contact edges, and the offset between the sensors.
 
@@ -64,8 +71,11 @@ def calibrate(
         Flights by the contact circuit.
     edge_bias_s : float
         Error that all edges may share.
+    sampling_s : float
+        Interval between the samples of the recording.
     """
     unknown = SensorOffset(0.0, np.inf, 0)
+    impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     begin = np.searchsorted(impacts.time_s, takeoff_s - REACH_S + SHORTEST_MASK_S)
@@ -92,13 +102,24 @@ def calibrate(
     factor = max(1.0, mad_sigma(left))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
     offset = SensorOffset(centre, own_sigma, int(core.sum()))
-    moved = Impacts(impacts.time_s - centre, impacts.uncertainty_s, impacts.strength)
-    return _with_bias(moved, factor, own_sigma), offset
+    return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
+
+
+def _rounding_s(impacts: Impacts, sampling_s: float) -> float:
+    """Standard deviation of the rounding to samples where all impacts lie at one place between them, else 0.
+
+    Impacts that are timed within a sample come at any place.
+    """
+    if impacts.time_s.size < MIN_TO_ROUND:
+        return 0.0
+    together = abs(np.mean(np.exp(2j * np.pi * impacts.time_s / sampling_s)))
+    return sampling_s / math.sqrt(12.0) if together > ONE_PLACE else 0.0
 
 
 def _with_bias(impacts: Impacts, factor: float, bias_s: float) -> Impacts:
-    """Impacts with their uncertainties multiplied by ``factor``, and a common error added."""
-    return Impacts(impacts.time_s, np.hypot(factor * impacts.uncertainty_s, bias_s), impacts.strength)
+    """Impacts with their uncertainties multiplied by ``factor``, and a common error and their rounding added."""
+    sigma = np.hypot(np.hypot(factor * impacts.uncertainty_s, bias_s), impacts.rounding_s)
+    return replace(impacts, uncertainty_s=sigma)
 
 
 def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
@@ -115,7 +136,7 @@ def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
 
 
 def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -> Edges:
-    """Closings averaged with the accelerometer's impacts by inverse variance."""
+    """Closings averaged with the accelerometer's impacts by inverse variance; both are rounded alike, if they are."""
     closing = np.flatnonzero(edges.kind == CLOSES)
     if not closing.size or not impacts.time_s.size:
         return edges
@@ -127,5 +148,5 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     chosen, own = closing[same], own[same]
     share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
     time_s[chosen] += share * difference[same]
-    sigma[chosen] = sigma[chosen] * own / np.hypot(sigma[chosen], own)
+    sigma[chosen] = np.maximum(sigma[chosen] * own / np.hypot(sigma[chosen], own), impacts.rounding_s)
     return Edges(time_s, sigma, edges.kind)

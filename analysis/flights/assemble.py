@@ -105,7 +105,7 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
     impacts, offset = NO_IMPACTS, None
     if found.survey.template is not None:
         own = takeoff[whole], landing[whole], landing_sigma[whole]
-        impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s)
+        impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s, 1.0 / rate_hz)
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)

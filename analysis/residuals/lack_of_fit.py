@@ -162,7 +162,7 @@ def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovati
         event, landing = event[order], landing[order]
         total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
         bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, SHARED_S)
-        noise = innovation_covariance(world, u, carried, event, landing)
+        noise = innovation_covariance(u, carried, event, landing)
         z = np.linalg.solve(np.linalg.cholesky(noise), bare)
         parts.append((z, event, landing, np.full(len(z), s)))
     if not parts:
@@ -184,14 +184,12 @@ def _carried(world: ForwardModel, values: Values) -> tuple[Array, Array]:
 
 
 def innovation_covariance(
-    world: ForwardModel,
     u: Uncertainty,
     carried: tuple[Array, Array],
     event: NDArray[np.int64],
     landing: NDArray[np.bool_],
 ) -> Array:
     """Covariance of one step's residuals, (k, k), s^2."""
-    ev = world.evidence
     first = max(int(event.min()) - 2, 0)
     edges = np.arange(first, int(event.max()) + 1)
     slope = np.zeros((len(event), len(edges)))
@@ -202,8 +200,8 @@ def innovation_covariance(
         by = np.where(landing, carried[1][event, back - 1], carried[0][event, back - 1])
         slope[row[there], event[there] - back - first] -= by[there]
     tones = np.where(landing[:, None], u.landing_by_tone[event], u.opening_by_tone[event])
-    edge = slope * ev.landing_sigma_s[edges]
-    own = np.where(landing, 0.0, ev.opening_sigma_s[event]) ** 2 + LEAST_EXCESS_S**2
+    edge = slope * u.landing_edge_s[edges]
+    own = np.where(landing, 0.0, u.opening_edge_s[event]) ** 2 + LEAST_EXCESS_S**2
     together = SHARED_S**2 * (landing[:, None] == landing[None, :])
     return np.asarray(edge @ edge.T + tones @ tones.T + together + np.diag(own))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.events.edge_jitter import excess_of_steps, raised, raised_together
+from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
@@ -106,8 +106,10 @@ class Observations:
         Lines that stand out below the forcing in several steps: where a table resonance may be.
     modulation : AmplitudeModulation or None
         Change of the forcing's amplitude within steps and from step to step.
-    excess_s2 : pair of arrays
-        Excess variance of openings and of landings in each step that repeats; see `analysis.events.edge_jitter`.
+    sampling_s : float
+        Interval of the samples to which edges are rounded where their uncertainty allows it; 0 where they are not.
+    scatters : pair of Scatter
+        Scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`.
     """
 
     measured: Measured
@@ -125,7 +127,8 @@ class Observations:
     hints_hz: tuple[float, ...] = ()
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
-    excess_s2: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    sampling_s: float = 0.0
+    scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -195,9 +198,11 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     lines = other_lines_radps(steps.plate, hints)
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    excess = (
-        excess_of_steps(measured.opening_s, bare[0], step, scored & ~measured.relaunched, period_s, lines),
-        excess_of_steps(measured.landing_s, bare[1], step, scored, period_s, lines),
+    sampling_s = 1.0 / recording.rate_hz
+    rest = period_s, lines, sampling_s
+    scatters = (
+        Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
+        Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
     )
     weak = np.full(len(scored), np.inf)
     if flights.edges.sensor_offset is not None:
@@ -206,8 +211,8 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
-        raised(bare[0], excess[0]),
-        raised(bare[1], excess[1]),
+        scatters[0].raised(bare[0]),
+        scatters[1].raised(bare[1]),
         scored,
         measured.landing_s.copy(),
         weak,
@@ -219,8 +224,9 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         notes=notes,
         hints_hz=hints,
         closure_s=_closure_s(measured),
+        sampling_s=sampling_s,
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
-        excess_s2=excess,
+        scatters=scatters,
     )
 
 
@@ -368,11 +374,11 @@ def join(parts: Sequence[Observations]) -> Observations:
         spread_mps2=column(lambda p: p.steps.spread_mps2),
         forcing=column(lambda p: p.steps.forcing),
     )
-    opening_s2, landing_s2 = zip(*(p.excess_s2 for p in parts), strict=True)
+    openings, landings = ([p.scatters[i] for p in parts] for i in (0, 1))
     return Observations(
         measured=measured,
-        opening_sigma_s=np.concatenate(raised_together([p.opening_sigma_s for p in parts], opening_s2)),
-        landing_sigma_s=np.concatenate(raised_together([p.landing_sigma_s for p in parts], landing_s2)),
+        opening_sigma_s=np.concatenate(raised_together([p.opening_sigma_s for p in parts], openings)),
+        landing_sigma_s=np.concatenate(raised_together([p.landing_sigma_s for p in parts], landings)),
         scored=column(lambda p: p.scored),
         time_s=column(lambda p: p.time_s),
         weak_mps=column(lambda p: p.weak_mps),
@@ -384,8 +390,9 @@ def join(parts: Sequence[Observations]) -> Observations:
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
+        sampling_s=max(p.sampling_s for p in parts),
         modulation=AmplitudeModulation.join(modulation)
         if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
-        excess_s2=(np.concatenate(opening_s2), np.concatenate(landing_s2)),
+        scatters=(Scatter.together(openings), Scatter.together(landings)),
     )

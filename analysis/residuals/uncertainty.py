@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.residuals.plate_mode import INEXACT
+from analysis.residuals.sample_rounding import rounding_errors
 from model.integrator.event_slopes import Slopes
 from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
 
@@ -40,13 +41,16 @@ class Uncertainty:
     """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
 
     ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
-    plate tone of the event's step, and of the initial state of a plate mode in the step.
+    plate tone of the event's step, of the initial state of a plate mode in the step, and of each part of the rounding
+    to samples that edges of a step share. ``*_edge_s`` is what is left to each measured edge alone.
     """
 
     opening_sigma_s: Array
     landing_sigma_s: Array
     opening_by_tone: Array
     landing_by_tone: Array
+    opening_edge_s: Array
+    landing_edge_s: Array
 
     @property
     def landing_total_s(self) -> Array:
@@ -86,7 +90,19 @@ def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
     before = np.stack([_earlier(ev.landing_sigma_s, back) for back in (1, 2)])
     var = own**2 + np.sum(bent**2, axis=0) + np.sum((edges * before[..., None]) ** 2, axis=0)
     var[:, 1] += _finite(base.ambiguity_s) ** 2
-    return Uncertainty(np.sqrt(var[:, 0]), np.sqrt(var[:, 1]), changes[..., 0].T, changes[..., 1].T)
+    times = np.stack([base.opening_s, base.landing_s], axis=1)
+    opening, landing = (rounding_errors(times[:, i], own[:, i], ev.sampling_s) for i in range(2))
+    rounded = np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1)
+    sigma, alone = np.sqrt(var - rounded), np.sqrt(own**2 - rounded)
+    none = np.zeros_like(opening)
+    return Uncertainty(
+        sigma[:, 0],
+        sigma[:, 1],
+        np.hstack([changes[..., 0].T, opening, none]),
+        np.hstack([changes[..., 1].T, none, landing]),
+        alone[:, 0],
+        alone[:, 1],
+    )
 
 
 def by_tones(slopes: Slopes, change_mps2: Complex, step: NDArray[np.int64]) -> Array:

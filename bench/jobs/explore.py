@@ -212,7 +212,7 @@ def _next(
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
     known = weighed(world, fitter, best, judged.ties)
     hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
-    if (why := _reached(loop, best, aims, hidden)):
+    if why := _reached(loop, best, aims, hidden):
         return None, why
     if loop.verdict == "explained":  # only what explains as much is left to be told apart
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
@@ -223,7 +223,7 @@ def _next(
         wanted = _can_be_shown(hidden, pools, known, left_s)
         if not wanted:
             return None, f"nothing is missing; the time left would not show a smaller {_in_list(hidden)}"
-    if (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
+    if why := _as_sharp_as_can_be(loop, best, aims, pools, known):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
     worth = block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5)

@@ -35,6 +35,18 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("c", "frequency", "jitter_us"), [("2", "40", "5"), ("3", "25", "0"), ("1", "20", "20")])
+def test_a_drive_of_whole_samples_a_period_hides_nothing(
+    tmp_path: Path, c: str, frequency: str, jitter_us: str
+) -> None:
+    """Where edges fall at the same places between samples in every cycle, their rounding is not taken for an effect."""
+    drive = ("--frequency", frequency, "--jitter-us", jitter_us, "--spikes", "--closure-ms", "0.1")
+    verdict, _ = verdict_on(tmp_path, "--c", c, *drive, "--seed", "34")
+    assert verdict["verdict"] == "nothing_missing"
+    assert verdict["remainder"]["rms_standardised_residual"] < 1.25
+
+
+@pytest.mark.slow
 def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
     """A friction declared nowhere is named alone, sized within its interval, and brings the error to the noise."""
     hidden = ("--effect", "coulomb_friction", "--strength", "strong")

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from analysis.events.edge_jitter import MIN_STEPS, excess_of_steps, raised, raised_together
+from analysis.events.edge_jitter import MIN_STEPS, Scatter, raised_together
 
 PERIOD_S = 1.0 / 22.31
 RATE_HZ = 20000.0
 
 
-def with_jitter(time_s, sigma_s, *rest):
+def with_jitter(time_s: np.ndarray, sigma_s: np.ndarray, *rest: Any, **named: float) -> np.ndarray:
     """Uncertainty of the edges, raised by their own scatter."""
-    return raised(sigma_s, excess_of_steps(time_s, sigma_s, *rest))
+    return Scatter.of(time_s, sigma_s, *rest, **named).raised(sigma_s)
 
 
-def edges(rng: np.random.Generator, jitter_s: float, cycle: int = 1, swell_s: float = 0.0) -> tuple[np.ndarray, ...]:
+def edges(
+    rng: np.random.Generator, jitter_s: float, cycle: int = 1, swell_s: float = 0.0, period_s: float = PERIOD_S
+) -> tuple[np.ndarray, ...]:
     """Twelve steps of three edges a cycle, jittered, sampled, and swelling slowly: times and steps."""
     times, steps = [], []
     for step in range(12):
         cycles = cycle * np.arange(14 // cycle)[:, None]
-        exact = 10.0 * step + (cycles + np.array([0.1, 0.4, 0.7]) + rng.random()) * PERIOD_S
+        exact = 10.0 * step + (cycles + np.array([0.1, 0.4, 0.7]) + rng.random()) * period_s
         exact = exact + swell_s * np.sin(2 * np.pi * 0.7 * exact)
         seen = np.ceil((exact + jitter_s * rng.standard_normal(exact.shape)) * RATE_HZ) / RATE_HZ - 0.5 / RATE_HZ
         times.append(seen.ravel())
@@ -41,6 +45,20 @@ def test_jitter_is_found_to_a_sixth(jitter_s: float, cycle: int, swell_s: float)
         own = np.full(time_s.size, sampled)
         found.append(with_jitter(time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S))[0])
     assert np.mean(found) == pytest.approx(np.hypot(sampled, jitter_s), rel=1 / 6)
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 5e-6, 1e-5, 2e-5])
+@pytest.mark.parametrize("samples", [800, 1000])
+def test_jitter_is_found_where_every_cycle_is_a_whole_number_of_samples(jitter_s: float, samples: int) -> None:
+    """The rounding repeats: jitter shows only in edges that change their sample; found to a sixth of the rounding."""
+    period_s = samples / RATE_HZ
+    sampled, found = 1.0 / RATE_HZ / np.sqrt(12.0), []
+    for seed in range(16):
+        time_s, step = edges(np.random.default_rng(seed), jitter_s, period_s=period_s)
+        rest = np.full(time_s.size, sampled), step, np.ones(time_s.size, bool), np.full(12, period_s)
+        found.append(with_jitter(time_s, *rest, sampling_s=1.0 / RATE_HZ)[0])
+    jitter = np.sqrt(np.mean(np.square(found)) - sampled**2)
+    assert jitter == pytest.approx(jitter_s, abs=sampled / 6)
 
 
 def test_what_never_repeats_says_nothing() -> None:
@@ -78,16 +96,16 @@ def test_a_line_beside_a_harmonic_does_not_explain_the_jitter_away() -> None:
 
 def test_a_short_recording_takes_the_scatter_of_all() -> None:
     """One with two steps that repeat is raised by those of all together; one with enough of its own is left."""
-    few, own = np.full(MIN_STEPS - 1, 9e-12), np.full(MIN_STEPS, 25e-12)
+    few, own = Scatter(np.full(MIN_STEPS - 1, 9e-12)), Scatter(np.full(MIN_STEPS, 25e-12))
     short, long, silent = np.full(5, 4e-6), np.full(7, 5e-6), np.full(2, 4e-6)
-    found = raised_together([short, long, silent], [few, own, np.zeros(0)])
+    found = raised_together([short, long, silent], [few, own, Scatter()])
     assert found[0] == pytest.approx(np.hypot(4e-6, 5e-6))
     assert found[1] is long
     assert found[2] == pytest.approx(np.hypot(4e-6, 5e-6))
-    assert raised_together([short, silent], [few, few[:1]])[1] == pytest.approx(np.full(2, 5e-6))
+    assert raised_together([short, silent], [few, few])[1] == pytest.approx(np.full(2, 5e-6))
 
 
 def test_fewer_steps_than_that_say_nothing() -> None:
     """Two recordings without a third step that repeats stay as they are."""
     short = np.full(5, 4e-6)
-    assert raised_together([short, short], [np.full(1, 9e-12), np.zeros(0)])[0] is short
+    assert raised_together([short, short], [Scatter(np.full(1, 9e-12)), Scatter()])[0] is short

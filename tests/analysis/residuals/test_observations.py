@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.events.edge_jitter import Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import join
 
@@ -31,10 +32,10 @@ def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardM
 def test_a_short_recording_has_the_jitter_of_all(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Edges of a recording in which too few steps repeat are as uncertain as the steps of all recordings tell."""
     short, long = (fly_ramp(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
-    short = replace(short, excess_s2=(np.full(1, 9e-12), np.zeros(0)))
-    long = replace(long, excess_s2=(np.full(3, 9e-12), np.full(4, 16e-12)))
+    short = replace(short, scatters=(Scatter(np.full(1, 9e-12)), Scatter()))
+    long = replace(long, scatters=(Scatter(np.full(3, 9e-12)), Scatter(np.full(4, 16e-12))))
     both, n = join([short, long]), len(short)
     assert both.opening_sigma_s[:n] == pytest.approx(np.hypot(short.opening_sigma_s, 3e-6))
     assert both.landing_sigma_s[:n] == pytest.approx(np.hypot(short.landing_sigma_s, 4e-6))
     assert both.opening_sigma_s[n:] == pytest.approx(long.opening_sigma_s)
-    assert [len(x) for x in both.excess_s2] == [4, 4]
+    assert [len(x.excess_s2) for x in both.scatters] == [4, 4]

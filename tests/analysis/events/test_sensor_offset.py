@@ -1,0 +1,37 @@
+"""How sharp the accelerometer's times of impacts are, beside the contact circuit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.events.crossings import CLOSES
+from analysis.events.edges import Edges
+from analysis.events.impact_detection import Impacts
+from analysis.events.sensor_offset import calibrate, combine_with_impacts
+
+SAMPLING_S = 5e-5
+ROUNDING_S = SAMPLING_S / np.sqrt(12.0)
+
+
+def closings(rounded: bool) -> tuple[np.ndarray, np.ndarray, Edges]:
+    """Two hundred landings anywhere between samples: true times, and both sensors' in the order impacts, edges."""
+    rng = np.random.default_rng(3)
+    exact = np.sort(10.0 * rng.random(200))
+    edge = SAMPLING_S * (np.floor(exact / SAMPLING_S) + 0.5)
+    impact = edge if rounded else exact
+    noise = 1e-6 * rng.standard_normal(200)
+    return exact, impact + noise, Edges(edge, np.full(200, ROUNDING_S), np.full(200, CLOSES))
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_impacts_at_one_place_between_samples_are_no_sharper_than_samples(rounded: bool) -> None:
+    """An accelerometer that shows an impact by its first sample alone rounds as the contact circuit does: together
+    they know a landing to the rounding, where one that resolves it knows it to a microsecond or two."""
+    exact, impact_s, edges = closings(rounded)
+    impacts = Impacts(impact_s, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
+    moved, offset = calibrate(impacts, edges.time_s - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S)
+    both = combine_with_impacts(edges, moved, offset)
+    error = both.time_s - exact
+    assert np.std(error) == pytest.approx(ROUNDING_S if rounded else 1e-6, rel=0.15)
+    assert np.all(both.uncertainty_s > 0.9 * ROUNDING_S) if rounded else np.all(both.uncertainty_s < 5e-6)

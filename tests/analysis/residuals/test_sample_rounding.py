@@ -1,0 +1,56 @@
+"""Errors that edges share where they are rounded to samples alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.lack_of_fit import goodness_of_fit
+from analysis.residuals.sample_rounding import rounding_errors
+from analysis.thresholds import FROZEN
+
+SAMPLING_S = 5e-5
+ROUNDING_S = SAMPLING_S / np.sqrt(12.0)
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 5e-6, 2e-5])
+def test_the_covariance_is_that_of_edges_read_once_a_sample(jitter_s: float) -> None:
+    """Edges at ten places, jittered and rounded ten thousand times against samples anywhere: but for the harmonics from
+    the fifth on, an eighth of T^2 / 12."""
+    rng = np.random.default_rng(1)
+    time_s = 0.02 * np.arange(10) + SAMPLING_S * rng.random(10)
+    exact = time_s + SAMPLING_S * rng.random((10_000, 1))
+    jitter = jitter_s * rng.standard_normal(exact.shape)
+    error = SAMPLING_S * (np.floor((exact + jitter) / SAMPLING_S) + 0.5) - exact
+    shared = rounding_errors(time_s, np.full(10, np.hypot(ROUNDING_S, jitter_s)), SAMPLING_S)
+    found = np.cov(error.T)
+    apart = ~np.eye(10, dtype=bool)
+    assert (shared @ shared.T)[apart] == pytest.approx(found[apart], abs=0.16 * ROUNDING_S**2)
+    assert np.all(np.sum(shared**2, axis=1) < np.diag(found))
+
+
+def test_edges_known_within_a_sample_share_nothing() -> None:
+    """An edge timed better than its rounding was not rounded; nor was one that never came, or in no samples."""
+    time_s = np.array([0.1, np.nan])
+    assert not np.any(rounding_errors(time_s, np.array([1e-6, ROUNDING_S]), SAMPLING_S))
+    assert not np.any(rounding_errors(time_s, np.full(2, ROUNDING_S), 0.0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rounding_that_repeats_is_no_lack_of_fit(fly_ramp: Callable[..., ForwardModel], seed: int) -> None:
+    """Exact landings rounded to samples, whose error returns every third cycle: told of the samples, it is noise."""
+    sampling_s = 1.0 / 25.37 / (500.0 + 1.0 / 3.0 + 0.002)
+    exact = fly_ramp({}, seed).evidence
+    world = ForwardModel(replace(exact, landing_sigma_s=np.full(len(exact), sampling_s / np.sqrt(12.0))), {})
+    landing = world.predict({}).landing_s
+    seen = sampling_s * (np.floor(landing / sampling_s) + 0.5)
+    seen = np.where(np.isfinite(seen), seen, exact.measured.landing_s)
+    rounded = replace(world.evidence, measured=replace(exact.measured, landing_s=seen))
+    told = goodness_of_fit(ForwardModel(replace(rounded, sampling_s=sampling_s), {}), {})
+    untold = goodness_of_fit(ForwardModel(rounded, {}), {})
+    assert untold.p_serial < 1e-12
+    assert told.p_lack_of_fit > FROZEN.lack_p
