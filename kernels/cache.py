@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import io
 import pickle
+import sys
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any, cast
 
 import numba
-from numba.core import compiler, config, event, runtime, serialize
+from numba.core import compiler, config, environment, event, runtime, serialize
 from numba.core.caching import NullCache
 from numba.extending import is_jitted
 
@@ -26,7 +28,7 @@ from kernels.fingerprint import fingerprint, fingerprint_of_closure
 
 DIGEST_BYTES = 32
 _CompileResult, _config, _serialize = cast(Any, compiler.CompileResult), cast(Any, config), cast(Any, serialize)
-_runtime = cast(Any, runtime)
+_runtime, _environment = cast(Any, runtime), cast(Any, environment)
 
 
 def njit(**options: Any) -> Any:
@@ -81,6 +83,31 @@ class _NoOldGarbage(event.Listener):
 cast(Any, event).register("numba:compile", _NoOldGarbage())
 
 
+class _Kept(pickle.Unpickler):
+    """Reads a kept kernel without loading what numba knows of NumPy's functions."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """What stands under a name, but for `_environment_of` in the place of numba's own."""
+        ours = (module, name) == ("numba.core.environment", "_rebuild_env")
+        return _environment_of if ours else super().find_class(module, name)
+
+
+def _environment_of(module: str, constants: list[Any], name: str) -> Any:
+    """The Python objects that machine code may ask for: the constants of a function and the names of its module.
+
+    Code that was compiled without the interpreter reads no names. numba imports the module for them all the same, and
+    those of NumPy's functions import SciPy's linear algebra.
+    """
+    if not module.startswith("numba.np.") or module in sys.modules:
+        return _environment._rebuild_env(module, constants, name)
+    made = _environment.lookup_environment(name)
+    if made is None:
+        made = _environment.Environment._memo[name] = _environment.Environment({"__name__": module})
+        made.env_name = name
+        made.consts[:] = constants
+    return made
+
+
 class KernelCache(NullCache):
     """What numba asks for the kept machine code of one function, and hands new machine code to.
 
@@ -105,7 +132,7 @@ class KernelCache(NullCache):
         data = folder.read(self._name(sig, target_context.codegen()))
         if data is None or hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
             return None  # a damaged file is compiled anew, and written over
-        return _CompileResult._rebuild(target_context, *pickle.loads(data[DIGEST_BYTES:]))
+        return _CompileResult._rebuild(target_context, *_Kept(io.BytesIO(data[DIGEST_BYTES:])).load())
 
     def save_overload(self, sig: Any, cres: Any) -> None:
         """Keep the code just compiled for ``sig``."""

@@ -195,7 +195,7 @@ class CsvSource:
                 if not block:
                     return
                 if rest or not block.endswith(b"\n"):
-                    block, n = block + rest.removesuffix(b"\n") + b"\n", n + 1
+                    block, n = b"".join((block, rest.removesuffix(b"\n"), b"\n")), n + 1  # one copy
                 if not self._decimal and self._delimiter:
                     self._decimal = _decimal_of(block.decode(errors="replace"), self._delimiter)
                 yield first, n, block
