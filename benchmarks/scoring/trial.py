@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 STRONG_BELOW, WEAK_ABOVE = 0.35, 1.6  # sizes are drawn from the medium to the strong one, and about the weak one
 DECLARED = ("coulomb_friction", "restitution", "viscous_damping")
+BETWEEN_SAMPLES_HZ = (22.31, 25.37, 31.73)
+WHOLE_SAMPLES_HZ = (20.0, 25.0, 40.0)  # a period of so many samples rounds every cycle alike
 CONTACTS: dict[str, dict[str, float]] = {
     "jittered": {"jitter_s": 2e-5},
     "read once a sample": {"jitter_s": 0.0},
@@ -136,11 +138,11 @@ def _other(job: Job, folder: Path) -> Path:
         hidden |= _drawn(plant.SIZES[effect], effect, job.kind, rng)
     sensors = {
         "spikes": bool(rng.random() < 0.5), "closure_s": float(rng.choice((1e-4, 5e-4))),
-        "jitter_s": float(rng.choice((5e-6, 2e-5))), "frequency_hz": float(rng.choice((22.31, 25.37, 31.73))),
+        "jitter_s": float(rng.choice((5e-6, 2e-5))), "frequency_hz": float(rng.choice(BETWEEN_SAMPLES_HZ)),
         "reads_gravity": bool(rng.random() < 0.5),
     }  # fmt: skip
     gamma = tuple(gammas.tolist())
-    sealed = plant.Run(**under, **{**sensors, **contact}, gammas=gamma, seed=job.seed, hidden=hidden)
+    sealed = plant.Run(**{**sensors, **contact, **under}, gammas=gamma, seed=job.seed, hidden=hidden)
     raw = plant.write(sealed, folder, ".npz" if job.varied else ".csv")
     profile = folder / "profile.toml"
     if job.kind == "declared":
@@ -154,7 +156,10 @@ def _other(job: Job, folder: Path) -> Path:
 
 
 def conditions(job: Job) -> dict[str, Any]:
-    """The recording's c and number of steps; where they vary, also its length, rate, noise, contact and converters."""
+    """The recording's c and number of steps; where they vary, also length, rate, noise, contact, converters and drive.
+
+    A third of the drives have a period of a whole number of samples.
+    """
     if not job.varied:
         return {"c": job.c, "steps": 22}
     rng = np.random.default_rng((job.seed, 1))
@@ -166,6 +171,7 @@ def conditions(job: Job) -> dict[str, Any]:
         "accelerometer_noise_g": float(rng.choice((0.01, 0.03, 0.1))),
         "contact": str(rng.choice(list(CONTACTS))),
         "bits": int(rng.choice((12, 16))),
+        "frequency_hz": float(rng.choice(WHOLE_SAMPLES_HZ if rng.random() < 1.0 / 3.0 else BETWEEN_SAMPLES_HZ)),
     }
 
 
