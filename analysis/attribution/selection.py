@@ -154,13 +154,20 @@ class StepwiseSelection:
         return self.judge.choose(best, found, depth, null), best, null
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """The best and every rival as good as it that is not the same motion with an idle parameter."""
+        """The best and every rival as good as it that is not the same motion with an idle parameter.
+
+        Where the best one leaves no more than noise, a rival that leaves more is refuted by what it leaves, however
+        much steps differ in how clearly they tell the two apart.
+        """
         if best is before:
             return ()
-        out = [best]
+        out, ratio = [best], self.limits.noise_like_ratio
+        explained = best.noise_like(ratio)
         z_best, _ = best.whitener.white(self.world.residuals(best.fitted.values))
         for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
             if x is best or x.names in [t.names for t in out] or not self.judge.tied(best, x):
+                continue
+            if explained and not x.noise_like(ratio):
                 continue
             z, _ = best.whitener.white(self.world.residuals(x.fitted.values))
             same = float(np.sqrt(np.median((z - z_best) ** 2))) < self.limits.idle_rms

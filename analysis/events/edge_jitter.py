@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,56 +34,104 @@ DRIFT = 0.5  # samples by which edges may move against the samples in a step, fo
 FARTHEST = 3.0  # times the middle of the steps' squared scatters, beyond which a step's counts as so much
 
 
-def with_jitter(
-    time_s: Array,
-    sigma_s: Array,
-    step: Ints,
-    seen: NDArray[np.bool_],
-    period_s: Array,
-    lines_radps: Sequence[Array] = (),
-    sampling_s: float = 0.0,
-) -> Array:
-    """Uncertainty of edges, raised by their excess scatter from cycle to cycle.
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter of edges from cycle to cycle, in each step that repeats.
 
-    Parameters
+    Attributes
     ----------
-    time_s, sigma_s, step
-        Edges in order, their uncertainty and their step, arrays (n,).
-    seen
-        Edges used, (n,).
-    period_s
-        Period of the forcing in each step, (m,).
-    lines_radps
-        Angular frequencies of each step's lines that are no multiple of the forcing.
+    excess_s2
+        Variance beyond what is stated, s^2, (k,); below zero where edges scatter by less.
+    repeated_s2, freedom
+        Squared scatter of the steps in which the rounding to samples repeats, s^2, and its degrees of freedom, (r,).
     sampling_s
         Interval of the samples to which edges are rounded; 0 where they are not.
-
-    Returns
-    -------
-    array, shape (n,)
-        ``sigma_s`` itself where fewer than `MIN_STEPS` steps repeat.
     """
-    excess, repeated, freedoms = [], [], []
-    for i, period in enumerate(period_s):
-        own = np.flatnonzero(seen & (step == i))
-        squares, freedom, repeats = 0.0, 0, False
-        for sequence, off, cycle_s in _sequences(time_s[own], float(period)):
-            left, free = _scatter(sequence, off, lines_radps[i] if len(lines_radps) else np.zeros(0))
-            squares, freedom = squares + left, freedom + free
-            repeats = repeats or _rounding_repeats(cycle_s, len(off), sampling_s, sigma_s[own])
-        if freedom < MIN_FREEDOM:
-            continue
-        if repeats:
-            repeated.append(squares / freedom)
-            freedoms.append(freedom)
-        else:
-            middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
-            excess.append(squares / freedom / middle - float(np.median(sigma_s[own])) ** 2)
-    if len(repeated) >= MIN_STEPS:
-        return np.hypot(sigma_s, _before_rounding(np.array(repeated), np.array(freedoms), sampling_s))
-    if len(excess) < MIN_STEPS:
-        return sigma_s
-    return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(excess)), 0.0)))
+
+    excess_s2: Array = field(default_factory=lambda: np.zeros(0))
+    repeated_s2: Array = field(default_factory=lambda: np.zeros(0))
+    freedom: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    sampling_s: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        time_s: Array,
+        sigma_s: Array,
+        step: Ints,
+        seen: NDArray[np.bool_],
+        period_s: Array,
+        lines_radps: Sequence[Array] = (),
+        sampling_s: float = 0.0,
+    ) -> Self:
+        """From edges.
+
+        Parameters
+        ----------
+        time_s, sigma_s, step
+            Edges in order, their uncertainty and their step, arrays (n,).
+        seen
+            Edges used, (n,).
+        period_s
+            Period of the forcing in each step, (m,).
+        lines_radps
+            Angular frequencies of each step's lines that are no multiple of the forcing.
+        sampling_s
+            Interval of the samples to which edges are rounded; 0 where they are not.
+        """
+        excess, repeated, freedoms = [], [], []
+        for i, period in enumerate(period_s):
+            own = np.flatnonzero(seen & (step == i))
+            squares, freedom, repeats = 0.0, 0, False
+            for sequence, off, cycle_s in _sequences(time_s[own], float(period)):
+                left, free = _scatter(sequence, off, lines_radps[i] if len(lines_radps) else np.zeros(0))
+                squares, freedom = squares + left, freedom + free
+                repeats = repeats or _rounding_repeats(cycle_s, len(off), sampling_s, sigma_s[own])
+            if freedom < MIN_FREEDOM:
+                continue
+            if repeats:
+                repeated.append(squares / freedom)
+                freedoms.append(freedom)
+            else:
+                middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
+                excess.append(squares / freedom / middle - float(np.median(sigma_s[own])) ** 2)
+        return cls(np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), sampling_s)
+
+    @classmethod
+    def together(cls, parts: Sequence[Scatter]) -> Scatter:
+        """Of several recordings, at least one, that are sampled alike."""
+        return cls(
+            np.concatenate([x.excess_s2 for x in parts]),
+            np.concatenate([x.repeated_s2 for x in parts]),
+            np.concatenate([x.freedom for x in parts]),
+            parts[0].sampling_s,
+        )
+
+    @property
+    def tells(self) -> bool:
+        """Whether enough steps repeat."""
+        return max(len(self.excess_s2), len(self.repeated_s2)) >= MIN_STEPS
+
+    def raised(self, sigma_s: Array) -> Array:
+        """Uncertainties (n,) raised by the jitter; as they are where fewer than `MIN_STEPS` steps repeat."""
+        if len(self.repeated_s2) >= MIN_STEPS:
+            return np.hypot(sigma_s, _before_rounding(self.repeated_s2, self.freedom, self.sampling_s))
+        if len(self.excess_s2) < MIN_STEPS:
+            return sigma_s
+        return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0)))
+
+
+def raised_together(sigmas_s: Sequence[Array], scatters: Sequence[Scatter]) -> list[Array]:
+    """Uncertainties of several recordings of one rig, each raised by its own steps that repeat.
+
+    Where these are too few, as in a short block, the circuit is the same, and those of all recordings tell that are
+    sampled alike. The uncertainties are those without jitter there, and already raised elsewhere.
+    """
+    out = []
+    for sigma_s, own in zip(sigmas_s, scatters, strict=True):
+        alike = [x for x in scatters if x.sampling_s == own.sampling_s]
+        out.append(sigma_s if own.tells else Scatter.together(alike).raised(sigma_s))
+    return out
 
 
 def rounded(sigma_s: ArrayLike, sampling_s: float) -> NDArray[np.bool_]:

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.events.edge_jitter import with_jitter
+from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
 from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
+from analysis.residuals.slow_lines import clustered, hints_of, other_lines_radps
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
@@ -34,8 +35,6 @@ MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball leaves at once
 MAX_TONES = 8
 TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
-WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
-SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
 FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
 DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
@@ -109,6 +108,8 @@ class Observations:
         Change of the forcing's amplitude within steps and from step to step.
     sampling_s : float
         Interval of the samples to which edges are rounded where their uncertainty allows it; 0 where they are not.
+    scatters : pair of Scatter
+        Scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`.
     """
 
     measured: Measured
@@ -127,6 +128,7 @@ class Observations:
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
     sampling_s: float = 0.0
+    scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -192,14 +194,16 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     measured = replace(
         measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
     )
-    hints = _hints_hz(fitted)
-    lines = [_lines_radps(steps, i, hints) for i in range(len(steps))]
+    hints = hints_of(fitted)
+    lines = other_lines_radps(steps.plate, hints)
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     sampling_s = 1.0 / recording.rate_hz
-    own = scored & ~measured.relaunched
-    sigmas_open = with_jitter(measured.opening_s, bare[0], step, own, period_s, lines, sampling_s)
-    sigmas_land = with_jitter(measured.landing_s, bare[1], step, scored, period_s, lines, sampling_s)
+    rest = period_s, lines, sampling_s
+    scatters = (
+        Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
+        Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
+    )
     weak = np.full(len(scored), np.inf)
     if flights.edges.sensor_offset is not None:
         weak = _weak_mps(measured, steps, flights, keep)
@@ -207,8 +211,8 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
-        sigmas_open,
-        sigmas_land,
+        scatters[0].raised(bare[0]),
+        scatters[1].raised(bare[1]),
         scored,
         measured.landing_s.copy(),
         weak,
@@ -222,6 +226,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         closure_s=_closure_s(measured),
         sampling_s=sampling_s,
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
+        scatters=scatters,
     )
 
 
@@ -293,25 +298,6 @@ def _closure_s(measured: Measured) -> float:
     """Middle of the contacts from which the ball left at once; 0 where there are few."""
     brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.relaunched[1:] & measured.linked[1:]]
     return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
-
-
-def _hints_hz(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
-    """Middles of the clusters of slow lines that at least `SHARED_LINES` steps show."""
-    return clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
-
-
-def clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
-    """Middles of clusters of at least ``least`` lines."""
-    found = np.sort(lines_hz)
-    clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
-    return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
-
-
-def _lines_radps(steps: Steps, i: int, lines_hz: Sequence[float]) -> Array:
-    """Angular frequencies in step ``i`` that are no multiple of the forcing."""
-    w = steps.plate.omega_radps[i][steps.plate.acceleration_mps2[i] != 0.0]
-    cycles = w * steps.plate.period_s[i] / (2.0 * np.pi)
-    return np.concatenate([w[np.abs(cycles - np.round(cycles)) > WHOLE], 2.0 * np.pi * np.array(lines_hz)])
 
 
 def _events(
@@ -388,10 +374,11 @@ def join(parts: Sequence[Observations]) -> Observations:
         spread_mps2=column(lambda p: p.steps.spread_mps2),
         forcing=column(lambda p: p.steps.forcing),
     )
+    openings, landings = ([p.scatters[i] for p in parts] for i in (0, 1))
     return Observations(
         measured=measured,
-        opening_sigma_s=column(lambda p: p.opening_sigma_s),
-        landing_sigma_s=column(lambda p: p.landing_sigma_s),
+        opening_sigma_s=np.concatenate(raised_together([p.opening_sigma_s for p in parts], openings)),
+        landing_sigma_s=np.concatenate(raised_together([p.landing_sigma_s for p in parts], landings)),
         scored=column(lambda p: p.scored),
         time_s=column(lambda p: p.time_s),
         weak_mps=column(lambda p: p.weak_mps),
@@ -407,4 +394,5 @@ def join(parts: Sequence[Observations]) -> Observations:
         modulation=AmplitudeModulation.join(modulation)
         if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
+        scatters=(Scatter.together(openings), Scatter.together(landings)),
     )

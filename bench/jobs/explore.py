@@ -211,10 +211,10 @@ def _next(
     if loop is None:
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
     known = weighed(world, fitter, best, judged.ties)
-    hidden = _not_shown(loop, aims, known) if loop is not None and loop.verdict == "nothing_missing" else {}
-    if loop is not None and (why := _reached(loop, best, aims, hidden)):
+    hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
+    if why := _reached(loop, best, aims, hidden):
         return None, why
-    if loop is not None and loop.verdict == "explained":  # only what explains as much is left to be told apart
+    if loop.verdict == "explained":  # only what explains as much is left to be told apart
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
@@ -223,12 +223,15 @@ def _next(
         wanted = _can_be_shown(hidden, pools, known, left_s)
         if not wanted:
             return None, f"nothing is missing; the time left would not show a smaller {_in_list(hidden)}"
-    if loop is not None and (why := _as_sharp_as_can_be(loop, best, aims, pools, known)):
+    if why := _as_sharp_as_can_be(loop, best, aims, pools, known):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
-    if block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5):
+    worth = block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5)
+    if block is not None and worth and (block.sharpening > 0.5 or not _in_vain(block, blocks)):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
-    elif loop is not None and loop.verdict == "explained" and len(loop.ties) > 1:
+    elif worth:
+        chosen = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
+    elif loop.verdict == "explained" and len(loop.ties) > 1:
         others = ", ".join(" + ".join(names) for names in loop.ties[1:])
         return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
     else:
@@ -243,6 +246,19 @@ def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
     if loop is None or loop.verdict != "unexplained":
         return aims
     return replace(aims, hold_cycles=LONGER_HOLD * aims.hold_cycles)
+
+
+def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
+    """Whether the same steps were driven before: what they were to tell apart, they did not."""
+
+    def steps(ratio: int, frequency_hz: float, gammas: Sequence[float]) -> tuple[int, float, frozenset[float]]:
+        return ratio, frequency_hz, frozenset(gammas)
+
+    profiles = [parse_profile(driven.text, "block") for driven in blocks]
+    forcing = block.option.setup.forcing
+    return steps(forcing.ratio, forcing.frequency_hz, block.gammas) in [
+        steps(p.forcing.ratio, p.forcing.frequency_hz, p.ramp.gammas()) for p in profiles
+    ]
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:

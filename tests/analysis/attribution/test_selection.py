@@ -67,6 +67,23 @@ def test_noise_is_given_no_name(explain: Explain) -> None:
     assert found.ties == ()
 
 
+def test_what_leaves_more_than_noise_does_not_tie_with_what_leaves_none(
+    selection_of: Callable[..., StepwiseSelection],
+) -> None:
+    """Friction explains the run: drag is no rival, however well its steps do; beside drag as the best, a second is."""
+    selection = selection_of({UP: 0.05, DOWN: 0.05}, 1)
+    nothing, friction = selection.declared(), added(selection, named(selection, "coulomb_friction"))
+    key = ("quadratic_drag", "k_per_m")
+    candidate = Candidate(("quadratic_drag",), (key,))
+    fitted = selection.refits.converged((candidate,), nothing.whitener, (key,), {key: 0.5})
+    drag = replace(fitted, losses=friction.losses)
+    assert friction.noise_like(1.25) and not drag.noise_like(1.25)
+    assert selection._ties(nothing, friction, [friction, drag]) == (friction,)
+    as_good = replace(friction, candidates=(candidate,))
+    assert selection._ties(nothing, friction, [friction, as_good]) == (friction, as_good)
+    assert selection._ties(nothing, drag, [drag, friction]) == (drag, friction)
+
+
 @pytest.mark.slow
 def test_two_causes_are_both_named(explain: Explain) -> None:
     """Damping with a plate that holds the ball: neither can stand in for the other."""

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from analysis.events.edge_jitter import with_jitter
+from analysis.events.edge_jitter import MIN_STEPS, Scatter, raised_together
 
 PERIOD_S = 1.0 / 22.31
 RATE_HZ = 20000.0
+
+
+def with_jitter(time_s: np.ndarray, sigma_s: np.ndarray, *rest: Any, **named: float) -> np.ndarray:
+    """Uncertainty of the edges, raised by their own scatter."""
+    return Scatter.of(time_s, sigma_s, *rest, **named).raised(sigma_s)
 
 
 def edges(
@@ -85,3 +92,20 @@ def test_a_line_beside_a_harmonic_does_not_explain_the_jitter_away() -> None:
         own, lines = np.full(time_s.size, 1e-6), [np.array([line])] * 12
         found.append(with_jitter(time_s, own, step, np.ones(time_s.size, bool), np.full(12, PERIOD_S), lines)[0])
     assert np.mean(found) == pytest.approx(np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5), rel=0.2)
+
+
+def test_a_short_recording_takes_the_scatter_of_all() -> None:
+    """One with two steps that repeat is raised by those of all together; one with enough of its own is left."""
+    few, own = Scatter(np.full(MIN_STEPS - 1, 9e-12)), Scatter(np.full(MIN_STEPS, 25e-12))
+    short, long, silent = np.full(5, 4e-6), np.full(7, 5e-6), np.full(2, 4e-6)
+    found = raised_together([short, long, silent], [few, own, Scatter()])
+    assert found[0] == pytest.approx(np.hypot(4e-6, 5e-6))
+    assert found[1] is long
+    assert found[2] == pytest.approx(np.hypot(4e-6, 5e-6))
+    assert raised_together([short, silent], [few, few])[1] == pytest.approx(np.full(2, 5e-6))
+
+
+def test_fewer_steps_than_that_say_nothing() -> None:
+    """Two recordings without a third step that repeats stay as they are."""
+    short = np.full(5, 4e-6)
+    assert raised_together([short, short], [Scatter(np.full(1, 9e-12)), Scatter()])[0] is short

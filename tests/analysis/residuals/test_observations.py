@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from analysis.events.edge_jitter import Scatter
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.observations import clustered, join
+from analysis.residuals.observations import join
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 QUIET = (0.22, 0.23, 0.24, 0.25)
@@ -27,7 +29,13 @@ def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardM
     assert together.plate[len(one.plate) :] == pytest.approx(alone.plate)
 
 
-def test_a_line_counts_where_several_steps_show_it() -> None:
-    """Three steps at 7 Hz make a hint, a lone line at 13 Hz does not."""
-    assert clustered(np.array([7.0, 13.0, 7.1, 6.9]), 3) == pytest.approx((7.0,))
-    assert clustered(np.zeros(0), 3) == ()
+def test_a_short_recording_has_the_jitter_of_all(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Edges of a recording in which too few steps repeat are as uncertain as the steps of all recordings tell."""
+    short, long = (fly_ramp(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
+    short = replace(short, scatters=(Scatter(np.full(1, 9e-12)), Scatter()))
+    long = replace(long, scatters=(Scatter(np.full(3, 9e-12)), Scatter(np.full(4, 16e-12))))
+    both, n = join([short, long]), len(short)
+    assert both.opening_sigma_s[:n] == pytest.approx(np.hypot(short.opening_sigma_s, 3e-6))
+    assert both.landing_sigma_s[:n] == pytest.approx(np.hypot(short.landing_sigma_s, 4e-6))
+    assert both.opening_sigma_s[n:] == pytest.approx(long.opening_sigma_s)
+    assert [len(x.excess_s2) for x in both.scatters] == [4, 4]

@@ -15,7 +15,7 @@ from analysis.explore.explanations import Explanation, Weighed
 from bench.commands.explore import Driver
 from bench.jobs.blocks import Aims, Driven, by_person, offers, run_seconds, tells
 from bench.jobs.blocks import Chosen as Block
-from bench.jobs.explore import _can_be_shown, _held, _not_shown, explore
+from bench.jobs.explore import _can_be_shown, _held, _in_vain, _next, _not_shown, explore
 from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
@@ -57,6 +57,34 @@ def test_steps_are_held_longer_while_something_is_unexplained():
     aims = Aims(60.0, hold_cycles=9)
     assert _held(aims, SimpleNamespace(verdict="unexplained")).hold_cycles == 18
     assert _held(aims, None) == _held(aims, SimpleNamespace(verdict="explained")) == aims
+
+
+def test_blocks_are_spread_until_a_verdict_is_possible():
+    """With too few steps for a verdict the next block is of another forcing, whatever the best set so far is."""
+    aims = Aims(60.0)
+    offered = partial(offered_for, aims)
+    first, _ = _next(TEXT, None, (), offered, aims)
+    judged = SimpleNamespace(loop=None, world=None, ties=(), best=SimpleNamespace(fitted=SimpleNamespace(fitter=None)))
+    second, why = _next(TEXT, judged, (first,), offered, aims)
+    assert why == "" and "too few steps for a verdict yet: spread over the range" in second.reason
+    one, two = (parse_profile(block.text) for block in (first, second))
+    assert one.forcing != two.forcing
+    assert len(one.ramp.gammas()) == len(two.ramp.gammas()) == aims.steps
+
+
+def test_a_block_that_told_nothing_is_not_driven_again():
+    """The same gammas of the same forcing were driven in vain, in whichever order; others were not."""
+    block = by_person(Block(TEXT, 1.0, "because"), NextSteps((0.4, 0.2), 2))
+    forcing = parse_profile(block.text).forcing
+    chosen = SimpleNamespace(option=SimpleNamespace(setup=SimpleNamespace(forcing=forcing)), gammas=(0.2, 0.4))
+    assert _in_vain(chosen, [Block(TEXT, 1.0, "because"), block])
+    assert not _in_vain(chosen, [Block(TEXT, 1.0, "because")])
+    assert not _in_vain(SimpleNamespace(option=chosen.option, gammas=(0.2, 0.3)), [block])
+
+
+def offered_for(aims, hold_cycles):
+    """What may be driven with steps held so long."""
+    return offers(TEXT, replace(aims, hold_cycles=hold_cycles))
 
 
 def weighed_with(first):
