@@ -3,8 +3,8 @@
 No model of the ball is used. In a step where the motion repeats after a few periods, corresponding edges of successive
 cycles form a sequence. Its slow change (an amplitude modulation) and its spectral lines (hum) do not count as jitter.
 
-Edges that are rounded to samples scatter by the rounding as well, unless a cycle is a whole number of samples: then the
-rounding repeats, and jitter shows only where it carries an edge over the bound between two samples.
+Edges that are rounded to samples scatter by the rounding as well. At one place between two samples, where all edges are
+if a cycle is a whole number of samples, the rounding repeats, and jitter shows only in edges that change their sample.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ MIN_FREEDOM = 3  # degrees of freedom needed in a step
 MIN_EDGES = 6  # edges needed that have a next cycle
 MIN_STEPS = 3
 LEAST_PART = 0.95  # of a rounding's standard deviation that an edge's error has at least if it was rounded
-DRIFT = 0.5  # samples by which edges may move against the samples in a step, for its rounding to repeat
+DRIFT = 0.5  # samples by which edges may move against the samples in a step, to be at one place
+NEAR = 0.1  # samples between two places that count as one
 FARTHEST = 3.0  # times the middle of the steps' squared scatters, beyond which a step's counts as so much
 
 
@@ -41,9 +42,10 @@ class Scatter:
     Attributes
     ----------
     excess_s2
-        Variance beyond what is stated, s^2, (k,); below zero where edges scatter by less.
+        Variance beyond what is stated, s^2, (k,), of steps whose edges are at several places between samples; below
+        zero where edges scatter by less.
     repeated_s2, freedom
-        Squared scatter of the steps in which the rounding to samples repeats, s^2, and its degrees of freedom, (r,).
+        Squared scatter of rounded edges at one place, s^2, and degrees of freedom of the step's scatter, (r,).
     sampling_s
         Interval of the samples to which edges are rounded; 0 where they are not.
     """
@@ -82,29 +84,35 @@ class Scatter:
         excess, repeated, freedoms = [], [], []
         for i, period in enumerate(period_s):
             own = np.flatnonzero(seen & (step == i))
-            squares, freedom, repeats = 0.0, 0, False
+            sigma = float(np.median(sigma_s[own])) if len(own) else 0.0
+            read_once = sampling_s > 0.0 and bool(rounded(sigma, sampling_s))
+            squares, freedom, same, pairs, still = 0.0, 0, 0.0, 0, False
             for sequence, off, cycle_s in _sequences(time_s[own], float(period)):
-                left, free = _scatter(sequence, off, lines_radps[i] if len(lines_radps) else np.zeros(0))
-                squares, freedom = squares + left, freedom + free
-                repeats = repeats or _rounding_repeats(cycle_s, len(off), sampling_s, sigma_s[own])
+                left, free = _left(sequence, off, lines_radps[i] if len(lines_radps) else np.zeros(0))
+                squares, freedom = squares + float(left @ left), freedom + free
+                if read_once and free:
+                    square, n = _at_one_place(left * math.sqrt(len(left) / free), cycle_s / sampling_s)
+                    same, pairs = same + square, pairs + n
+                    still = still or len(off) * abs(cycle_s / sampling_s - round(cycle_s / sampling_s)) < DRIFT
             if freedom < MIN_FREEDOM:
                 continue
-            if repeats:
-                repeated.append(squares / freedom)
+            if pairs:
+                repeated.append(same / pairs)
                 freedoms.append(freedom)
-            else:
+            if not still:
                 middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
-                excess.append(squares / freedom / middle - float(np.median(sigma_s[own])) ** 2)
+                excess.append(squares / freedom / middle - sigma**2)
         return cls(np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), sampling_s)
 
     @classmethod
     def together(cls, parts: Sequence[Scatter]) -> Scatter:
-        """Of several recordings, at least one, that are sampled alike."""
+        """Of several recordings, at least one; their rounding is left out where they are not sampled alike."""
+        alike = len({x.sampling_s for x in parts}) == 1
         return cls(
             np.concatenate([x.excess_s2 for x in parts]),
             np.concatenate([x.repeated_s2 for x in parts]),
             np.concatenate([x.freedom for x in parts]),
-            parts[0].sampling_s,
+            parts[0].sampling_s if alike else 0.0,
         )
 
     @property
@@ -114,11 +122,16 @@ class Scatter:
 
     def raised(self, sigma_s: Array) -> Array:
         """Uncertainties (n,) raised by the jitter; as they are where fewer than `MIN_STEPS` steps repeat."""
-        if len(self.repeated_s2) >= MIN_STEPS:
-            return np.hypot(sigma_s, _before_rounding(self.repeated_s2, self.freedom, self.sampling_s))
-        if len(self.excess_s2) < MIN_STEPS:
-            return sigma_s
-        return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0)))
+        if len(self.excess_s2) >= MIN_STEPS:
+            return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0)))
+        return np.hypot(sigma_s, self.jitter_s) if math.isfinite(self.jitter_s) else sigma_s
+
+    @property
+    def jitter_s(self) -> float:
+        """Jitter of edges before they are rounded to samples; infinite where edges at one place do not tell it."""
+        if self.sampling_s == 0.0 or len(self.repeated_s2) < MIN_STEPS:
+            return math.inf
+        return _before_rounding(self.repeated_s2, self.freedom, self.sampling_s)
 
 
 def raised_together(sigmas_s: Sequence[Array], scatters: Sequence[Scatter]) -> list[Array]:
@@ -139,16 +152,19 @@ def rounded(sigma_s: ArrayLike, sampling_s: float) -> NDArray[np.bool_]:
     return np.asarray(sigma_s) >= LEAST_PART * sampling_s / math.sqrt(12.0)
 
 
-def _rounding_repeats(cycle_s: float, n: int, sampling_s: float, sigma_s: Array) -> bool:
-    """Whether ``n`` edges a cycle apart are rounded to samples, and all alike."""
-    if sampling_s == 0.0 or not rounded(float(np.median(sigma_s)), sampling_s):
-        return False
-    samples = cycle_s / sampling_s
-    return n * abs(samples - round(samples)) < DRIFT
+def _at_one_place(left_s: Array, samples: float) -> tuple[float, int]:
+    """Half the squared differences of edges at one place, summed over pairs, and their number.
+
+    ``left_s`` (n,) are deviations of edges that come every so many samples.
+    """
+    i, j = np.triu_indices(len(left_s), 1)
+    away = samples * (j - i)
+    near = np.abs(away - np.round(away)) < NEAR
+    return 0.5 * float(np.sum((left_s[i] - left_s[j])[near] ** 2)), int(np.count_nonzero(near))
 
 
 def _before_rounding(squares: Array, freedom: Ints, sampling_s: float) -> float:
-    """Jitter from the squared scatter of steps whose edges repeat at one place between two samples, unknown in each.
+    """Jitter from the squared scatter of steps' edges at one place between two samples, unknown in each step.
 
     Averaged over all places, jitter of J leaves the variance ``J T / sqrt(pi)`` while it is below a third of the
     interval ``T``, else ``J^2 + T^2 / 12``.
@@ -158,16 +174,15 @@ def _before_rounding(squares: Array, freedom: Ints, sampling_s: float) -> float:
     return sampling_s * (math.sqrt(math.pi) * share if share < 1.0 / 6.0 else math.sqrt(share - 1.0 / 12.0))
 
 
-def _scatter(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[float, int]:
-    """Sum of squares about a polynomial of `N_COEFFICIENTS` and the lines, and its degrees of freedom."""
+def _left(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[Array, int]:
+    """Deviations (n,) from a polynomial of `N_COEFFICIENTS` and the lines, and their degrees of freedom."""
     slow = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, len(off_s)), N_COEFFICIENTS - 1)
     regular = time_s - off_s - time_s[0]  # a line at jittered times would fit the jitter itself
     lines = np.exp(1j * np.outer(regular, lines_radps))
     shapes = np.hstack([slow, lines.real, lines.imag])
     if len(off_s) <= shapes.shape[1]:
-        return 0.0, 0
-    left = off_s - shapes @ np.linalg.lstsq(shapes, off_s, rcond=None)[0]
-    return float(left @ left), len(off_s) - shapes.shape[1]
+        return np.zeros_like(off_s), 0
+    return off_s - shapes @ np.linalg.lstsq(shapes, off_s, rcond=None)[0], len(off_s) - shapes.shape[1]
 
 
 def _sequences(time_s: Array, period_s: float) -> list[tuple[Array, Array, float]]:

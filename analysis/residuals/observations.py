@@ -106,8 +106,6 @@ class Observations:
         Lines that stand out below the forcing in several steps: where a table resonance may be.
     modulation : AmplitudeModulation or None
         Change of the forcing's amplitude within steps and from step to step.
-    sampling_s : float
-        Interval of the samples to which edges are rounded where their uncertainty allows it; 0 where they are not.
     scatters : pair of Scatter
         Scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`.
     """
@@ -127,7 +125,6 @@ class Observations:
     hints_hz: tuple[float, ...] = ()
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
-    sampling_s: float = 0.0
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
 
     def __len__(self) -> int:
@@ -198,8 +195,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     lines = other_lines_radps(steps.plate, hints)
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    sampling_s = 1.0 / recording.rate_hz
-    rest = period_s, lines, sampling_s
+    rest = period_s, lines, 1.0 / recording.rate_hz
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
         Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
@@ -224,7 +220,6 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         notes=notes,
         hints_hz=hints,
         closure_s=_closure_s(measured),
-        sampling_s=sampling_s,
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
     )
@@ -390,7 +385,6 @@ def join(parts: Sequence[Observations]) -> Observations:
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
-        sampling_s=max(p.sampling_s for p in parts),
         modulation=AmplitudeModulation.join(modulation)
         if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,

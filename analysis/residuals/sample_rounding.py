@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 HARMONICS = 4  # of the sawtooth; the rest, a tenth of its variance, counts as each edge's own
 
 
-def rounding_errors(time_s: Array, sigma_s: Array, sampling_s: float) -> Array:
+def rounding_errors(time_s: Array, sigma_s: Array, sampling_s: float, jitter_s: float) -> Array:
     """Errors of edges that edges at the same place between two samples share, of one sigma each.
 
     The place of the samples is unknown, so that the covariance of two errors is that of a sawtooth of random phase,
@@ -38,18 +38,19 @@ def rounding_errors(time_s: Array, sigma_s: Array, sampling_s: float) -> Array:
         Standard deviation of each measured edge, its rounding included.
     sampling_s : float
         Interval ``T`` between samples; 0 where edges are not rounded.
+    jitter_s : float
+        Jitter ``J``; infinite where nothing tells it.
 
     Returns
     -------
     array, shape (n, 2 * HARMONICS)
         Zero for edges that were not rounded.
     """
-    if sampling_s == 0.0:
+    if sampling_s == 0.0 or math.isinf(jitter_s):
         return np.zeros((len(time_s), 2 * HARMONICS))
     m = np.arange(1, HARMONICS + 1)
-    jitter_s = np.sqrt(np.maximum(sigma_s**2 - sampling_s**2 / 12.0, 0.0))
     own = np.isfinite(time_s) & rounded(sigma_s, sampling_s)
     turn = 2.0 * np.pi * m * np.where(own, np.mod(time_s / sampling_s, 1.0), 0.0)[:, None]
-    damping = np.exp(-0.5 * (2.0 * np.pi * m * jitter_s[:, None] / sampling_s) ** 2)
+    damping = np.exp(-0.5 * (2.0 * np.pi * m * jitter_s / sampling_s) ** 2)
     size = sampling_s / (math.sqrt(2.0) * np.pi * m) * damping
     return np.asarray(np.where(own[:, None], np.hstack([size * np.cos(turn), size * np.sin(turn)]), 0.0))

@@ -91,7 +91,9 @@ def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
     var = own**2 + np.sum(bent**2, axis=0) + np.sum((edges * before[..., None]) ** 2, axis=0)
     var[:, 1] += _finite(base.ambiguity_s) ** 2
     times = np.stack([base.opening_s, base.landing_s], axis=1)
-    opening, landing = (rounding_errors(times[:, i], own[:, i], ev.sampling_s) for i in range(2))
+    opening, landing = (
+        rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s) for i, seen in enumerate(ev.scatters)
+    )
     rounded = np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1)
     sigma, alone = np.sqrt(var - rounded), np.sqrt(own**2 - rounded)
     none = np.zeros_like(opening)

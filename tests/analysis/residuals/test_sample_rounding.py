@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.events.edge_jitter import MIN_STEPS, Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.sample_rounding import rounding_errors
@@ -26,7 +27,7 @@ def test_the_covariance_is_that_of_edges_read_once_a_sample(jitter_s: float) -> 
     exact = time_s + SAMPLING_S * rng.random((10_000, 1))
     jitter = jitter_s * rng.standard_normal(exact.shape)
     error = SAMPLING_S * (np.floor((exact + jitter) / SAMPLING_S) + 0.5) - exact
-    shared = rounding_errors(time_s, np.full(10, np.hypot(ROUNDING_S, jitter_s)), SAMPLING_S)
+    shared = rounding_errors(time_s, np.full(10, np.hypot(ROUNDING_S, jitter_s)), SAMPLING_S, jitter_s)
     found = np.cov(error.T)
     apart = ~np.eye(10, dtype=bool)
     assert (shared @ shared.T)[apart] == pytest.approx(found[apart], abs=0.16 * ROUNDING_S**2)
@@ -34,10 +35,12 @@ def test_the_covariance_is_that_of_edges_read_once_a_sample(jitter_s: float) -> 
 
 
 def test_edges_known_within_a_sample_share_nothing() -> None:
-    """An edge timed better than its rounding was not rounded; nor was one that never came, or in no samples."""
-    time_s = np.array([0.1, np.nan])
-    assert not np.any(rounding_errors(time_s, np.array([1e-6, ROUNDING_S]), SAMPLING_S))
-    assert not np.any(rounding_errors(time_s, np.full(2, ROUNDING_S), 0.0))
+    """An edge timed better than its rounding was not rounded; nor was one that never came, or in no samples. Where
+    nothing tells the jitter, no edges are known to share an error."""
+    time_s, rounded = np.array([0.1, np.nan]), np.full(2, ROUNDING_S)
+    assert not np.any(rounding_errors(time_s, np.array([1e-6, ROUNDING_S]), SAMPLING_S, 0.0))
+    assert not np.any(rounding_errors(time_s, rounded, 0.0, 0.0))
+    assert not np.any(rounding_errors(time_s, rounded, SAMPLING_S, np.inf))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -47,10 +50,11 @@ def test_rounding_that_repeats_is_no_lack_of_fit(fly_ramp: Callable[..., Forward
     exact = fly_ramp({}, seed).evidence
     world = ForwardModel(replace(exact, landing_sigma_s=np.full(len(exact), sampling_s / np.sqrt(12.0))), {})
     landing = world.predict({}).landing_s
-    seen = sampling_s * (np.floor(landing / sampling_s) + 0.5)
-    seen = np.where(np.isfinite(seen), seen, exact.measured.landing_s)
-    rounded = replace(world.evidence, measured=replace(exact.measured, landing_s=seen))
-    told = goodness_of_fit(ForwardModel(replace(rounded, sampling_s=sampling_s), {}), {})
+    read = sampling_s * (np.floor(landing / sampling_s) + 0.5)
+    read = np.where(np.isfinite(read), read, exact.measured.landing_s)
+    rounded = replace(world.evidence, measured=replace(exact.measured, landing_s=read))
+    seen = Scatter(repeated_s2=np.zeros(MIN_STEPS), freedom=np.ones(MIN_STEPS, dtype=int), sampling_s=sampling_s)
+    told = goodness_of_fit(ForwardModel(replace(rounded, scatters=(Scatter(), seen)), {}), {})
     untold = goodness_of_fit(ForwardModel(rounded, {}), {})
     assert untold.p_serial < 1e-12
     assert told.p_lack_of_fit > FROZEN.lack_p
