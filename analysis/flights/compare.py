@@ -20,7 +20,7 @@ from daq.setup.setup import Setup
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.bifurcations.sweep import TYPES, each_observed
 from model.effects.registry import effect, resolve
-from model.effects.routing import Effects, accelerometer_factor, ball_effects
+from model.effects.routing import Effects, accelerometer_response, ball_effects
 from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
 from model.orbits.contact_sensor import Instrument, observe
 from model.orbits.make_ball import make_ball
@@ -133,7 +133,7 @@ class Comparison:
 def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcing, float]:
     """Measured forcing with its first tone at phase zero, and its gamma with ``b = 1`` for the setup's tones.
 
-    The tones are divided by the accelerometer's declared gain error; gamma is as measured. With a declared harmonic
+    The tones are divided by the accelerometer's declared response; gamma is as measured. With a declared harmonic
     distortion the significant measured harmonics are part of the forcing.
     """
     multiples = list(plate.forcing_multiples)
@@ -144,8 +144,8 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
             m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > HARMONIC_SIGMAS * sigma[i]
         ]
     rows = [plate.multiples.index(m) for m in multiples]
-    z = plate.acceleration.amplitudes[rows] / accelerometer_factor(effects)
     n = np.array(multiples, dtype=float)
+    z = plate.acceleration.amplitudes[rows] / accelerometer_response(effects, 2.0 * np.pi * plate.frequency_hz * n)
     displacement = np.abs(z) / n**2
     phase = np.angle(z) - 0.5 * np.pi
     phase = np.mod(phase - n * phase[0] + np.pi, 2.0 * np.pi) - np.pi

@@ -78,7 +78,7 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     world
         The observations.
     values
-        Fitted values, of which only the contact circuit's delay and the accelerometer's scale are used.
+        Fitted values, of which only the contact circuit's delay and the accelerometer's response are used.
 
     Returns
     -------
@@ -87,9 +87,8 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     """
     ev = world.evidence
     events, step = ev.measured, ev.measured.step
-    shift = world.per_step(values, "contact_delay_s", 0.0)[step]
-    reading = world.per_step(values, "accelerometer_factor", 1.0)
-    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / reading[:, None])
+    shift = world.per_step(values, "contact_delay_s")[step]
+    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / world.reading(values))
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked
     land, opening = events.landing_s - shift, events.opening_s - shift

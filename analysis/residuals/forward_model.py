@@ -167,13 +167,29 @@ class ForwardModel:
             if own := _own(entry.effect.name, point):
                 yield entry, own
 
-    def per_step(self, values: Values, hook: str, nothing: float) -> Array:
-        """Product (around 1) or sum (around 0) of a plain hook over the effects, (m,)."""
-        total = np.full(len(self.evidence.steps), nothing)
+    def per_step(self, values: Values, hook: str) -> Array:
+        """Sum of a plain hook over the effects, (m,)."""
+        total = np.zeros(len(self.evidence.steps))
         for entry, own in self._with_hook(values, hook):
-            one = self._hook_in_steps(entry, hook, own)
-            total = total * one if nothing == 1.0 else total + one
+            total = total + self._hook_in_steps(entry, hook, own)
         return total
+
+    def reading(self, values: Values) -> NDArray[np.complex128] | Array:
+        """What the accelerometer shows of each tone of the plate, relative to it, (m, k)."""
+        total: NDArray[np.complex128] | Array = np.ones(self.evidence.steps.plate.omega_radps.shape)
+        for entry, own in self._with_hook(values, "accelerometer_response"):
+            key = ("reading", entry.effect.name, own)
+            total = total * self._plate_memory.recall(key, functools.partial(self._reading_of, entry, own))
+        return total
+
+    def _reading_of(self, entry: Registered, own: Own) -> NDArray[np.complex128] | Array:
+        """What one effect makes the accelerometer show of each tone, (m, k)."""
+        omega, table = self.evidence.steps.plate.omega_radps, self._in_steps(entry.effect.name, own)
+        hook = entry.hooks["accelerometer_response"]
+        points = [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
+        if any(key.endswith(TREND) for (_, key), _ in own):
+            return np.array([hook(p, w) for p, w in zip(points, omega, strict=True)])
+        return np.asarray(hook(points[0], omega))
 
     def _expected(self, values: Values) -> Array:
         """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""
@@ -205,15 +221,14 @@ class ForwardModel:
         """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
         ev = self.evidence
         step = ev.measured.step
-        reading = self.per_step(values, "accelerometer_factor", 1.0)
-        loaded = self.per_step(values, "flight_gain", 0.0)
+        loaded = self.per_step(values, "flight_gain")
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
         if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
             z = z - loaded[:, None] * self.loading.tones_mps2
-        plate = replace(ev.steps.plate, acceleration_mps2=z / reading[:, None])
+        plate = replace(ev.steps.plate, acceleration_mps2=z / self.reading(values))
         if (swings := self.modulation_at(values)) is not None:
             plate = swings[0].modulated(plate, *swings[1:])
-        gap, delay = (self.per_step(values, hook, 0.0)[step] for hook in ("gap_m", "contact_delay_s"))
+        gap, delay = (self.per_step(values, hook)[step] for hook in ("gap_m", "contact_delay_s"))
         return plate, gap, delay
 
     def predict(
@@ -327,7 +342,7 @@ class ForwardModel:
             mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
             predicted = predicted + mode
         if self.loading is not None:
-            predicted = predicted + self.loading.added(self.per_step(values, "flight_gain", 0.0)[ev.plate.step])
+            predicted = predicted + self.loading.added(self.per_step(values, "flight_gain")[ev.plate.step])
         if (swings := self.modulation_at(values)) is not None:
             swings_data, leaking = swings[0].expected(ev.plate, ev.steps.plate, *swings[1:])
             predicted, inexact = predicted + swings_data, np.hypot(inexact, leaking)
@@ -374,7 +389,7 @@ def plate_effects() -> frozenset[str]:
 @functools.cache
 def calibrating_effects() -> frozenset[str]:
     """Names of the effects that change the plate's motion or the circuit as measured."""
-    hooks = {"accelerometer_factor", "flight_gain", "modulation", "gap_m", "contact_delay_s"}
+    hooks = {"accelerometer_response", "flight_gain", "modulation", "gap_m", "contact_delay_s"}
     return frozenset(r.effect.name for r in registry() if r.hooks.keys() & hooks)
 
 

@@ -287,14 +287,13 @@ def _logarithm_of_transfer(
 
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "transfer": (GAIN, float),
-    "accelerometer_factor": (GAIN, lambda factor: float(np.log(factor))),
     "hum_mps2": (HUM, lambda size: size**2),
     "flight_gain": (GATE, lambda change: float(np.log1p(change))),
     "offset_mps2": (OFFSET, float),
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
 }
 """Hooks with one number for one kind of datum."""
-PLATE_HOOKS = frozenset({"harmonics", *PLAIN_HOOKS_OF_KIND})
+PLATE_HOOKS = frozenset({"harmonics", "accelerometer_response", *PLAIN_HOOKS_OF_KIND})
 """Hooks that change the expected value of plate data."""
 
 
@@ -306,6 +305,9 @@ def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[st
             continue
         kind, share = PLAIN_HOOKS_OF_KIND[name]
         out[rows & (data.kind == kind)] += share(hooks[name](p))
+    if "accelerometer_response" in hooks:
+        factor = hooks["accelerometer_response"](p, data.omega_radps[rows])
+        _logarithm_of_transfer(out, data, rows, np.asarray(factor, dtype=np.complex128))
     if "harmonics" in hooks:
         _add_harmonics(out, data, rows, hooks["harmonics"], p)
 

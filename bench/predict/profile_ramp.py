@@ -11,13 +11,15 @@ import math
 import sys
 from typing import Any
 
+import numpy as np
+
 from bench.predict.diagram import Progress
 from bench.predict.orbit import orbit_json
 from bench.predict.request import Request, ball_for
 from bench.profiles.find import load, load_measuring
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from model.effects.routing import Effects, accelerometer_factor, ball_effects, plate_gain, shapes_the_plate
+from model.effects.routing import Effects, accelerometer_response, ball_effects, plate_gain, shapes_the_plate
 from model.orbits.attractor import AT_REST, Attractor, attractor
 
 SAME_SIZE = 1e-9
@@ -67,7 +69,8 @@ def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> floa
     size = _size(setup)
     declared: Effects = setup.declared_values()
     if controlled:
-        return asked * size / accelerometer_factor(declared)
+        omega_radps = np.array([2.0 * np.pi * setup.forcing.frequency_hz])
+        return float(asked * size / abs(accelerometer_response(declared, omega_radps)[0]))
     level_g = asked * math.hypot(*(multiple**2 * abs(z) for multiple, z in setup.forcing.displacement_tones()))
     return asked * size * plate_gain(declared, level_g)
 

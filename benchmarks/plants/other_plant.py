@@ -45,6 +45,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "accelerometer_gain": {"relative": (0.002, 0.01, 0.06)},
     "accelerometer_offset": {"g": (0.003, 0.02, 0.2)},
     "contact_latency": {"delay_s": (2e-5, 1e-4, 5e-4)},
+    "accelerometer_lag": {"delay_s": (2e-5, 1e-4, 5e-4)},
     # not among the agreed candidates
     "friction_with_height": {"per_m": (0.3, 2.0, 30.0)},
     "friction_with_speed": {"per_mps": (0.02, 0.1, 0.6)},
@@ -296,6 +297,14 @@ def _continuity(run: Run, rng: np.random.Generator, edges: np.ndarray, n: int, l
     return np.asarray(volts + run.contact_noise_v * rng.standard_normal(n))
 
 
+def _late(felt: np.ndarray, samples: float) -> np.ndarray:
+    """Two equal low-passes in a row that together hold a slow signal back by so many samples."""
+    keep = samples / 2.0 / (1.0 + samples / 2.0)  # a low-pass y = keep y + (1 - keep) x is late by keep / (1 - keep)
+    for _ in range(2):
+        felt = lfilter([1.0 - keep], [1.0, -keep], felt, zi=[keep * felt[0]])[0]
+    return np.asarray(felt)
+
+
 def _converted(run: Run, volts: np.ndarray) -> np.ndarray:
     """Volts as the converter gives them."""
     if not run.bits:
@@ -330,6 +339,8 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     time_s = np.arange(n) / run.rate_hz
     command = _commands(gammas, step_s, fade_s, w, float(run.c), time_s)
     felt = plate / G * (1.0 + run.hidden.get("accelerometer_gain.relative", 0.0)) + float(run.reads_gravity)
+    if late_s := run.hidden.get("accelerometer_lag.delay_s", 0.0):
+        felt = _late(felt, late_s * run.rate_hz)
     felt += run.hidden.get("accelerometer_offset.g", 0.0) + run.accelerometer_noise_g * rng.standard_normal(n)
     if run.spikes:
         at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)

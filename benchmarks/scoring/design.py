@@ -13,6 +13,7 @@ PAIRS = (
 )  # fmt: skip
 REPETITION = 100_000_000  # between the seeds of two repetitions
 INVISIBLE = ("contact_gap", "contact_closure", "clock_error")
+LATER = ("accelerometer_lag",)  # in the library after the others' seeds were given: theirs stay as they were
 
 COUNTS = {"strong": 8, "weak": 4, "clean": 50, "declared": 50, "outside": 6, "pair": 2}
 OWN_COUNTS = {"strong": 3, "weak": 2, "clean": 10, "outside": 1, "pair": 0}
@@ -37,7 +38,7 @@ def jobs(seed_base: int, *, times: int = 1, varied: bool = False) -> list[Job]:
 def _once(seed_base: int, varied: bool) -> list[Job]:
     from rig.sim.catalogue import BEYOND, NAMED
 
-    named = [n.name for n in NAMED if n.name not in INVISIBLE]
+    named = [n.name for n in NAMED if n.name not in INVISIBLE + LATER]
     beyond = [n.name for n in BEYOND]
     out: list[tuple[float, Job]] = []
 
@@ -45,8 +46,9 @@ def _once(seed_base: int, varied: bool) -> list[Job]:
         seed = seed_base + 10_000 * len(out) + i
         out.append(((i + 0.5) / n, Job(kind, plant, effects, 1 + (i + column) % 2, seed, varied and plant == "other")))
 
+    other = [name for name in OTHER_NAMED if name not in LATER]
     for plant, counts, library, outside in (
-        ("other", COUNTS, list(OTHER_NAMED), list(OTHER_OUTSIDE)), ("own", OWN_COUNTS, named, beyond)
+        ("other", COUNTS, other, list(OTHER_OUTSIDE)), ("own", OWN_COUNTS, named, beyond)
     ):  # fmt: skip
         for kind in ("strong", "weak"):
             for j, effect in enumerate(library):
@@ -62,4 +64,9 @@ def _once(seed_base: int, varied: bool) -> list[Job]:
         for j, pair in enumerate(PAIRS):
             for i in range(counts["pair"]):
                 add("pair", plant, pair, i, counts["pair"], j)
+    for plant, counts in (("other", COUNTS), ("own", OWN_COUNTS)):
+        for kind in ("strong", "weak"):
+            for j, effect in enumerate(LATER):
+                for i in range(counts[kind]):
+                    add(kind, plant, (effect,), i, counts[kind], j)
     return [job for _, job in sorted(out, key=lambda pair: pair[0])]

@@ -28,6 +28,7 @@ OTHER_NAMED = {
     "accelerometer_gain": "accelerometer_gain",
     "accelerometer_offset": "accelerometer_offset",
     "contact_latency": "contact_latency",
+    "accelerometer_lag": "accelerometer_lag",
 }
 OTHER_OUTSIDE = {  # and the covariate of each
     "friction_with_height": "height",
@@ -64,6 +65,7 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "accelerometer_gain.relative": (("accelerometer_gain", "relative", 1.0),),
     "accelerometer_offset.g": (("accelerometer_offset", "offset_mps2", G),),
     "contact_latency.delay_s": (("contact_latency", "delay_s", 1.0),),
+    "accelerometer_lag.delay_s": (("accelerometer_lag", "delay_s", 1.0),),
 }
 
 AT_RATIO: Mapping[int, Mapping[str, float]] = {

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -31,6 +34,6 @@ EFFECT = Effect(
 )
 
 
-def accelerometer_factor(p: Mapping[str, float]) -> float:
+def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Reading over truth."""
-    return 1.0 + p["relative"]
+    return np.full(np.shape(omega_radps), 1.0 + p["relative"])

@@ -20,7 +20,8 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ``transfer(p, omega_radps, accel_g)``  complex factor on drive -> plate at the tones ``omega_radps`` (k,), where the
                                        mean square of all that the drive asks for is that of one tone of ``accel_g``
                                        (k,)
-``accelerometer_factor(p)``            factor by which the accelerometer reads too much
+``accelerometer_response(p,              complex factor by which the accelerometer reads too much, and late, at
+omega_radps)``                         ``omega_radps`` (any shape)
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
 accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,)
@@ -58,7 +59,7 @@ SIGNATURES = {
 """Arguments of the compiled hooks."""
 PLAIN_HOOKS = (
     "transfer",
-    "accelerometer_factor",
+    "accelerometer_response",
     "contact_delay_s",
     "harmonics",
     "hum_mps2",

@@ -6,10 +6,11 @@ they are in the measurement; who starts from what was asked of the drive applies
 
 from __future__ import annotations
 
-import math
+import functools
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.effects.base import COMPILED_HOOKS, Registered
 from model.effects.registry import effect
@@ -22,9 +23,10 @@ def ball_effects(effects: Effects) -> dict[str, dict[str, float]]:
     return {n: dict(t) for n, t in effects.items() if effect(n).hooks.keys() & set(COMPILED_HOOKS)}
 
 
-def accelerometer_factor(effects: Effects) -> float:
-    """Factor by which the accelerometer reads too much."""
-    return math.prod(float(e.hooks["accelerometer_factor"](dict(t))) for e, t in _with(effects, "accelerometer_factor"))
+def accelerometer_response(effects: Effects, omega_radps: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Factor by which the accelerometer reads too much, and late, at each frequency."""
+    factors = (e.hooks["accelerometer_response"](t, omega_radps) for e, t in _with(effects, "accelerometer_response"))
+    return functools.reduce(np.multiply, factors, np.ones(np.shape(omega_radps), dtype=np.complex128))
 
 
 def plate_gain(effects: Effects, accel_g: float) -> float:

@@ -210,6 +210,13 @@ NAMED: tuple[EffectEntry, ...] = (
         _size("delay_s", 0.0002, 0.0008, 0.0, 0.02),
     ),
     _named(
+        "accelerometer_lag",
+        5.0,
+        "sensor",
+        "low-pass of first order in the accelerometer",
+        _size("time_constant_s", 0.0002, 0.0008, 0.0, 0.02),
+    ),
+    _named(
         "contact_gap", 20.0, "sensor", "the circuit opens only at this height", _size("gap_m", 1e-07, 5e-07, 0.0, 0.001)
     ),
     _named(

@@ -47,6 +47,20 @@ def _refresh(s: Any, p: Any, values: Any, drift: Any, dt_s: float) -> None:
     s.turn_re, s.turn_im = decay * math.cos(angle), decay * math.sin(angle)
     s.volts_per_mps2 = p.accelerometer_v_per_g * (1.0 + p.accelerometer_gain_relative) / G_MPS2
     s.zero_v = p.accelerometer_v_per_g * p.accelerometer_offset_offset_g
+    tau_s = p.accelerometer_lag_time_constant_s
+    s.shown_part = math.exp(-s.dt_s / tau_s) if tau_s > 0.0 else 0.0
+
+
+@njit()
+def _shown(s: Any, p: Any, volts: float) -> float:
+    """Volts behind the accelerometer's low-pass of first order, for an input that is straight between samples."""
+    rise = volts - s.unfiltered_v if s.sample > 0 else 0.0
+    lag = rise * p.accelerometer_lag_time_constant_s / s.dt_s
+    before = s.shown_v - s.unfiltered_v if s.sample > 0 else 0.0
+    s.unfiltered_v = volts
+    shown: float = volts - lag + (before + lag) * s.shown_part
+    s.shown_v = shown
+    return shown
 
 
 @njit()
@@ -69,7 +83,7 @@ def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: fl
         counter = s.noise_key + np.uint64(2 * s.sample)
         continuity_v = s.continuity_v + p.continuity_noise_v * small_noise(counter)
         codes[i, 0] = _code(continuity_v, scale_v, limit)
-        codes[i, 1] = _code(s.zero_v + s.volts_per_mps2 * a + noise_v * noise[i], scale_v, limit)
+        codes[i, 1] = _code(s.zero_v + _shown(s, p, s.volts_per_mps2 * a) + noise_v * noise[i], scale_v, limit)
         codes[i, 2] = _code(drive_v[i] + p.drive_noise_v * small_noise(counter + np.uint64(1)), scale_v, limit)
         s.t_s += s.dt_s
         s.sample += 1

@@ -48,7 +48,10 @@ _FLOATS = (
     "turn_re",
     "turn_im",
     "volts_per_mps2",
-    "zero_v",  # derived from the parameters
+    "zero_v",
+    "shown_part",  # derived from the parameters
+    "shown_v",
+    "unfiltered_v",  # of the accelerometer, behind and before its filter
     "continuity_v",
 )
 _INTEGERS = (

@@ -199,8 +199,7 @@ def fly_ramp() -> RampFlyer:
         world = ForwardModel(bare_evidence(), declared or {})
         exact = simulate_design(Design("test", "a ramp", 2, gammas), world, dict(truth))
         run = exact.measured.step * 2.0 + exact.measured.landing_s
-        factor = ForwardModel(exact, {}).per_step(truth, "accelerometer_factor", 1.0)
-        read = factor[:, None] * exact.steps.plate.acceleration_mps2
+        read = ForwardModel(exact, {}).reading(truth) * exact.steps.plate.acceleration_mps2
         steps = replace(exact.steps, plate=replace(exact.steps.plate, acceleration_mps2=read))
         shown = replace(exact, time_s=run, steps=steps)
         return ForwardModel(blurred(shown, np.random.default_rng(seed)), declared or {})

@@ -11,7 +11,7 @@ from analysis.flights.assemble import flights_of
 from analysis.flights.compare import compare, first_bifurcation
 from daq.recording import open_recording
 from daq.setup.errors import InputError
-from model.effects.routing import accelerometer_factor, ball_effects, plate_gain, shapes_the_plate
+from model.effects.routing import accelerometer_response, ball_effects, plate_gain, shapes_the_plate
 
 
 def test_each_effect_acts_in_one_place() -> None:
@@ -26,7 +26,7 @@ def test_each_effect_acts_in_one_place() -> None:
     }
     assert list(ball_effects(effects)) == ["coulomb_friction"]
     assert plate_gain(effects, 2.0) == pytest.approx(1.1 / 1.2)
-    assert accelerometer_factor(effects) == pytest.approx(1.2)
+    assert accelerometer_response(effects, np.array([60.0, 120.0])) == pytest.approx([1.2, 1.2])
     assert shapes_the_plate(effects) == ["mains_hum"]
 
 

@@ -44,6 +44,12 @@ def test_lag_is_that_of_a_first_order_low_pass() -> None:
     assert found == pytest.approx(1.0 / (1.0 + 1j * OMEGA * 1e-3), abs=3e-4)
 
 
+def test_the_accelerometers_lag_is_that_of_its_low_pass() -> None:
+    """0.5 ms: the reading falls behind the plate by atan(w tau), with amplitude 1/sqrt(1 + (w tau)^2)."""
+    found = tone(plate_g({"accelerometer_lag": {"time_constant_s": 5e-4}}, 0.3)) / 0.6
+    assert found == pytest.approx(1.0 / (1.0 + 1j * OMEGA * 5e-4), abs=3e-4)
+
+
 def test_a_shaker_without_equaliser_is_a_second_order_high_pass() -> None:
     """5 Hz, damping 0.3: a = g s^2 / (s^2 + 2 d w0 s + w0^2)."""
     s, w0 = 1j * OMEGA, 2.0 * math.pi * 5.0
