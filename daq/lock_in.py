@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from daq.lock_in_kernel import accumulate, invert
+from daq.lock_in_kernel import accumulate, invert, summed
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -199,12 +199,7 @@ class LockIn:
 
     def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
         """Sums over the chosen sorts as those of one sort."""
-        return self._of_sums(
-            np.add.reduce(self._grams[chosen], axis=0, keepdims=True),
-            np.add.reduce(self._sides[chosen], axis=0, keepdims=True),
-            np.add.reduce(self._squares[chosen], axis=0, keepdims=True),
-            np.add.reduce(self._counts[chosen], axis=0, keepdims=True),
-        )
+        return self._of_sums(*summed(self._grams, self._sides, self._squares, self._counts, chosen))
 
     def __add__(self, other: LockIn) -> LockIn:
         """The fit of both pieces together (same tones, same channels, sorts merged)."""
