@@ -201,6 +201,14 @@ class LockIn:
         """Sums over the chosen sorts as those of one sort."""
         return self._of_sums(*summed(self._grams, self._sides, self._squares, self._counts, chosen))
 
+    def only(self, tones: Mask) -> LockIn:
+        """The fit of the chosen ``tones`` (k,) alone, of all sorts, from the sums there are; not to be added to."""
+        rows = np.append(0, (2 * np.flatnonzero(tones)[:, None] + [1, 2]).ravel())
+        gram, side = self.gram[None, rows[:, None], rows], self.rhs[None, rows]
+        part = self._of_sums(gram, side, self._squares.sum(axis=0)[None], self._counts.sum()[None])
+        part.frequencies_hz, part._response = self.frequencies_hz[tones], self._response[tones]
+        return part
+
     def __add__(self, other: LockIn) -> LockIn:
         """The fit of both pieces together (same tones, same channels, sorts merged)."""
         total = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from kernels import njit
+
 Floats = npt.NDArray[np.float64]
 
 LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
@@ -22,6 +24,7 @@ NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
 ROUNDING = 1e-6  # relative error of volts kept as float32
 RISE_PART = 0.1  # of the swing, at either end, that a rise time leaves out
 USUAL_RISE_SAMPLES, MOST_STRETCH = 5.0, 32  # rise time that counts of samples are made for, and the longest in it
+HASH_BITS, HASH = 13, np.uint64(0x9E3779B97F4A7C15)  # table of different values, and a factor that mixes their bits
 CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
 
 
@@ -62,19 +65,32 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
     where edges are slow. Without a plateau the declared level stands.
     """
     found = _on_plateaus(volts, declared_closed_v, declared_open_v, 1)
-    found = replace(found, rise_samples=_rise_samples((volts - found.closed_v) / found.swing_v))
+    found = replace(found, rise_samples=_rise_samples(volts, found.closed_v, found.swing_v))
     if found.stretch == 1:
         return found
     settled = _on_plateaus(volts, declared_closed_v, declared_open_v, found.stretch)
     return replace(settled, rise_samples=found.rise_samples)
 
 
-def _rise_samples(fraction: Floats) -> float:
+def _rise_samples(volts: Floats, closed_v: float, swing_v: float) -> float:
     """Median number of samples of an edge between the levels, from one to the other; 0 without an edge."""
-    level = np.where(fraction < RISE_PART, -1, np.where(fraction > 1.0 - RISE_PART, 1, 0))
-    at = np.flatnonzero(level)
-    edges = level[at[1:]] != level[at[:-1]]
-    return float(np.median(np.diff(at)[edges] - 1)) if edges.any() else 0.0
+    edges = _edge_lengths(volts, closed_v, swing_v)
+    return float(np.median(edges)) if edges.size else 0.0
+
+
+@njit(error_model="numpy")
+def _edge_lengths(volts, closed_v, swing_v):  # type: ignore[no-untyped-def]
+    """Samples between one level and the other, of every edge."""
+    lengths, found, last, level = np.empty(volts.shape[0], dtype=np.int64), 0, -1, 0
+    for i in range(volts.shape[0]):
+        fraction = (volts[i] - closed_v) / swing_v
+        now = -1 if fraction < RISE_PART else 1 if fraction > 1.0 - RISE_PART else 0
+        if now != 0:
+            if level != 0 and now != level:
+                lengths[found] = i - last - 1
+                found += 1
+            last, level = i, now
+    return lengths[:found].copy()
 
 
 def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float, stretch: int) -> Levels:
@@ -89,9 +105,7 @@ def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float
             if volts.size < length:
                 continue
             if plateau.size < MIN_PLATEAU:
-                there = np.concatenate([[0], np.cumsum(side == wanted)])
-                inside = there[length:] - there[:-length] == length
-                plateau = volts[before : before + inside.size][inside]
+                plateau = _settled(volts, side, wanted, before, length)
         if plateau.size < MIN_PLATEAU:
             levels.append(declared)
             continue
@@ -105,12 +119,42 @@ def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float
     return Levels(levels[0], levels[1], noise)
 
 
+@njit()
+def _settled(volts, side, wanted, before, length):  # type: ignore[no-untyped-def]
+    """Volts that are number ``before`` of ``length`` successive ones on the ``wanted`` side."""
+    out, found, run = np.empty(volts.shape[0]), 0, 0
+    for i in range(volts.shape[0]):
+        run = run + 1 if side[i] == wanted else 0
+        if run >= length:
+            out[found] = volts[i - length + 1 + before]
+            found += 1
+    return out[:found].copy()
+
+
 def _step_v(volts: Floats) -> float:
     """Step of the converter: smallest distance of two values, ones that rounding has set apart taken as one."""
-    values = np.unique(volts)
+    values = np.unique(_distinct(volts))
     apart = np.diff(values)
     apart = apart[apart > ROUNDING * np.abs(values).max(initial=0.0)]
     return float(apart.min()) if apart.size else 0.0
+
+
+@njit()
+def _distinct(volts):  # type: ignore[no-untyped-def]
+    """The different values among ``volts``, in any order, where they are few; else all of them."""
+    bits = volts.view(np.int64)
+    first = np.full(1 << HASH_BITS, -1)  # open addressing: place in ``volts`` of each value met
+    out, found = np.empty(first.size // 2), 0
+    for i in range(bits.size):
+        at = np.int64((np.uint64(bits[i]) * HASH) >> np.uint64(64 - HASH_BITS))
+        while first[at] >= 0 and bits[first[at]] != bits[i]:
+            at = (at + 1) % first.size
+        if first[at] < 0:
+            if found == out.size:
+                return volts
+            first[at], out[found] = i, volts[i]
+            found += 1
+    return out[:found].copy()
 
 
 def _core_rms(deviation: Floats) -> float:
