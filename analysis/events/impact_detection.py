@@ -116,14 +116,12 @@ class ImpactScan:
         """Places among means as places among recorded samples."""
         return np.asarray(place * self.template.width + 0.5 * (self.template.width - 1))
 
-    def without_impacts(self, volts: Volts, first: int, pad: int) -> Volts:
-        """A piece less the templates of all impacts found so far."""
+    def subtract_impacts(self, volts: Volts, first: int, pad: int) -> None:
+        """Subtract the templates of all impacts found so far from a piece, in place."""
         width, table = self.template.width, self._found.copy()
         table[:, 0] = self._recorded(table[:, 0])
         start = (first - pad) - len(self.template.fine) // FINE * width
-        out = volts.copy()
-        _subtract(out, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
-        return out
+        _subtract(volts, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
 
     def impacts(self) -> Impacts:
         """All impacts so far."""
