@@ -131,7 +131,7 @@ def _scan(x, thresholds, slow, state, lowest, first, where, kind):  # type: igno
     n, i = 0, -1
     while i + 1 < x.shape[0]:
         i += 1
-        if s == CLOSED or s == OPEN:  # mostly nothing happens for long
+        if s in (CLOSED, OPEN):  # mostly nothing happens for long
             i = _until(x, i, high if s == CLOSED else dip, s == CLOSED)
             if i == x.shape[0]:
                 break

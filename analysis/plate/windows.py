@@ -111,8 +111,8 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     for span in state.spans:
         windows = SpanWindows(length, least, counted)
         sums, row_of = _sum_span(span, state.mask_level, group, tones, windows, rate_hz)
-        places = _places(span.block_class, state.mask_level, row_of, length)
-        intervals.append(FitIntervals.of_blocks(span.first, *places, 1.0 / rate_hz))
+        keep, window, contact = _places(span.block_class, state.mask_level, row_of, length)
+        intervals.append(FitIntervals.of_blocks(span.first, keep, window, contact, 1.0 / rate_hz))
         parts.append(sums)
         counted += sums.time_s.size
     sums = SpanSums(*(np.concatenate(own) for own in zip(*parts, strict=True)))

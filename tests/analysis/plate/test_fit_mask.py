@@ -8,7 +8,7 @@ from analysis.plate.fit_mask import FitIntervals
 
 
 def test_intervals_hold_every_kept_block_once() -> None:
-    """Blocks are one interval as long as they are kept, in one window and all in contact or none; masked ones are out."""
+    """Blocks are one interval as long as they are kept, in one window and all in contact or none."""
     rng = np.random.default_rng(4)
     keep = np.repeat(rng.random(200) < 0.7, rng.integers(1, 9, 200))
     n = keep.size
