@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from daq.lock_in_kernel import accumulate, invert, summed
+from daq.lock_in_kernel import accumulate, add_rows, invert
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -199,7 +199,14 @@ class LockIn:
 
     def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
         """Sums over the chosen sorts as those of one sort."""
-        return self._of_sums(*summed(self._grams, self._sides, self._squares, self._counts, chosen))
+
+        def total(values: Floats) -> Floats:
+            out = np.zeros((1, *values.shape[1:]))
+            add_rows(values.reshape(len(values), -1), chosen, out.reshape(-1))
+            return out
+
+        counts = self._counts[chosen].sum()[None]
+        return self._of_sums(total(self._grams), total(self._sides), total(self._squares), counts)
 
     def only(self, tones: Mask) -> LockIn:
         """The fit of the chosen ``tones`` (k,) alone, of all sorts, from the sums there are; not to be added to."""

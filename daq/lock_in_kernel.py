@@ -97,17 +97,11 @@ def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-unt
 
 
 @njit()
-def summed(grams, sides, squares, counts, chosen):  # type: ignore[no-untyped-def]
-    """Sums of all four over the ``chosen`` sorts, one after the other, as those of a single sort."""
-    p, channels = sides.shape[1], sides.shape[2]
-    gram, side = np.zeros((1, p, p)), np.zeros((1, p, channels))
-    square, count = np.zeros((1, channels)), np.zeros(1, dtype=np.int64)
-    for s in chosen:
-        gram[0] += grams[s]
-        side[0] += sides[s]
-        square[0] += squares[s]
-        count[0] += counts[s]
-    return gram, side, square, count
+def add_rows(values, chosen, out):  # type: ignore[no-untyped-def]
+    """Add the ``chosen`` rows of ``values`` (m, n) to ``out`` (n,), one after the other."""
+    for row in chosen:
+        for i in range(out.shape[0]):
+            out[i] += values[row, i]
 
 
 @njit(error_model="numpy")

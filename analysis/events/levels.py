@@ -24,7 +24,6 @@ NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
 ROUNDING = 1e-6  # relative error of volts kept as float32
 RISE_PART = 0.1  # of the swing, at either end, that a rise time leaves out
 USUAL_RISE_SAMPLES, MOST_STRETCH = 5.0, 32  # rise time that counts of samples are made for, and the longest in it
-HASH_BITS, HASH = 13, np.uint64(0x9E3779B97F4A7C15)  # table of different values, and a factor that mixes their bits
 CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
 
 
@@ -133,28 +132,10 @@ def _settled(volts, side, wanted, before, length):  # type: ignore[no-untyped-de
 
 def _step_v(volts: Floats) -> float:
     """Step of the converter: smallest distance of two values, ones that rounding has set apart taken as one."""
-    values = np.unique(_distinct(volts))
+    values = np.unique(volts)
     apart = np.diff(values)
     apart = apart[apart > ROUNDING * np.abs(values).max(initial=0.0)]
     return float(apart.min()) if apart.size else 0.0
-
-
-@njit()
-def _distinct(volts):  # type: ignore[no-untyped-def]
-    """The different values among ``volts``, in any order, where they are few; else all of them."""
-    bits = volts.view(np.int64)
-    first = np.full(1 << HASH_BITS, -1)  # open addressing: place in ``volts`` of each value met
-    out, found = np.empty(first.size // 2), 0
-    for i in range(bits.size):
-        at = np.int64((np.uint64(bits[i]) * HASH) >> np.uint64(64 - HASH_BITS))
-        while first[at] >= 0 and bits[first[at]] != bits[i]:
-            at = (at + 1) % first.size
-        if first[at] < 0:
-            if found == out.size:
-                return volts
-            first[at], out[found] = i, volts[i]
-            found += 1
-    return out[:found].copy()
 
 
 def _core_rms(deviation: Floats) -> float:

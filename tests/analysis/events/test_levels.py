@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.events.levels import PLATEAU_AFTER, _distinct, _edge_lengths, _settled
+from analysis.events.levels import PLATEAU_AFTER, _edge_lengths, _settled
 
 
 def test_settled_volts_are_those_amid_enough_on_their_side() -> None:
@@ -25,11 +25,3 @@ def test_edges_are_as_long_as_the_samples_between_the_levels() -> None:
     """A return to the level it came from is no edge."""
     volts = np.array([0.0, 0.1, 2.0, 3.0, 5.0, 4.9, 3.0, 5.0, 0.0, 2.0, 2.0, 2.0, 5.0])
     np.testing.assert_array_equal(_edge_lengths(volts, 0.0, 5.0), [2, 0, 3])
-
-
-def test_the_different_values_are_all_there() -> None:
-    """Few values that repeat come once each; of many, or of hardly any that repeat, none is lost."""
-    rng = np.random.default_rng(3)
-    for volts in (rng.integers(-900, 900, 20_000) * 3e-4, rng.normal(size=20_000), np.zeros(0), np.array([0.0, -0.0])):
-        np.testing.assert_array_equal(np.unique(_distinct(volts)), np.unique(volts))
-    assert _distinct(np.repeat(rng.normal(size=100), 50)).size == 100
