@@ -15,6 +15,15 @@ def mad_sigma(deviations: npt.ArrayLike) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(deviations)))
 
 
+def median(values: Floats) -> float:
+    """Median of a short array (n >= 1,): that of NumPy to the last bit, without its many calls."""
+    in_order = np.sort(values)
+    if np.isnan(in_order[-1]):
+        return float("nan")
+    middle = in_order.size // 2
+    return float(in_order[middle]) if in_order.size % 2 else float((in_order[middle - 1] + in_order[middle]) / 2.0)
+
+
 def nearest(sorted_values: Floats, wanted: Floats) -> npt.NDArray[np.int64]:
     """Index of the entry of ``sorted_values`` (n >= 1,) nearest to each of ``wanted`` (m,); the later one of a tie."""
     after = np.minimum(np.searchsorted(sorted_values, wanted), sorted_values.size - 1)

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from daq.lock_in_kernel import accumulate, invert
+from daq.lock_in_kernel import accumulate, add_rows, invert
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -199,12 +199,22 @@ class LockIn:
 
     def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
         """Sums over the chosen sorts as those of one sort."""
-        return self._of_sums(
-            np.add.reduce(self._grams[chosen], axis=0, keepdims=True),
-            np.add.reduce(self._sides[chosen], axis=0, keepdims=True),
-            np.add.reduce(self._squares[chosen], axis=0, keepdims=True),
-            np.add.reduce(self._counts[chosen], axis=0, keepdims=True),
-        )
+
+        def total(values: Floats) -> Floats:
+            out = np.zeros((1, *values.shape[1:]))
+            add_rows(values.reshape(len(values), -1), chosen, out.reshape(-1))
+            return out
+
+        counts = self._counts[chosen].sum()[None]
+        return self._of_sums(total(self._grams), total(self._sides), total(self._squares), counts)
+
+    def only(self, tones: Mask) -> LockIn:
+        """The fit of the chosen ``tones`` (k,) alone, of all sorts, from the sums there are; not to be added to."""
+        rows = np.append(0, (2 * np.flatnonzero(tones)[:, None] + [1, 2]).ravel())
+        gram, side = self.gram[None, rows[:, None], rows], self.rhs[None, rows]
+        part = self._of_sums(gram, side, self._squares.sum(axis=0)[None], self._counts.sum()[None])
+        part.frequencies_hz, part._response = self.frequencies_hz[tones], self._response[tones]
+        return part
 
     def __add__(self, other: LockIn) -> LockIn:
         """The fit of both pieces together (same tones, same channels, sorts merged)."""

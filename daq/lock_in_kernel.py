@@ -96,6 +96,14 @@ def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-unt
             square[a - p] += total
 
 
+@njit()
+def add_rows(values, chosen, out):  # type: ignore[no-untyped-def]
+    """Add the ``chosen`` rows of ``values`` (m, n) to ``out`` (n,), one after the other."""
+    for row in chosen:
+        for i in range(out.shape[0]):
+            out[i] += values[row, i]
+
+
 @njit(error_model="numpy")
 def invert(grams, inverses):  # type: ignore[no-untyped-def]
     """Inverses of normal matrices (m, p, p) by Cholesky factors, each scaled to a unit diagonal before.

@@ -1,4 +1,7 @@
-"""Compiled kernels: the decorator that compiles them, and the folder that keeps their machine code."""
+"""Compiled kernels: the decorator that compiles them, and the folder that keeps their machine code.
+
+Whoever imports it has the C library keep the memory of arrays that are gone, see `kernels.memory`.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -6,5 +9,8 @@ if TYPE_CHECKING:
     from numba import njit  # the same types
 else:
     from kernels.cache import njit
+    from kernels.memory import keep_freed_blocks
+
+    keep_freed_blocks()
 
 __all__ = ["njit"]

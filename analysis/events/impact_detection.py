@@ -116,14 +116,12 @@ class ImpactScan:
         """Places among means as places among recorded samples."""
         return np.asarray(place * self.template.width + 0.5 * (self.template.width - 1))
 
-    def without_impacts(self, volts: Volts, first: int, pad: int) -> Volts:
-        """A piece less the templates of all impacts found so far."""
+    def subtract_impacts(self, volts: Volts, first: int, pad: int) -> None:
+        """Subtract the templates of all impacts found so far from a piece, in place."""
         width, table = self.template.width, self._found.copy()
         table[:, 0] = self._recorded(table[:, 0])
         start = (first - pad) - len(self.template.fine) // FINE * width
-        out = volts.copy()
-        _subtract(out, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
-        return out
+        _subtract(volts, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
 
     def impacts(self) -> Impacts:
         """All impacts so far."""
@@ -179,14 +177,18 @@ def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
             out[k] += size * ((1.0 - share) * fine[j] + share * fine[j + 1])
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@njit(error_model="numpy", fastmath={"contract", "nsz"})
 def _products(columns, x, out):  # type: ignore[no-untyped-def]
-    """Scalar products of ``x`` (n,) and each column of ``columns`` (n, r), summed along memory."""
+    """Scalar products of ``x`` (n,) and each column of ``columns`` (n, r), summed along memory, four rows in a pass."""
     out[:] = 0.0
-    for i in range(columns.shape[0]):
-        row, factor = columns[i], x[i]
-        for r in range(row.shape[0]):
-            out[r] += row[r] * factor
+    for i in range(0, columns.shape[0], 4):
+        row0, row1, row2, row3 = columns[i], columns[i + 1], columns[i + 2], columns[i + 3]
+        x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
+        for r in range(out.shape[0]):
+            total = out[r] + row0[r] * x0
+            total += row1[r] * x1
+            total += row2[r] * x2
+            out[r] = total + row3[r] * x3
 
 
 @njit(error_model="numpy")

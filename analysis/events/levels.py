@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from kernels import njit
+
 Floats = npt.NDArray[np.float64]
 
 LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
@@ -62,19 +64,32 @@ def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: flo
     where edges are slow. Without a plateau the declared level stands.
     """
     found = _on_plateaus(volts, declared_closed_v, declared_open_v, 1)
-    found = replace(found, rise_samples=_rise_samples((volts - found.closed_v) / found.swing_v))
+    found = replace(found, rise_samples=_rise_samples(volts, found.closed_v, found.swing_v))
     if found.stretch == 1:
         return found
     settled = _on_plateaus(volts, declared_closed_v, declared_open_v, found.stretch)
     return replace(settled, rise_samples=found.rise_samples)
 
 
-def _rise_samples(fraction: Floats) -> float:
+def _rise_samples(volts: Floats, closed_v: float, swing_v: float) -> float:
     """Median number of samples of an edge between the levels, from one to the other; 0 without an edge."""
-    level = np.where(fraction < RISE_PART, -1, np.where(fraction > 1.0 - RISE_PART, 1, 0))
-    at = np.flatnonzero(level)
-    edges = level[at[1:]] != level[at[:-1]]
-    return float(np.median(np.diff(at)[edges] - 1)) if edges.any() else 0.0
+    edges = _edge_lengths(volts, closed_v, swing_v)
+    return float(np.median(edges)) if edges.size else 0.0
+
+
+@njit(error_model="numpy")
+def _edge_lengths(volts, closed_v, swing_v):  # type: ignore[no-untyped-def]
+    """Samples between one level and the other, of every edge."""
+    lengths, found, last, level = np.empty(volts.shape[0], dtype=np.int64), 0, -1, 0
+    for i in range(volts.shape[0]):
+        fraction = (volts[i] - closed_v) / swing_v
+        now = -1 if fraction < RISE_PART else 1 if fraction > 1.0 - RISE_PART else 0
+        if now != 0:
+            if level != 0 and now != level:
+                lengths[found] = i - last - 1
+                found += 1
+            last, level = i, now
+    return lengths[:found].copy()
 
 
 def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float, stretch: int) -> Levels:
@@ -89,9 +104,7 @@ def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float
             if volts.size < length:
                 continue
             if plateau.size < MIN_PLATEAU:
-                there = np.concatenate([[0], np.cumsum(side == wanted)])
-                inside = there[length:] - there[:-length] == length
-                plateau = volts[before : before + inside.size][inside]
+                plateau = _settled(volts, side, wanted, before, length)
         if plateau.size < MIN_PLATEAU:
             levels.append(declared)
             continue
@@ -103,6 +116,18 @@ def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float
         levels.append(level if near.size > 0.5 * plateau.size else declared)
     noise = max([*spreads, _step_v(volts) / np.sqrt(12.0), 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)
+
+
+@njit()
+def _settled(volts, side, wanted, before, length):  # type: ignore[no-untyped-def]
+    """Volts that are number ``before`` of ``length`` successive ones on the ``wanted`` side."""
+    out, found, run = np.empty(volts.shape[0]), 0, 0
+    for i in range(volts.shape[0]):
+        run = run + 1 if side[i] == wanted else 0
+        if run >= length:
+            out[found] = volts[i - length + 1 + before]
+            found += 1
+    return out[:found].copy()
 
 
 def _step_v(volts: Floats) -> float:

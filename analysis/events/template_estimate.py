@@ -25,7 +25,7 @@ from analysis.events.impact_template import (
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
 from analysis.plate.step_state import multiples_of
 from analysis.signals.stream import Piece
-from daq.lock_in import ToneFit, fit_tones
+from daq.lock_in import LockIn, ToneFit
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
@@ -168,9 +168,11 @@ def _motion(volts: Floats, start: int, rate_hz: float, row: np.void, quiet: npt.
     main = first * np.unique([1, 2, 3, row["ratio"]])
     tones_hz = first * np.array(multiples_of(int(row["ratio"])))
     tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, volts.size / rate_hz))
-    fit = fit_tones(volts, start, rate_hz, tones_hz, quiet)
+    every = LockIn(rate_hz, tones_hz)
+    every.add(volts, start, quiet)
+    fit = every.solve()
     present = np.isin(tones_hz, main) | (np.abs(fit.amplitudes) > SIGNIFICANT * fit.amplitude_sigma())
-    return fit if present.all() else fit_tones(volts, start, rate_hz, tones_hz[present], quiet)
+    return fit if present.all() else every.only(present).solve()
 
 
 @njit(error_model="numpy")

@@ -158,9 +158,11 @@ def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tup
 
 
 def _open_fraction(piece: Piece, levels: Levels) -> Volts:
-    """Contact voltage as a fraction of the swing: 0 closed, 1 open."""
+    """Contact voltage as a fraction of the swing, in the memory of the piece's volts: 0 closed, 1 open."""
     volts = piece.channels["continuity"]
-    return (volts - np.float32(levels.closed_v)) * np.float32(1.0 / levels.swing_v)
+    volts -= np.float32(levels.closed_v)
+    volts *= np.float32(1.0 / levels.swing_v)
+    return volts
 
 
 def scan(recording: Recording, progress: Progress | None = None) -> Scan:
@@ -194,7 +196,7 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
             landings.append(found.sample[found.kind != OPENS])
         if detector is not None:
             landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
-            acceleration_v = detector.without_impacts(acceleration_v, piece.first, PAD)
+            detector.subtract_impacts(acceleration_v, piece.first, PAD)
         trimmed = PlatePiece(
             piece.first,
             piece.trim(acceleration_v),

@@ -54,6 +54,7 @@ HARMLESS_COVER = 0.85  # unmasked part of a step above which no mask can do harm
 MAX_INFLATION = 1.6  # largest factor by which a mask may raise a tone's uncertainty
 MIN_PER_TONE = 8  # unmasked blocks needed per fitted tone
 OPEN_ABOVE, CLOSED_BELOW = 0.9, 0.1  # mean contact voltage, as a fraction of the swing, of flight and of contact
+WAITING_STEPS = 16  # solved in a row: what a step's small fits need then stays in the processor's caches
 CHUNK_BLOCKS = 1 << 17  # block means kept in memory before they are added to the normal equations
 
 
@@ -120,6 +121,7 @@ class StepAccumulator:
         self.starts = steps["first_sample"] + steps["settle_samples"]
         self.stops = steps["first_sample"] + steps["n_samples"]
         self.done: list[StepPlate | None] = []
+        self.waiting: list[StepState] = []
         self.open: StepState | None = None
         self.mains = [unmeasured_line(hz) for hz in MAINS_HZ]
         self.impacts: list[Ints] = []
@@ -133,7 +135,7 @@ class StepAccumulator:
         def means(lost: int) -> tuple[Volts, Volts | None, Volts | None]:
             return piece.means(self.width, lost)
 
-        for k in range(len(self.done), len(self.steps)):
+        for k in range(len(self.done) + len(self.waiting), len(self.steps)):
             start, stop = int(self.starts[k]), int(self.stops[k])
             if start >= piece.last:
                 return
@@ -146,22 +148,23 @@ class StepAccumulator:
             if stop <= piece.last:
                 self._close_step()
             elif self.open.blocks > CHUNK_BLOCKS:
+                self._solve_waiting()  # their mains lines come before this step's
                 self.flush_chunk(self.open)
 
     def finish(self) -> tuple[StepPlate | None, ...]:
         """Close what is open (a recording cut within a step) and return all steps."""
         if self.open is not None:
             self._close_step()
+        self._solve_waiting()
         self.done += [None] * (len(self.steps) - len(self.done))
         return tuple(self.done)
 
     def _begin_step(self, k: int) -> StepState:
-        """State of step ``k`` before its first sample, its mains lines where the steps before left them."""
+        """State of step ``k`` before its first sample."""
         start, stop = int(self.starts[k]), int(self.stops[k])
         hold_s = max((stop - start) / self.rate_hz, 1.0 / self.rate_hz)
-        lines = tuple(line.later(0.5 * (start + stop) / self.rate_hz) for line in self.mains)
         nominal_hz, ratio = float(self.steps["frequency_hz"][k]), int(self.steps["ratio"][k])
-        return StepState(k, nominal_hz, ratio, start, start, hold_s, mains=lines)
+        return StepState(k, nominal_hz, ratio, start, start, hold_s)
 
     def _unbroken(self, start: int, stop: int) -> list[tuple[int, int]]:
         """``[start, stop)`` broken at lost samples."""
@@ -218,6 +221,8 @@ class StepAccumulator:
     def _first_chunk(self, state: StepState) -> ChunkFit | None:
         """The first chunk of a step, which also settles the frequencies of its tones and of the mains lines."""
         state.frequency_hz = state.nominal_hz
+        middle_s = 0.5 * (int(self.starts[state.step]) + int(self.stops[state.step])) / self.rate_hz
+        state.mains = tuple(line.later(middle_s) for line in self.mains)  # where the steps before left them
         self._accumulate(state)
         chunk = fit_windows(state, self.block_rate_hz)
         refined = None if chunk is None else refined_hz(state, chunk, "drive" in self.recording.channels)
@@ -273,12 +278,19 @@ class StepAccumulator:
         return not np.array_equal(every_hz, fit.frequencies_hz)
 
     def _close_step(self) -> None:
-        """Solve the open step and keep its result."""
-        state, self.open = self.open, None
-        if state is None:
-            return
-        self.flush_chunk(state)
-        self.done.append(None if state.lock_in is None else step_plate(self.recording, state))
+        """Let the open step wait for others."""
+        if self.open is not None:
+            self.waiting.append(self.open)
+        self.open = None
+        if len(self.waiting) >= WAITING_STEPS:
+            self._solve_waiting()
+
+    def _solve_waiting(self) -> None:
+        """Solve the steps that wait, in order, and keep their results."""
+        for state in self.waiting:
+            self.flush_chunk(state)
+            self.done.append(None if state.lock_in is None else step_plate(self.recording, state))
+        self.waiting.clear()
 
 
 def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:

@@ -68,15 +68,9 @@ class FitIntervals:
         cls, first: int, keep: NDArray[np.bool_], window: Ints, contact: NDArray[np.bool_], block_s: float
     ) -> Self:
         """Intervals of consecutive blocks from number ``first`` on: ``keep``, ``window`` and ``contact`` are (n,)."""
-        label = np.where(keep, 2 * window + contact, -3)
-        changed = np.ones(len(label), dtype=np.bool_)
-        changed[1:] = label[1:] != label[:-1]
-        starts = np.flatnonzero(changed)
-        ends = np.append(starts[1:], len(label))
-        rows = keep[starts]
-        span_s = (first + np.column_stack([starts, ends])[rows]) * block_s
-        at = starts[rows]
-        return cls(np.zeros(len(at), dtype=np.int64), span_s, window[at], contact[at])
+        bounds = _alike(keep, window, contact)
+        at = bounds[:, 0]
+        return cls(np.zeros(len(at), dtype=np.int64), (first + bounds) * block_s, window[at], contact[at])
 
     @cached_property
     def seconds(self) -> Array:
@@ -118,6 +112,21 @@ def solved(gram: Complex, side: Complex) -> Complex:
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     scaled = gram * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(gram.shape[1])
     return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * side))
+
+
+@njit()
+def _alike(keep, window, contact):  # type: ignore[no-untyped-def]
+    """First and last but one of every run of kept values with one window and one state of contact, (r, 2)."""
+    bounds, found = np.empty((keep.shape[0], 2), dtype=np.int64), 0
+    for i in range(keep.shape[0]):
+        if not keep[i]:
+            continue
+        new = i == 0 or not keep[i - 1] or window[i] != window[i - 1] or contact[i] != contact[i - 1]
+        if new:
+            bounds[found, 0] = i
+            found += 1
+        bounds[found - 1, 1] = i + 1
+    return bounds[:found].copy()
 
 
 @njit(error_model="numpy")

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.plate.mains_lines import BIN_S
-from analysis.plate.step_state import StepState
+from analysis.plate.step_state import N_MASK_LEVELS, StepState
 from daq.lock_in import ToneFit, boxcar_response, inverse_of, solved
 from daq.lock_in_kernel import turns
 from kernels import njit
@@ -38,12 +38,15 @@ class LineTrials:
         self._rate_hz, self._boxcar = rate_hz, sums.boxcar
         self._frequencies_hz, self._n = sums.frequencies_hz.copy(), sums.n
         self._gram, self._side = sums.gram, sums.rhs[:, 0]
-        clear = [span.clear(state.mask_level) for span in state.spans]
-        self.values = np.concatenate([s.values[own, 0] for s, own in zip(state.spans, clear, strict=True)])
-        self.blocks = np.concatenate([s.first + np.flatnonzero(own) for s, own in zip(state.spans, clear, strict=True)])
+        room, found = sum(len(span.values) for span in state.spans), 0
+        values, blocks = np.empty(room), np.empty(room, dtype=np.int64)
+        for span in state.spans:
+            found = _gather(span.values, span.block_class, span.first, state.mask_level, values, blocks, found)
+        self.values, self.blocks = values[:found], blocks[:found]
         self._square = float(self.values @ self.values)
         self._bins = ((self.blocks / rate_hz - self.blocks[0] / rate_hz) / BIN_S).astype(np.int64)
-        self._rows = np.ones((self._side.size, self.values.size))
+        self._rows = np.empty((self._side.size, self.values.size))
+        self._rows[0] = 1.0
         _fill_rows(self._frequencies_hz / rate_hz, state.lock_in.response(), self.blocks, self._rows[1:])
 
     def residual(self, fit: ToneFit, kept: int) -> Floats:
@@ -56,8 +59,9 @@ class LineTrials:
     def demodulated(self, fit: ToneFit, kept: int) -> Complexes:
         """Sums over bins of `BIN_S` of the residual demodulated at tone ``kept``, the blocks' gain and delay in it."""
         residual, at = self.residual(fit, kept), 2 * kept + 1
-        real, imaginary = (np.bincount(self._bins, residual * self._rows[row]) for row in (at, at + 1))
-        return np.asarray(real + 1j * imaginary)
+        sums = np.zeros(self._bins[-1] + 1, dtype=np.complex128)
+        _demodulate(residual, self._rows[at], self._rows[at + 1], self._bins, sums)
+        return sums
 
     def fit_at(self, place: int, frequency_hz: float) -> ToneFit:
         """The accelerometer's fit with tone number ``place`` at another frequency."""
@@ -78,6 +82,23 @@ class LineTrials:
         gram, side, own = self._gram.copy(), self._side.copy(), np.empty((2, self.values.size))
         _move(frequencies_hz / self._rate_hz, gains, self.blocks, self.values, self._rows, place, gram, side, own)
         return gram, side, own
+
+
+@njit()
+def _gather(values, block_class, first, level, out, blocks, found):  # type: ignore[no-untyped-def]
+    """Put the first channel of the blocks outside the mask, and their numbers, behind the ``found``; how many now."""
+    for i in range(values.shape[0]):
+        if block_class[i] % N_MASK_LEVELS >= level:
+            out[found], blocks[found] = values[i, 0], first + i
+            found += 1
+    return found
+
+
+@njit()
+def _demodulate(x, cosine, sine, bins, sums):  # type: ignore[no-untyped-def]
+    """Add the products of ``x`` (n,) with both rows of a tone to the sums of their bins."""
+    for i in range(x.shape[0]):
+        sums[bins[i]] += complex(x[i] * cosine[i], x[i] * sine[i])
 
 
 @njit(error_model="numpy")

@@ -26,9 +26,11 @@ EACH_VALUE = 4  # times that each value must come on average before the distance
 def converter_step(values: NDArray[Any]) -> float:
     """Distance of neighbouring values of a rounded signal, codes or volts; 0 where they do not show one."""
     in_order = np.sort(values)
-    different = in_order[np.append(True, np.diff(in_order) != 0)] if len(values) else in_order
-    if len(different) < 2 or EACH_VALUE * len(different) > len(values):
+    changes = in_order[1:] != in_order[:-1]
+    steps = int(np.count_nonzero(changes))
+    if steps < 1 or EACH_VALUE * (steps + 1) > len(values):
         return 0.0
+    different = in_order[np.append(True, changes)]
     return float(np.median(np.diff(different.astype(np.float64))))
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
+from analysis.statistics import median
 from daq.lock_in import ToneFit
 from daq.lock_in_kernel import RESYNC, turns
 from kernels import njit
@@ -110,17 +111,14 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     for span in state.spans:
         windows = SpanWindows(length, least, counted)
         sums, row_of = _sum_span(span, state.mask_level, group, tones, windows, rate_hz)
-        window = np.repeat(row_of, length)[: len(span.values)]
-        contact = span.block_class // N_MASK_LEVELS == CONTACT
-        intervals.append(
-            FitIntervals.of_blocks(span.first, span.clear(state.mask_level), window, contact, 1.0 / rate_hz)
-        )
+        keep, window, contact = _places(span.block_class, state.mask_level, row_of, length)
+        intervals.append(FitIntervals.of_blocks(span.first, keep, window, contact, 1.0 / rate_hz))
         parts.append(sums)
         counted += sums.time_s.size
     sums = SpanSums(*(np.concatenate(own) for own in zip(*parts, strict=True)))
     amplitudes, spread, noise = _solve_windows(tones, fits, sums)
     none = np.zeros(len(intervals), dtype=np.int64)
-    whole = FitIntervals.join(intervals, none, none)
+    whole = intervals[0] if len(intervals) == 1 else FitIntervals.join(intervals, none, none)
     return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, whole)
 
 
@@ -151,14 +149,17 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
     strongest = int(np.argmax(np.add.reduce(np.abs(chunk.amplitudes[:, :, channel])) * multiples))
     z = chunk.amplitudes[:, strongest, channel]
     sigma = chunk.fits[channel].rms * chunk.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
-    if np.median(sigma) > MAX_PHASE_SIGMA_RAD:
+    if median(sigma) > MAX_PHASE_SIGMA_RAD:
         return None
     weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
-    time_s = chunk.time_s - np.average(chunk.time_s, weights=weight)
+    time_s = chunk.time_s - np.add.reduce(chunk.time_s * weight) / np.add.reduce(weight)
     pull = weight * time_s
     curvature = float(pull @ time_s)
     scale = 2.0 * np.pi * float(multiples[strongest])
-    away = float(pull @ np.unwrap(np.angle(z))) / curvature / scale
+    phase = np.angle(z)
+    if np.abs(phase[1:] - phase[:-1]).max() >= np.pi:
+        phase = np.unwrap(phase)
+    away = float(pull @ phase) / curvature / scale
     error = 1.0 / np.sqrt(curvature) / scale
     changed = abs(away) > FREQUENCY_SIGMAS * error and abs(away) * 2.0 * np.pi * state.hold_s > MIN_DRIFT_RAD
     return (state.nominal_hz + away, error, True) if changed else (state.nominal_hz, error, False)
@@ -200,6 +201,18 @@ def _sum_span(
         used=sums.used[:w],
     )
     return kept, row_of
+
+
+@njit()
+def _places(block_class, level, row_of, length):  # type: ignore[no-untyped-def]
+    """Whether each block is outside the mask, its window, and whether it is contact, (n,) each."""
+    n = block_class.shape[0]
+    keep, window, contact = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
+    for i in range(n):
+        keep[i] = block_class[i] % N_MASK_LEVELS >= level
+        window[i] = row_of[i // length]
+        contact[i] = block_class[i] // N_MASK_LEVELS == CONTACT
+    return keep, window, contact
 
 
 @njit(error_model="numpy")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -55,14 +55,32 @@ class Piece:
         return self.trim(self.channels[channel])
 
 
-def read_piece(recording: Recording, channels: tuple[str, ...], first: int, count: int) -> Piece:
-    """Read one piece of the named channels."""
+@dataclass(frozen=True)
+class Room:
+    """Memory for one piece after the other: the codes as they are stored, and the volts, of each channel."""
+
+    codes: dict[str, npt.NDArray[Any]]
+    volts: dict[str, Volts]
+
+    @classmethod
+    def of(cls, recording: Recording, channels: tuple[str, ...], count: int) -> Self:
+        """For pieces of ``count`` samples at most."""
+        size = count + 2 * PAD
+        codes = {name: np.empty(size, recording.codes(name, 0, 0).dtype) for name in channels}
+        return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels})
+
+
+def read_piece(
+    recording: Recording, channels: tuple[str, ...], first: int, count: int, room: Room | None = None
+) -> Piece:
+    """Read one piece of the named channels, into ``room`` where it is given."""
     start, stop = max(first - PAD, 0), min(first + count + PAD, recording.n_samples)
     volts, stored = {}, None
+    room = Room.of(recording, channels, count) if room is None else room
     for channel in channels:
         factor, offset = recording.scale(channel)
-        codes = recording.codes(channel, start, stop)
-        own = np.empty(count + 2 * PAD, dtype=np.float32)
+        codes = recording.codes(channel, start, stop, room.codes[channel])
+        own = room.volts[channel][: count + 2 * PAD]
         at = start - (first - PAD)
         middle = own[at : at + codes.size]
         _volts(codes, np.float32(factor), np.float32(offset), middle)
@@ -75,9 +93,10 @@ def read_piece(recording: Recording, channels: tuple[str, ...], first: int, coun
 
 
 def pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
-    """All pieces of a recording, in order."""
+    """All pieces of a recording, in order, each in the memory of the one before: what is kept of it is copied."""
+    room = Room.of(recording, channels, min(PIECE, recording.n_samples))
     for first in range(0, recording.n_samples, PIECE):
-        yield read_piece(recording, channels, first, min(PIECE, recording.n_samples - first))
+        yield read_piece(recording, channels, first, min(PIECE, recording.n_samples - first), room)
 
 
 def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:

@@ -153,3 +153,15 @@ def test_tones_that_are_one_are_refused():
     fit.add(tones(np.arange(2000)), 0)
     with pytest.raises(ValueError, match="cannot be told apart in 2000 values"):
         fit.solve()
+
+
+def test_some_tones_alone_are_those_of_a_fit_without_the_others() -> None:
+    """From the sums of all tones, the fit of some of them is that of a lock-in that knows only these."""
+    rng = np.random.default_rng(7)
+    x, mask = tones(np.arange(5000)) + 0.1 * rng.standard_normal(5000), rng.random(5000) < 0.8
+    every, chosen = LockIn(RATE, FREQUENCIES), np.arange(len(FREQUENCIES)) != 1
+    every.add(x, 100, mask)
+    found, wanted = every.only(chosen).solve(), fit_tones(x, 100, RATE, np.array(FREQUENCIES)[chosen], mask)
+    np.testing.assert_allclose(found.amplitudes, wanted.amplitudes, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-12, atol=1e-18)
+    assert (found.n, found.rms) == (wanted.n, pytest.approx(wanted.rms, rel=1e-12))
