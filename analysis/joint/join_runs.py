@@ -21,7 +21,7 @@ from analysis.attribution.priors import Prior, coordinate_of, null_value_of, par
 from analysis.joint.alignment import Aligned, aligned
 from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses, loss_of
 from analysis.joint.outcome import outcome_of
-from analysis.joint.population import Population, alone, fit_population
+from analysis.joint.population import LEAST_SPREAD, Population, alone, fit_population
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
@@ -134,7 +134,7 @@ class _Passes:
         file = [path.resolve().as_posix(), state.st_size, state.st_mtime_ns]
         effects = [(r.effect.name, r.effect.parameters) for r in registry()]
         made = [software_version(), software_commit(), effects, self.limits]
-        here = [sorted(point.priors.items()), sorted(point.shared.items()), self.setup]
+        here = [*(sorted(x.items()) for x in (point.priors, point.shared, point.population)), self.setup]
         return hashlib.sha256(repr([file, here, made]).encode()).hexdigest()[:24]
 
 
@@ -252,14 +252,21 @@ class _Search:
         return self._at(_moved(state.point, values), (*state.named, chosen.option.names))
 
     def _converged(self, state: _State) -> _State:
-        """Linearised anew until the shared parameters stay."""
+        """Linearised anew until the shared parameters stay, and the means of bent calibrations."""
         for _ in range(MOST_PASSES):
             q, shared = len(state.point.own), sorted(state.point.shared)
-            moves = {k: float(state.found.x[q + i] - state.world.runs[0].origin[q + i]) for i, k in enumerate(shared)}
-            if all(abs(m) < SETTLED_SIGMAS * state.found.sigma(q + i) for i, m in enumerate(moves.values())):
-                break
             values = {k: value_at(k, float(state.found.x[q + i])) for i, k in enumerate(shared)}
-            state = self._at(_moved(state.point, values), state.named)
+            population = _population(state)
+            here = {**state.point.shared, **{k: p.mean for k, p in state.point.population.items()}}
+            there = {**values, **{k: p.mean for k, p in population.items()}}
+            places = {k: i for i, (k, _) in enumerate(state.world.columns[: state.world.named])}
+            if here.keys() == there.keys() and all(
+                abs(coordinate_of(k, v) - coordinate_of(k, here[k])) < SETTLED_SIGMAS * state.found.sigma(places[k])
+                for k, v in there.items()
+            ):
+                break
+            point = dataclasses.replace(_moved(state.point, values), population=population)
+            state = self._at(point, state.named)
         return state
 
     def _without_idle(self, state: _State) -> _State:
@@ -295,7 +302,17 @@ class _Search:
             priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
         shared = {k: v for k, v in state.point.shared.items() if k not in keys}
-        return self._at(Point(priors, shared), state.named)
+        return self._at(Point(priors, shared, state.point.population), state.named)
+
+
+def _population(state: _State) -> dict[ParameterId, Prior]:
+    """Means and spreads of bent calibrations, in their own units."""
+    out = {}
+    for key in state.point.bent:
+        i = state.point.own.index(key)
+        spread = max(float(state.found.spread[i]), LEAST_SPREAD * float(state.world.width[i])) * scale_of(key)
+        out[key] = Prior(value_at(key, float(state.found.x[i])), float(spread ** parameter_of(key).power))
+    return out
 
 
 def _within_bounds(world: Aligned, found: Population) -> Population:

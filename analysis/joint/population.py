@@ -8,6 +8,7 @@ prior of that width.
 References
 ----------
 N. M. Laird and J. H. Ware, Biometrics 38, 963 (1982): random effects, spreads by the EM algorithm.
+M. J. Lindstrom and D. M. Bates, Biometrics 46, 673 (1990): linearised where the population is.
 A. Gelman, Bayesian Anal. 1, 515 (2006): half-normal priors of spreads where there are few groups.
 A. Gelman and J. Hill, Data Analysis Using Regression and Multilevel Models (Cambridge, 2007), chapter 12.
 """

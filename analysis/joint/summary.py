@@ -18,7 +18,7 @@ from analysis.attribution.candidates import candidates_of
 from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
-from analysis.attribution.priors import Prior, coordinate_of, null_value_of
+from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of
 from analysis.attribution.second_order import adjusted_gradient_and_information, secants_at, slopes_at
 from analysis.joint.population import Quadratic
 from analysis.joint.systematics import PLACES, Systematics
@@ -50,15 +50,27 @@ class Point:
         Of what each run has its own value of: calibrations, and effects that differ between runs.
     shared
         Values of the effects named so far that all runs share.
+    population
+        What all runs together tell of bent calibrations, see `bent`: their mean and their spread from run to run. It
+        takes the place of their priors in a run's own fit, so that each run is linearised where all runs put it.
     """
 
     priors: Mapping[ParameterId, Prior]
     shared: Mapping[ParameterId, float] = field(default_factory=dict)
+    population: Mapping[ParameterId, Prior] = field(default_factory=dict)
 
     @property
     def own(self) -> tuple[ParameterId, ...]:
         """What each run has its own value of, in order."""
         return tuple(sorted(self.priors))
+
+    @property
+    def bent(self) -> tuple[ParameterId, ...]:
+        """Of what each run has its own value of, that on which events depend by a root: no straight line near nothing.
+
+        A derivative at a run's own value follows the run's noise, and a run whose noise points up weighs more.
+        """
+        return tuple(key for key in self.own if parameter_of(key).power > 1.0)
 
     @property
     def names(self) -> frozenset[str]:
@@ -166,7 +178,7 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
             "leave this recording out"
         )
     world = ForwardModel(seen, _with_shared(seen, point))
-    fitter = Fitter(world, point.priors, np.ones(len(seen.steps), dtype=np.bool_))
+    fitter = Fitter(world, {**point.priors, **point.population}, np.ones(len(seen.steps), dtype=np.bool_))
     fitted = Refits(fitter).converged((), Whitener.of(world, {}), (), {})
     options = _options(world, fitted)
     named = (*((key, ()) for key in (*point.own, *sorted(point.shared))), *PLACES)
