@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
-from analysis.report.style import AFTER, BEFORE, ERROR_BAR, FLOOR, NEUTRAL
+from analysis.report.style import AFTER, BEFORE, ERROR_BAR, FLOOR, NEUTRAL, plain_decades
 from analysis.report.wording import plain
 
 if TYPE_CHECKING:
@@ -50,8 +50,9 @@ def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
         ax.semilogy(
             gamma[held], error[held], "D", ms=size, mfc="none", mew=1.5, color=colour, label=f"{name}, held out"
         )
+    plain_decades(ax.yaxis)
     ax.set_xlabel(shown.label)
-    ax.set_ylabel(r"landing error (robust), $\mu$s")
+    ax.set_ylabel("landing error (robust), µs")
     ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
@@ -102,5 +103,6 @@ def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)
     ax.set_yticks(at, [name for name, _ in rows])
     ax.set_xscale("symlog", linthresh=10.0)
+    plain_decades(ax.xaxis)
     ax.set_xlim(left=0.0)
     ax.set_xlabel("gain on held-out steps of one effect added, nats")

@@ -6,7 +6,9 @@ separates a simulated rig from a real one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +57,8 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
+MINUS = "−"  # as wide as a plus
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
 FORMATS: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}}  # and their metadata
 
@@ -120,29 +124,58 @@ def _lay_out(figure: Figure) -> None:
 
 
 def _keep_ticks(figure: Figure) -> None:
-    """Choose each axis' ticks once for a range and a place of the axes, not anew each time that one asks for them."""
+    """Choose and measure each axis' ticks once for a range and a place, not anew each time that one asks for them."""
     for axes in figure.axes:
         both: tuple[Any, Any] = (axes.xaxis, axes.yaxis)
         for axis in both:
-            choose = getattr(axis, "_update_ticks", None)  # matplotlib's own: pictures are right without it, but slower
-            if choose is not None:
-                axis._update_ticks = _Kept(axis, choose)
+            # both are matplotlib's own: pictures are right without them, but slower
+            for name, known_by in (("_update_ticks", _range_and_room), ("_get_ticklabel_bboxes", _range_and_place)):
+                compute = getattr(axis, name, None)
+                if compute is not None:
+                    setattr(axis, name, _Kept(compute, partial(known_by, axis)))
+
+
+def _range_and_room(axis: Any) -> tuple[Any, ...]:
+    """What an axis' ticks follow from: the range shown, and for how many there is room."""
+    return (*axis.get_view_interval(), axis.get_tick_space())
+
+
+def _range_and_place(axis: Any, _: list[Any], renderer: Any) -> tuple[Any, ...]:
+    """What the extents of an axis' tick labels follow from, in pixels."""
+    place = axis.axes.get_position().bounds
+    return (*axis.get_view_interval(), *place, axis.get_figure(root=True).dpi, type(renderer))
 
 
 class _Kept:
-    """The ticks of an axis, chosen anew when the range shown or the place of the axes is another."""
+    """The last value of a function of an axis, computed anew where what it follows from is another."""
 
-    def __init__(self, axis: Any, choose: Callable[[], list[Any]]) -> None:
-        self._axis, self._choose = axis, choose
-        self._chosen_for: tuple[float, ...] = ()
-        self._ticks: list[Any] = []
+    def __init__(self, compute: Callable[..., Any], known_by: Callable[..., tuple[Any, ...]]) -> None:
+        self._compute, self._known_by = compute, known_by
+        self._computed_for: tuple[Any, ...] = ()
+        self._value: Any = None
 
-    def __call__(self) -> list[Any]:
-        """The ticks to draw, with their labels and places."""
-        now = (*self._axis.get_view_interval(), *self._axis.axes.get_position().bounds)
-        if now != self._chosen_for:
-            self._ticks, self._chosen_for = self._choose(), now
-        return self._ticks
+    def __call__(self, *given: Any) -> Any:
+        """The value, as of what it follows from now."""
+        now = self._known_by(*given)
+        if now != self._computed_for:
+            self._value, self._computed_for = self._compute(*given), now
+        return self._value
+
+
+def plain_decades(axis: Any) -> None:
+    """Write the ticks of a logarithmic axis as plain numbers: 0.01, 100; very small or large ones as powers of ten."""
+    from matplotlib.ticker import FuncFormatter
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _decade(value)))
+
+
+def _decade(value: float) -> str:
+    """A power of ten, or zero, as its tick says it."""
+    power = math.log10(abs(value)) if value else 0.0
+    sign = MINUS if value < 0.0 else ""
+    if not -4.0 < power < 6.0 and math.isclose(power, round(power)):
+        return f"{sign}10{str(round(power)).translate(SUPERSCRIPTS)}"
+    return f"{sign}{abs(value):g}"
 
 
 def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:
