@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
-from analysis.report.style import AFTER, BEFORE, ERROR_BAR, FLOOR, NEUTRAL, plain_decades
+from analysis.report.style import AFTER, BEFORE, ERROR_BAR, FLOOR, NEUTRAL
 from analysis.report.wording import plain
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
 
 def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
     """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
+    from analysis.report.decades import plain_decades  # matplotlib is slow to import
+
     figure.set_size_inches(7.2, 3.6)
     ax = figure.subplots()
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
@@ -66,6 +68,8 @@ def _by_step(loop: ClosedLoop, x: Array, summary: Any) -> Array:
 
 def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and the gain required."""
+    from analysis.report.decades import plain_decades  # matplotlib is slow to import
+
     rows = list(gains(loop).items())[:MOST_ROWS][::-1]
     if not rows:
         return

@@ -96,6 +96,8 @@ def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
 
 def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     """Harmonics and slow lines, relative to the forcing."""
+    from analysis.report.decades import plain_decades  # matplotlib is slow to import
+
     tones = [m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples]
     for m, (colour, mark, dashes) in zip(tones, cycle(style.HARMONICS)):
         own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
@@ -109,7 +111,7 @@ def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
             ax.plot(at, size, "v", color="k", ms=4)
             ax.annotate(f"{line.frequency_hz:.1f} Hz", (float(at), size), fontsize=6)
     ax.set(ylabel="harmonics, of the forcing (%)", yscale="log")
-    style.plain_decades(ax.yaxis)
+    plain_decades(ax.yaxis)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend above the lines
     ax.legend(fontsize=8, frameon=False, ncol=4, loc="upper right", handlelength=3.2)

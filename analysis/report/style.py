@@ -6,7 +6,6 @@ separates a simulated rig from a real one.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,8 +55,6 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
-MINUS = "−"  # as wide as a plus
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
 FORMATS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 2}},  # a seventh larger than at level 6, and written in half the time
@@ -153,22 +150,6 @@ class _Kept:
         if now != self._computed_for:
             self._value, self._computed_for = self._compute(*given), now
         return self._value
-
-
-def plain_decades(axis: Any) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers: 0.01, 100; very small or large ones as powers of ten."""
-    from matplotlib.ticker import FuncFormatter
-
-    axis.set_major_formatter(FuncFormatter(lambda value, _: _decade(value)))
-
-
-def _decade(value: float) -> str:
-    """A power of ten, or zero, as its tick says it."""
-    power = math.log10(abs(value)) if value else 0.0
-    sign = MINUS if value < 0.0 else ""
-    if not -4.0 < power < 6.0 and math.isclose(power, round(power)):
-        return f"{sign}10{str(round(power)).translate(SUPERSCRIPTS)}"
-    return f"{sign}{abs(value):g}"
 
 
 def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:
