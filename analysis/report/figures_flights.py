@@ -121,7 +121,7 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
         limits = (span.min() - pad, span.max() + pad)
         ax.plot(limits, limits, "-", lw=0.6, color="0.7", zorder=0)
         ax.set(xlim=limits, ylim=limits, aspect="equal")
-        ax.set_title(rf"${scale.symbol}$ = {scale.factor * own.gamma:.3f}: {own.measured.label}", fontsize=9)
+        ax.set_title(f"{scale.symbol} = {scale.factor * own.gamma:.3f}: {own.measured.label}", fontsize=9)
     axes[0, 0].legend(fontsize=8, frameon=False)
     figure.supxlabel("flight time (ms)", fontsize=10)
     figure.supylabel("next flight time (ms)", fontsize=10)
@@ -154,7 +154,7 @@ def draw_trajectory(recording: Recording, flights: Flights, figure: Figure, step
     low.set(xlabel="time (ms)", ylabel="continuity (V)")
     ax.set(ylabel="height (mm)", xlim=(0.0, 1e3 * (end - begin)))
     scale = gamma_scale(recording.setup.forcing, plate.ratio)
-    name = rf"${scale.symbol}$ = {scale.factor * plate.gamma:.3f}"
+    name = f"{scale.symbol} = {scale.factor * plate.gamma:.3f}"
     ax.set_title(f"{name}, c = {plate.ratio}, {plate.frequency_hz:.2f} Hz", fontsize=10, loc="left")
     ax.set_ylim(top=ax.get_ylim()[1] + 0.3 * np.ptp(ax.get_ylim()))
     ax.legend(loc="upper right", fontsize=8, framealpha=0.9)

@@ -69,4 +69,4 @@ def _name_steps(ax: Any, recording: Recording, flights: Flights, factor: float, 
     for t in first:
         ax.axvline(float(t), color="0.85", lw=0.6, zorder=-1)
     top.set_xticks([float(first[p.step]) for p in chosen], [f"{factor * p.gamma:.3f}" for p in chosen], fontsize=7)
-    top.set_xlabel(rf"${symbol}$ of the step that begins", fontsize=8)
+    top.set_xlabel(f"{symbol} of the step that begins", fontsize=8)

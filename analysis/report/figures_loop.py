@@ -34,6 +34,8 @@ def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
 
 def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
     """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
+    from analysis.report.decades import plain_decades  # matplotlib is slow to import
+
     figure.set_size_inches(7.2, 3.6)
     ax = figure.subplots()
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
@@ -50,8 +52,9 @@ def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
         ax.semilogy(
             gamma[held], error[held], "D", ms=size, mfc="none", mew=1.5, color=colour, label=f"{name}, held out"
         )
+    plain_decades(ax.yaxis)
     ax.set_xlabel(shown.label)
-    ax.set_ylabel(r"landing error (robust), $\mu$s")
+    ax.set_ylabel("landing error (robust), µs")
     ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
@@ -65,6 +68,8 @@ def _by_step(loop: ClosedLoop, x: Array, summary: Any) -> Array:
 
 def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and the gain required."""
+    from analysis.report.decades import plain_decades  # matplotlib is slow to import
+
     rows = list(gains(loop).items())[:MOST_ROWS][::-1]
     if not rows:
         return
@@ -102,5 +107,6 @@ def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)
     ax.set_yticks(at, [name for name, _ in rows])
     ax.set_xscale("symlog", linthresh=10.0)
+    plain_decades(ax.xaxis)
     ax.set_xlim(left=0.0)
     ax.set_xlabel("gain on held-out steps of one effect added, nats")

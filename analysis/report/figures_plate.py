@@ -38,7 +38,7 @@ def draw_plate(recording: Recording, flights: Flights, figure: Figure) -> None:
     _lag(axes[1, 0], plates, x)
     axes[1, 0].set_xlabel(scale.label)
     _period(axes[0, 1], recording, plates[-1])
-    axes[0, 1].set_title(rf"${scale.symbol}$ = {x[-1]:.3f}", fontsize=9)
+    axes[0, 1].set_title(f"{scale.symbol} = {x[-1]:.3f}", fontsize=9)
     _harmonics(axes[1, 1], plates, x)
     axes[1, 1].set_xlabel(scale.label)
 
@@ -65,7 +65,7 @@ def _gain(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     ax.errorbar(x, deviation, 100.0 * sigma, fmt="o", ms=3.5, lw=0.8, color=style.MEASURED, label="measured")
     ax.axhline(0.0, lw=1.2, color=style.MODEL, label="a linear shaker")
     ax.set_ylabel("plate / drive, deviation (%)")
-    ax.set_title(f"middle {middle:.4g} (m/s$^2$)/V", fontsize=9)
+    ax.set_title(f"middle {middle:.4g} (m/s²)/V", fontsize=9)
     ax.legend(fontsize=8, frameon=False)
 
 
@@ -90,12 +90,14 @@ def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
     grid = np.linspace(0.0, 1.0, 400)
     start = (grid - plate.phase0_rad / (2.0 * np.pi)) / plate.frequency_hz
     ax.plot(grid, plate.plate().acceleration_at(start), "-", lw=1.4, color=style.MODEL, label="fitted tones")
-    ax.set(xlabel="forcing period", ylabel="acceleration (m/s$^2$)", xlim=(0.0, 1.0))
+    ax.set(xlabel="forcing period", ylabel="acceleration (m/s²)", xlim=(0.0, 1.0))
     ax.legend(fontsize=8, frameon=False, markerscale=6)
 
 
 def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     """Harmonics and slow lines, relative to the forcing."""
+    from analysis.report.decades import plain_decades  # matplotlib is slow to import
+
     tones = [m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples]
     for m, (colour, mark, dashes) in zip(tones, cycle(style.HARMONICS)):
         own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
@@ -109,6 +111,7 @@ def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
             ax.plot(at, size, "v", color="k", ms=4)
             ax.annotate(f"{line.frequency_hz:.1f} Hz", (float(at), size), fontsize=6)
     ax.set(ylabel="harmonics, of the forcing (%)", yscale="log")
+    plain_decades(ax.yaxis)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend above the lines
     ax.legend(fontsize=8, frameon=False, ncol=4, loc="upper right", handlelength=3.2)

@@ -79,11 +79,11 @@ def _draw(
         for ax, (side, predicted, colour) in zip(column, shown_sides, strict=True):
             _panel(ax, values, 1e6 * residual_of(predicted)[rows], np.flatnonzero(rows), colour, floor_us)
             if i % COLUMNS == 0:
-                ax.set_ylabel(f"{side}, $\\mu$s", color=colour)
+                ax.set_ylabel(f"{side}, µs", color=colour)
         for ax in column[:-1]:
             ax.sharex(column[-1])
             ax.tick_params(labelbottom=False)
-        name = rf"${shown.symbol}$" if covariate == "gamma" else about.words
+        name = shown.symbol if covariate == "gamma" else about.words
         column[-1].set_xlabel(f"{name}, {about.unit}" if about.unit else name)
     for i in range(len(against), COLUMNS * blocks):
         for ax in axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]:
@@ -138,7 +138,7 @@ def draw_plate(loop: ClosedLoop, figure: Figure) -> None:
             y, error = per * residual[rows], per * data.sigma[rows]
             ax.errorbar(gamma[rows], y, error, fmt=mark, ms=4, mfc="none", lw=0.8, color=colour, label=side)
         ax.axhline(0.0, color=FLOOR, lw=0.6)
-        ax.set(xlabel=rf"${scale.symbol}$", ylabel=quantity)
+        ax.set(xlabel=scale.symbol, ylabel=quantity)
         if not rows.any():
             ax.text(0.5, 0.5, "the drive's scale is not known", ha="center", transform=ax.transAxes, fontsize=8)
     _plate_in_sigmas(axes[2], loop, [(residual, colour) for residual, colour, *_ in models])

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from daq.setup.setup import Forcing
 
-PEAK_TEX = r"$\Gamma_{\mathrm{peak}} = \max(-\ddot{x}_p)/g$"
-GAMMA_TEX = r"$\Gamma = A\omega^2/g$"
+PEAK_LABEL = "Γₚₑₐₖ = max(−ẍₚ)/g"
+GAMMA_LABEL = "Γ = Aω²/g"
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class GammaScale:
     factor
         Shown value over gamma.
     name, symbol
-        Its name in plain text and in TeX.
+        Its name in plain text, and as a sign in figures.
     label
-        Of an axis, with the definition, in TeX.
+        Of an axis, with the definition.
     definition
         One sentence.
     """
@@ -47,12 +47,11 @@ def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:
         factor = float(abs(forcing.displacement_tones()[0][1])) if forcing.ratio == 1 else 2.0
         sense = f"gamma_peak = max(-a)/g = {factor:.4g} A w^2/g"
         return GammaScale(
-            factor, "gamma_peak", r"\Gamma_{\mathrm{peak}}",
-            f"{PEAK_TEX}   (c = 1)",
+            factor, "gamma_peak", "Γₚₑₐₖ", f"{PEAK_LABEL}   (c = 1)",
             f"{sense}: the greatest downward acceleration of the plate's sine over gravity (c = 1).",
         )  # fmt: skip
     at = f"   (c = {own[0]})" if len(own) == 1 else ""
     return GammaScale(
-        1.0, "gamma", r"\Gamma", f"{GAMMA_TEX}{at}",
+        1.0, "gamma", "Γ", f"{GAMMA_LABEL}{at}",
         "gamma = A w^2/g: the acceleration amplitude of the first tone over gravity, before the second is added.",
     )  # fmt: skip

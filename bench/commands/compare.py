@@ -52,7 +52,7 @@ def command(
                 )
             held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
             if figures is not None:
-                draw(opened, table, figures)
+                draw(opened, table, figures, None if ideal else held)
             odd = plausibility_warnings(opened, table.plate)
             write_json(as_json(held) | {"warnings": odd}, json)
             if json != "-":

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from analysis.flights.assemble import Flights
     from analysis.loop.result import ClosedLoop
     from rig.profile import Profile
     from rig.sim.scenario import Scenario
@@ -57,8 +58,7 @@ def command(
         sealed = folder / "sealed.toml"
         sealed.write_text(hidden.to_toml(), encoding="utf-8")
         recording = _drive(checked, text, folder, sealed, seed)
-        _reprocess(recording, folder)
-        loop, complete = _close(recording, folder)
+        loop, complete = _close(recording, _reprocess(recording, folder), folder)
     except (InputError, OSError, ValueError) as error:
         fail(f"{error}\nwhat was made is in {folder}; the same call starts anew there", EXIT_FAILED)
     names = ", ".join(load_scenario(sealed).effects) or "nothing"
@@ -159,8 +159,8 @@ def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -
     return recording
 
 
-def _reprocess(recording: Path, folder: Path) -> None:
-    """Flights, pictures, and what the declared model makes of them."""
+def _reprocess(recording: Path, folder: Path) -> Flights:
+    """Flights, pictures, and what the declared model makes of them; returns the flights."""
     from analysis.flights.assemble import flights_of
     from analysis.flights.compare import compare
     from analysis.flights.table import write_csv
@@ -175,29 +175,35 @@ def _reprocess(recording: Path, folder: Path) -> None:
         with progress_bar() as say:
             table = flights_of(opened, progress=lambda part: say("reading the recording", 0.6 * part))
             write_csv(table, folder / "flights.csv")
-            say("drawing", 0.6)
-            draw(opened, table, folder / "pictures")
-        typer.echo(f"3/4  compare: {len(table)} flights against the declared model")
-        with progress_bar() as say:
-            say("predicting", 0.0)
+            say("predicting", 0.6)
             held = compare(table, opened.setup, steps_table=opened.steps)
+            say("drawing", 0.7)
+            draw(opened, table, folder / "pictures", held)
+        typer.echo(f"3/4  compare: {len(table)} flights against the declared model")
         for line in sentences(held, gamma_scale(opened.setup.forcing, held.ratio)):
             typer.echo(f"       {line}")
+    return table
 
 
-def _close(recording: Path, folder: Path) -> tuple[ClosedLoop, bool]:
-    """Close the loop, show the verdict, then write it; whether everything could be written."""
-    from analysis.loop.close_loop import close_loop
+def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop, bool]:
+    """Close the loop on the flights found, show the verdict, then write it; whether everything could be written."""
+    from analysis.loop.close_loop import completed, judge_loop
     from analysis.loop.verdict_json import as_json
     from analysis.report.page import write_report
+    from analysis.residuals.observations import observed
     from bench.profiles.improved import write_improved
     from bench.terminal.console import write_json
     from bench.terminal.loop_display import keep, show
     from bench.terminal.progress import progress_bar
+    from daq.recording import open_recording
 
     typer.echo("4/4  close the loop: which missing effect explains the rest")
     with progress_bar() as say:
-        loop = close_loop([recording], progress=say)
+        with open_recording(recording) as opened:
+            known = {recording: observed(opened, flights)}
+        loop, fitted = judge_loop([recording], progress=say, known=known)
+        say("first bifurcations", 0.98)
+        loop = completed(loop, fitted, flights)
     show(loop)
 
     def write_page() -> None:

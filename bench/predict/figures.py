@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report import style
-from analysis.report.gamma import GAMMA_TEX, PEAK_TEX
+from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
 from bench.predict.request import Request, check_adaptive
 from daq.setup.errors import InputError
 from model.bifurcations.events import bifurcations
@@ -103,7 +103,7 @@ def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: floa
     top = float(np.nanmax(y)) if shown.any() else 1.0
     ax.set_xlim(low * scale, high * scale)
     ax.set_ylim(0.0, 1.05 * top)
-    ax.set_xlabel(f"{PEAK_TEX if scale == 2.0 else GAMMA_TEX}   (c = {ratio})")
+    ax.set_xlabel(f"{PEAK_LABEL if scale == 2.0 else GAMMA_LABEL}   (c = {ratio})")
     if frequency_hz:
         ax.set_ylabel(f"flight time (s) at {frequency_hz:g} Hz")
         ax.secondary_yaxis("right", functions=(lambda t: t * frequency_hz, lambda n: n / frequency_hz)).set_ylabel(

@@ -16,13 +16,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.report import style
-from analysis.report.gamma import GAMMA_TEX
+from analysis.report.gamma import GAMMA_LABEL
 from model.surveys.ensemble import Job
 
 DOTS = 1600  # of the picture along each axis, at most
 PERIODS = (1, 2, 3, 4, 6, 8, 12, 16, 32, 64)  # lower bounds of the colours
 CHAOTIC, AT_REST = -1, 0
-NAMES = {"restitution.e0": "restitution $e$", "coulomb_friction.mu": r"friction $\mu$"}
+NAMES = {"restitution.e0": "restitution e", "coulomb_friction.mu": "friction μ"}
 
 
 def map_picture(path: Path, job: Job, picture: Path) -> None:
@@ -42,7 +42,7 @@ def map_picture(path: Path, job: Job, picture: Path) -> None:
         shown = ax.imshow(
             period, origin="lower", aspect="auto", extent=extent, cmap=shades, norm=norm, interpolation="nearest"
         )
-        ax.set_xlabel(GAMMA_TEX)
+        ax.set_xlabel(GAMMA_LABEL)
         ax.set_ylabel(NAMES.get(axis.name, axis.name))
         bar = figure.colorbar(
             shown, ax=ax, spacing="uniform", label="period of the attractor from rest, forcing periods"

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from analysis.loop.result import ClosedLoop
 from analysis.report import style
@@ -91,3 +92,12 @@ def test_figures_are_laid_out_around_their_labels(closed_loop: ClosedLoop) -> No
         draw(closed_loop, figure)
         figure.draw_without_rendering()  # a layout that finds no room is a warning, and so an error here
         assert figure.axes
+
+
+def test_no_figure_holds_a_formula_to_parse(closed_loop: ClosedLoop) -> None:
+    """Texts and ticks of a report are plain Unicode, which needs no parsing."""
+    for draw in (draw_errors, draw_candidates, draw_landings, draw_takeoffs, draw_plate):
+        figure = Figure(layout="constrained")
+        draw(closed_loop, figure)
+        figure.draw_without_rendering()
+        assert not [text.get_text() for text in figure.findobj(Text) if "$" in text.get_text()]
