@@ -161,8 +161,11 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
         phase = np.unwrap(phase)
     away = float(pull @ phase) / curvature / scale
     error = 1.0 / np.sqrt(curvature) / scale
-    changed = abs(away) > FREQUENCY_SIGMAS * error and abs(away) * 2.0 * np.pi * state.hold_s > MIN_DRIFT_RAD
-    return (state.nominal_hz + away, error, True) if changed else (state.nominal_hz, error, False)
+    if abs(away) <= FREQUENCY_SIGMAS * error:
+        return state.nominal_hz, error, False
+    if abs(away) * 2.0 * np.pi * state.hold_s <= MIN_DRIFT_RAD:
+        return state.nominal_hz, abs(away), False
+    return state.nominal_hz + away, error, True
 
 
 def _sum_span(

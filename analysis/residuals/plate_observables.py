@@ -27,6 +27,7 @@ CLOCK_LIMIT = 5e-3  # relative difference beyond which it is another frequency, 
 REVERSED = 0.8 * np.pi  # phase beyond which leads are reversed
 SYSTEMATIC = 2e-5  # relative error of the estimator itself
 LEAST_WINDOWS = 4  # windows of a step that shows a modulation
+WANDER_SIGMAS = 4.0  # significance from which a sensor's zero wanders
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,12 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
     ratio = np.array([s.ratio for s in fitted], dtype=np.int64)[step]
     share = np.array([_second_share(s, power) for s in fitted])[step]
     value, sigma, omega_radps, accel_g, first = table[:, 2:].T
+    zeros = kind == OFFSET
+    if wander := _wander(np.array([s.first_sample for s in fitted])[step[zeros]], value[zeros], sigma[zeros]):
+        notes.append(
+            f"the accelerometer's zero wanders by {wander:.2g} m/s^2 from step to step; no flight depends on it"
+        )
+        sigma = np.where(zeros, np.hypot(sigma, wander * np.sqrt(np.sum(zeros))), sigma)
     rows_as_table = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, ratio, share)
     return rows_as_table, tuple(notes)
 
@@ -227,6 +234,21 @@ def power_uncertainty(data: PlateData, predicted: Array) -> Array:
     value, sigma = (np.where(squared, x, 0.0) for x in (data.value, data.sigma))
     noise = (np.sqrt(value**2 + 3.0 * sigma**2) - value) / 6.0  # of a quadrature, squared: `_square_sigma` undone
     return np.asarray(np.where(squared, 2.0 * np.sqrt(noise * np.maximum(predicted - value - 2.0 * noise, 0.0)), 0.0))
+
+
+def _wander(sample: NDArray[np.int64], offset: Array, sigma: Array) -> float:
+    """Standard deviation of a sensor's zero about its trend, (m,), beyond its uncertainty; 0 where chance may do it.
+
+    What wanders slowly errs for all steps together: no more is known of the mean of ``m`` steps than of one.
+    """
+    freedom = len(offset) - 2
+    if freedom < 1:
+        return 0.0
+    left = offset - np.polynomial.Polynomial.fit(sample, offset, 1, w=1.0 / sigma)(sample)
+    excess = float(np.sum((left / sigma) ** 2)) / freedom
+    if excess < 1.0 + WANDER_SIGMAS * np.sqrt(2.0 / freedom):
+        return 0.0
+    return float(np.sqrt((excess - 1.0) / np.mean(1.0 / sigma**2)))
 
 
 def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:

@@ -1,0 +1,45 @@
+"""The accelerometer's cable picks up the mains: its reading shows them, the plate does not move by them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.effects.base import Effect, Parameter
+
+MAINS_HZ = np.array([50.0, 60.0])
+REACH_HZ = 0.5  # mains are kept within a few tenths of a hertz
+NONE_OF_IT = 1e9  # factor by which a reading exceeds a motion that is not there
+
+EFFECT = Effect(
+    name="mains_pickup",
+    summary="the accelerometer's cable picks up the mains",
+    parameters=(
+        Parameter(
+            "amplitude_mps2",
+            "m/s^2",
+            0.0,
+            50.0,
+            0.05,
+            power=0.5,
+            start_grid=(0.05, 0.5),
+            meaning="shown at 50 or 60 Hz, none of it the plate's",
+        ),
+    ),
+    confused_with={"mains_hum": "landing times"},
+    reference="ground loops, unshielded cables",
+)
+
+
+def hum_mps2(p: Mapping[str, float]) -> float:
+    """Amplitude shown at the mains frequency."""
+    return p["amplitude_mps2"]
+
+
+def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Reading over truth: without bound at the mains frequency, where the plate is still."""
+    hz = np.asarray(omega_radps)[..., None] / (2.0 * np.pi)
+    shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < REACH_HZ).any(axis=-1)
+    return np.where(shown, NONE_OF_IT, 1.0)
