@@ -46,6 +46,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "accelerometer_offset": {"g": (0.003, 0.02, 0.2)},
     "contact_latency": {"delay_s": (2e-5, 1e-4, 5e-4)},
     "accelerometer_lag": {"delay_s": (2e-5, 1e-4, 5e-4)},
+    "mains_pickup": {"g": (0.002, 0.01, 0.08)},
     # not among the agreed candidates
     "friction_with_height": {"per_m": (0.3, 2.0, 30.0)},
     "friction_with_speed": {"per_mps": (0.02, 0.1, 0.6)},
@@ -341,6 +342,7 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     felt = plate / G * (1.0 + run.hidden.get("accelerometer_gain.relative", 0.0)) + float(run.reads_gravity)
     if late_s := run.hidden.get("accelerometer_lag.delay_s", 0.0):
         felt = _late(felt, late_s * run.rate_hz)
+    felt += run.hidden.get("mains_pickup.g", 0.0) * np.sin(2.0 * math.pi * 50.0 * time_s + 0.9)
     felt += run.hidden.get("accelerometer_offset.g", 0.0) + run.accelerometer_noise_g * rng.standard_normal(n)
     if run.spikes:
         at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)

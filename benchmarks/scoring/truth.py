@@ -29,6 +29,7 @@ OTHER_NAMED = {
     "accelerometer_offset": "accelerometer_offset",
     "contact_latency": "contact_latency",
     "accelerometer_lag": "accelerometer_lag",
+    "mains_pickup": "mains_pickup",
 }
 OTHER_OUTSIDE = {  # and the covariate of each
     "friction_with_height": "height",
@@ -66,6 +67,7 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "accelerometer_offset.g": (("accelerometer_offset", "offset_mps2", G),),
     "contact_latency.delay_s": (("contact_latency", "delay_s", 1.0),),
     "accelerometer_lag.delay_s": (("accelerometer_lag", "delay_s", 1.0),),
+    "mains_pickup.g": (("mains_pickup", "amplitude_mps2", G),),
 }
 
 AT_RATIO: Mapping[int, Mapping[str, float]] = {

@@ -217,6 +217,15 @@ NAMED: tuple[EffectEntry, ...] = (
         _size("time_constant_s", 0.0002, 0.0008, 0.0, 0.02),
     ),
     _named(
+        "mains_pickup",
+        3.0,
+        "sensor",
+        "the accelerometer's cable picks up the mains",
+        _size("amplitude_g", 0.05, 0.15, 0.0, 5.0),
+        _shape("frequency_hz", 49.95, 50.05, 50.0),
+        _shape("phase_rad", 0.0, 6.28, 0.0, 0.0),
+    ),
+    _named(
         "contact_gap", 20.0, "sensor", "the circuit opens only at this height", _size("gap_m", 1e-07, 5e-07, 0.0, 0.001)
     ),
     _named(

@@ -53,14 +53,18 @@ def _refresh(s: Any, p: Any, values: Any, drift: Any, dt_s: float) -> None:
 
 @njit()
 def _shown(s: Any, p: Any, volts: float) -> float:
-    """Volts behind the accelerometer's low-pass of first order, for an input that is straight between samples."""
+    """Volts behind the accelerometer's low-pass of first order, for an input straight between samples; and pickup."""
     rise = volts - s.unfiltered_v if s.sample > 0 else 0.0
     lag = rise * p.accelerometer_lag_time_constant_s / s.dt_s
     before = s.shown_v - s.unfiltered_v if s.sample > 0 else 0.0
     s.unfiltered_v = volts
     shown: float = volts - lag + (before + lag) * s.shown_part
     s.shown_v = shown
-    return shown
+    if p.mains_pickup_amplitude_g == 0.0:
+        return shown
+    angle = 2.0 * math.pi * p.mains_pickup_frequency_hz * (s.t_s + s.dt_s) + p.mains_pickup_phase_rad
+    picked_up: float = p.accelerometer_v_per_g * p.mains_pickup_amplitude_g * math.sin(angle)
+    return shown + picked_up
 
 
 @njit()

@@ -50,6 +50,13 @@ def test_the_accelerometers_lag_is_that_of_its_low_pass() -> None:
     assert found == pytest.approx(1.0 / (1.0 + 1j * OMEGA * 5e-4), abs=3e-4)
 
 
+def test_a_cable_that_picks_up_the_mains_leaves_the_plate_alone() -> None:
+    """0.1 g at 50 Hz in the reading, the forcing tone as it was."""
+    shown = plate_g({"mains_pickup": {"amplitude_g": 0.1, "frequency_hz": 50.0, "phase_rad": 0.0}}, 0.3)
+    assert abs(tone(shown, 50.0)) == pytest.approx(0.1, abs=2e-4)
+    assert tone(shown) == pytest.approx(0.6, abs=2e-4)
+
+
 def test_a_shaker_without_equaliser_is_a_second_order_high_pass() -> None:
     """5 Hz, damping 0.3: a = g s^2 / (s^2 + 2 d w0 s + w0^2)."""
     s, w0 = 1j * OMEGA, 2.0 * math.pi * 5.0
