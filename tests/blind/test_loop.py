@@ -63,6 +63,15 @@ def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("effect", "c"), [("accelerometer_lag", "1"), ("mains_pickup", "2")])
+def test_a_fault_of_the_accelerometer_is_no_doing_of_ball_or_contact(tmp_path: Path, effect: str, c: str) -> None:
+    """A reading that is late, and one with mains in it, are named as such: no early contact, no plate that hums."""
+    verdict, _ = verdict_on(tmp_path, "--c", c, "--effect", effect, "--strength", "medium", "--seed", "35")
+    assert verdict["verdict"] == "explained"
+    assert [e["name"] for e in verdict["effects"]] == [effect]
+
+
+@pytest.mark.slow
 def test_what_has_no_name_is_not_called_explained(tmp_path: Path) -> None:
     """A pull that sets in above a height is outside the library: something is left, and the verdict says so."""
     verdict, _ = verdict_on(tmp_path, "--c", "2", "--effect", "upper_stop", "--strength", "strong", "--seed", "33")

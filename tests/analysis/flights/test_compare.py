@@ -22,11 +22,13 @@ def test_each_effect_acts_in_one_place() -> None:
         "gain_compression": {"per_g2": 0.05},
         "accelerometer_gain": {"relative": 0.2},
         "mains_hum": {"amplitude_mps2": 0.1},
+        "accelerometer_lag": {"low_pass_s": 1e-3},
         "contact_latency": {},
     }
+    omega_radps = np.array([60.0, 120.0])
     assert list(ball_effects(effects)) == ["coulomb_friction"]
     assert plate_gain(effects, 2.0) == pytest.approx(1.1 / 1.2)
-    assert accelerometer_response(effects, np.array([60.0, 120.0])) == pytest.approx([1.2, 1.2])
+    assert accelerometer_response(effects, omega_radps) == pytest.approx(1.2 / (1.0 + 1e-3j * omega_radps))
     assert shapes_the_plate(effects) == ["mains_hum"]
 
 

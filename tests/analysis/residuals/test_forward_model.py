@@ -105,3 +105,28 @@ def test_a_plate_mode_that_only_drifts_rings(fly_ramp: Callable[..., ForwardMode
     assert np.array(world.kicks(drifting)) == pytest.approx(np.array(world.kicks(steady)), rel=0.3)
     assert np.all(np.isfinite(world.uncertainty(drifting).landing_total_s))
     assert world.kicks(mode) == ()
+
+
+def test_tones_are_taken_back_to_the_plates_own(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Beside a lag and a gain of the accelerometer each tone of the plate is earlier and smaller than it is shown."""
+    world = fly_ramp({}, 0)
+    plate = world.evidence.steps.plate
+    values = {("accelerometer_lag", "delay_s"): 4e-4, ("accelerometer_gain", "relative"): 0.1}
+    own = plate.acceleration_mps2 / (1.1 * np.exp(-4e-4j * plate.omega_radps))
+    assert world.inputs(values).plate.acceleration_mps2 == pytest.approx(own)
+    drifting = values | {("accelerometer_gain", "relative" + TREND): 0.02}
+    gain = 1.1 + 0.02 * world.evidence.steps.run_part[:, None]
+    assert world.inputs(drifting).plate.acceleration_mps2 == pytest.approx(own * 1.1 / gain)
+
+
+def test_a_mains_line_that_a_cable_picked_up_is_no_motion(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Beside mains in the cable the plate has no line at 50 Hz, and every other tone as it was shown."""
+    world = fly_ramp({}, 0)
+    steps = world.evidence.steps
+    omega, shown = steps.plate.omega_radps.copy(), steps.plate.acceleration_mps2.copy()
+    omega[:, -1], shown[:, -1] = 2.0 * np.pi * 49.97, 0.4 + 0.3j
+    heard = replace(steps, plate=replace(steps.plate, omega_radps=omega, acceleration_mps2=shown))
+    world = ForwardModel(replace(world.evidence, steps=heard), {})
+    moved = world.inputs({("mains_pickup", "amplitude_mps2"): 0.5}).plate.acceleration_mps2
+    assert np.abs(moved[:, -1]).max() < 1e-6
+    assert np.array_equal(moved[:, :-1], shown[:, :-1])

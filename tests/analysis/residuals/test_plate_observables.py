@@ -15,6 +15,7 @@ from analysis.residuals.plate_observables import (
     THIRD,
     PlateData,
     _instrument_rows,
+    _wander,
     expected,
 )
 from model.effects.registry import effect
@@ -105,3 +106,27 @@ def test_a_frequency_that_is_not_known_says_nothing_of_the_clock(uncertainty_hz:
     setup = SimpleNamespace(channels=SimpleNamespace(accelerometer=channel), forcing=SimpleNamespace(frequency_hz=25.0))
     rows = _instrument_rows(0, step, setup, 1.0, 9.8)  # type: ignore[arg-type]
     assert [row[0] for row in rows] == [CLOCK] * data
+
+
+def test_what_an_accelerometer_shows_late_is_in_gain_and_phase() -> None:
+    """A low-pass of first order and of second order, at two tones, against the textbook's transfer function."""
+    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], 2, 1.0, 1.0)
+    for sharpness in (0.0, 0.25):
+        values = {"delay_s": 0.0, "low_pass_s": 1e-3, "sharpness": sharpness}
+        low = 1j * data.omega_radps * 1e-3
+        shown = 1.0 / (1.0 + low + sharpness * low**2)
+        found = expected(data, {"accelerometer_lag": {k: np.array([x]) for k, x in values.items()}})
+        assert found == pytest.approx(np.where(data.kind == GAIN, np.log(np.abs(shown)), np.angle(shown)))
+
+
+def test_a_zero_that_wanders_is_told_from_one_that_is_off_or_drifts() -> None:
+    """Noise about any line is no wander; a random walk is one, of about its own scatter."""
+    rng, sample = np.random.default_rng(5), 16000 * np.arange(22)
+    sigma = np.full(22, 1e-3)
+    noise = sigma * rng.standard_normal(22)
+    for line in (0.0, 0.3, 1e-5 * sample):
+        assert _wander(sample, line + noise, sigma) == 0.0
+    walk = 0.02 * np.cumsum(rng.standard_normal(22))
+    about = walk - np.polynomial.Polynomial.fit(sample, walk, 1)(sample)
+    assert _wander(sample, walk + noise, sigma) == pytest.approx(np.sqrt(np.sum(about**2) / 20), rel=0.1)
+    assert _wander(sample[:2], walk[:2], sigma[:2]) == 0.0

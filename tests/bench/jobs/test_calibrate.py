@@ -86,6 +86,18 @@ def test_contact_levels_and_delay_are_the_hidden_ones(name: str) -> None:
         assert found[2].uncertainty < 1e-5
 
 
+def test_a_late_accelerometer_makes_no_early_contact() -> None:
+    """Behind a filter impacts come late: the latency is 0 to within that, and the source says so."""
+    profile, _ = load("simulated")
+    rig = SimulatedBackend(
+        profile.sampling.rate_hz, Scenario("slow", {"accelerometer_lag": {"time_constant_s": 2e-4}}), 1
+    )
+    latency = contact(profile, rig)[2]
+    assert latency.value == 0.0
+    assert 1e-5 < latency.uncertainty < 2e-4
+    assert "us later" in latency.source
+
+
 def test_only_the_measured_lines_of_a_profile_change(tmp_path: Path) -> None:
     """All three kinds by the command line: only the measured lines change, to what the rig hides."""
     path, hidden = copied(tmp_path), tmp_path / "hidden.toml"
