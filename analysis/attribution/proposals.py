@@ -23,7 +23,7 @@ from model.effects.registry import effect, trend_name
 Tried = Callable[[Candidate], None]
 
 MOST_DRIFTING, DRIFTING_NATS = 4, 100.0  # strong candidates of a round that are tried with a drift; their least gain
-SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2"})  # of plate data without a slope at the null value
+SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit

@@ -158,6 +158,6 @@ def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Array, str]])
     largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, _ in models)
     ax.set_xscale("symlog", linthresh=4.0)
     ticks = [t for t in TICKS if abs(t) <= max(largest, 2.0)]
-    ax.set_xticks(ticks, [str(t) for t in ticks])
+    ax.set_xticks(ticks, [str(t).replace("-", "−") for t in ticks])
     ax.set_yticks(range(len(present)), [KINDS[k] for k in present])
     ax.set_xlabel("each datum, in sigmas")

@@ -310,6 +310,7 @@ def _logarithm_of_transfer(
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "transfer": (GAIN, float),
     "hum_mps2": (HUM, lambda size: size**2),
+    "pickup_mps2": (HUM, lambda size: size**2),
     "flight_gain": (GATE, lambda change: float(np.log1p(change))),
     "offset_mps2": (OFFSET, float),
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),

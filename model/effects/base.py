@@ -27,6 +27,7 @@ omega_radps)``                         ``omega_radps`` (any shape)
 accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,)
                                        as large: complex, its phase counted from where the first is a sine
 ``hum_mps2(p)``                        amplitude of the plate's motion at the mains frequency
+``pickup_mps2(p)``                     what the accelerometer shows at the mains frequency without any motion
 ``modulation(p)``                      ``(depth, omega_radps)`` of a slow modulation of the plate's amplitude
 ``flight_gain(p)``                     relative change of the plate's amplitude while the ball is off it
 ``offset_mps2(p)``                     what the accelerometer reads at rest beyond what is declared
@@ -63,6 +64,7 @@ PLAIN_HOOKS = (
     "contact_delay_s",
     "harmonics",
     "hum_mps2",
+    "pickup_mps2",
     "modulation",
     "flight_gain",
     "offset_mps2",

@@ -33,7 +33,7 @@ EFFECT = Effect(
 )
 
 
-def hum_mps2(p: Mapping[str, float]) -> float:
+def pickup_mps2(p: Mapping[str, float]) -> float:
     """Amplitude shown at the mains frequency."""
     return p["amplitude_mps2"]
 

@@ -23,6 +23,7 @@ def test_each_effect_acts_in_one_place() -> None:
         "accelerometer_gain": {"relative": 0.2},
         "mains_hum": {"amplitude_mps2": 0.1},
         "accelerometer_lag": {"low_pass_s": 1e-3},
+        "mains_pickup": {"amplitude_mps2": 0.1},
         "contact_latency": {},
     }
     omega_radps = np.array([60.0, 120.0])
