@@ -119,6 +119,16 @@ def test_what_an_accelerometer_shows_late_is_in_gain_and_phase() -> None:
         assert found == pytest.approx(np.where(data.kind == GAIN, np.log(np.abs(shown)), np.angle(shown)))
 
 
+def test_a_high_pass_leads_and_tones_that_are_absent_pass_it() -> None:
+    """Gain and phase of a first-order high-pass at two tones; a tone of frequency 0 stands for none."""
+    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], 2, 1.0, 1.0)
+    corner = 1j * 2.0 * np.pi * 3.0
+    shown = data.omega_radps / (data.omega_radps - corner)
+    found = expected(data, {"accelerometer_high_pass": {"corner_hz": np.array([3.0])}})
+    assert found == pytest.approx(np.where(data.kind == GAIN, np.log(np.abs(shown)), np.angle(shown)))
+    assert effect("accelerometer_high_pass").hooks["accelerometer_response"]({"corner_hz": 3.0}, np.zeros(1)) == 1.0
+
+
 def test_a_zero_that_wanders_is_told_from_one_that_is_off_or_drifts() -> None:
     """Noise about any line is no wander; a random walk is one, of about its own scatter."""
     rng, sample = np.random.default_rng(5), 16000 * np.arange(22)

@@ -53,9 +53,7 @@ def with_landings(evidence: Observations, landing_s: np.ndarray) -> Observations
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("places", [1, 3])
-def test_rounding_that_repeats_is_no_lack_of_fit(
-    fly_ramp: Callable[..., ForwardModel], places: int, seed: int
-) -> None:
+def test_rounding_that_repeats_is_no_lack_of_fit(fly_ramp: Callable[..., ForwardModel], places: int, seed: int) -> None:
     """Exact landings rounded to samples, whose error returns every cycle or every third: told of the samples, it is
     noise, also in what is predicted from them where the ball leaves as it lands."""
     sampling_s = 1.0 / 25.37 / (500.0 + (1.0 / 3.0 + 0.002 if places == 3 else 0.0))
