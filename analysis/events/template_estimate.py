@@ -24,6 +24,7 @@ from analysis.events.impact_template import (
 )
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
 from analysis.plate.step_state import multiples_of
+from analysis.signals.saturation import STANDS, share_at_an_end
 from analysis.signals.stream import Piece
 from daq.lock_in import LockIn, ToneFit
 from kernels import njit
@@ -149,6 +150,8 @@ def _without_motion(
         if stop - start < MIN_CYCLES * rate_hz / row["frequency_hz"]:
             continue
         own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
+        if share_at_an_end(volts[own]) > STANDS:
+            continue  # the edges of what is cut off would look like impacts
         try:
             fit = _motion(volts[own], start, rate_hz, row, quiet[own])
         except ValueError:  # too few unmasked samples in this piece of the step

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from analysis.plate.contact_flight_fit import ContactAndFlight, ContactFlightFit
 from analysis.plate.fit_mask import FitIntervals
+from analysis.signals.saturation import STANDS
 from daq.lock_in import ToneFit
 from model.tones import Plate
 
@@ -148,6 +149,8 @@ class StepPlate:
         ``phi(t) = 2 pi f t + phase0`` is zero where the first tone's displacement crosses zero going up.
     masked : float
         Fraction of the hold left out after impacts.
+    cut_off : float
+        Fraction of its first samples at which the accelerometer stands at its largest or smallest value.
     windows : Windows
     slow : SlowMotion
     intervals : FitIntervals
@@ -172,6 +175,7 @@ class StepPlate:
     gamma_drive: float
     phase0_rad: float
     masked: float
+    cut_off: float
     windows: Windows
     slow: SlowMotion
     intervals: FitIntervals
@@ -185,6 +189,11 @@ class StepPlate:
     def lines(self) -> tuple[SpectralLine, ...]:
         """Significant spectral lines below the forcing, strongest first."""
         return slow_lines(self.slow, self.frequency_hz)
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the accelerometer cuts off so much of the motion that its tones suffer."""
+        return self.cut_off > STANDS
 
     @property
     def omega_radps(self) -> float:
@@ -241,6 +250,19 @@ class PlateMotion:
     noise_mps2: float
     rate_hz: float
     gaps: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+
+    def saturation(self) -> str:
+        """A sentence that names the steps whose accelerometer saturates; empty where there are none."""
+        those = [s for s in self.steps if s is not None and s.saturated]
+        if not those:
+            return ""
+        numbers = ", ".join(str(s.step) for s in those)
+        most, least_g = max(s.cut_off for s in those), min(s.gamma_peak for s in those)
+        return (
+            f"the accelerometer saturates in step {numbers}: up to {most:.0%} of the samples stand at its largest or "
+            "smallest value, and gamma comes out too small; closed loops leave these steps out. "
+            f"Take a sensor or a range for more than {least_g:.2g} g"
+        )
 
     @property
     def ratio(self) -> int:

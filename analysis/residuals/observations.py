@@ -181,7 +181,7 @@ def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float
 def observed(recording: Recording, flights: Flights) -> Observations:
     """Observations of a single recording and its flights."""
     setup = recording.setup
-    fitted = [s for s in flights.plate.steps if s is not None]
+    fitted = [s for s in flights.plate.steps if s is not None and not s.saturated]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
     steps = _steps(fitted, recording.n_samples)
@@ -217,7 +217,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         setup,
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
-        notes=notes,
+        notes=(*notes, *filter(None, [flights.plate.saturation()])),
         hints_hz=hints,
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),

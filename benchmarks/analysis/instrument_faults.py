@@ -123,6 +123,10 @@ def _high_pass(v: Volts, run: other_plant.Run, rng: np.random.Generator) -> None
     v["accelerometer_v"] = rest + lfilter(b, a, v["accelerometer_v"] - rest)
 
 
+def _cut_off(v: Volts, run: other_plant.Run, rng: np.random.Generator) -> None:
+    v["accelerometer_v"] = np.clip(v["accelerometer_v"], -0.35, 0.45)
+
+
 LAG, PICKUP = "accelerometer_lag", "mains_pickup"
 FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {  # in words: what it does, and the names that it should get
     "none": (lambda v, run, rng: None, ()),
@@ -141,6 +145,7 @@ FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {  # in words: what it doe
     "mains in the drive, 3 mV": (_mains_in_drive, ()),
     "drive read a sample late": (_drive_read_late, ()),
     "accelerometer read two samples late": (_accelerometer_read_late, (LAG,)),
+    "a sensor that ends at -3.5 and 4.5 g": (_cut_off, ()),
     "high-pass of 1 Hz": (_high_pass, ("accelerometer_high_pass",)),
 }
 
