@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numba
 from numba.core import event, registry, serialize, types
+from numba.core.runtime import rtsys
 from numba.extending import typeof_impl
 
 from kernels.compiler import KernelCompiler, for_callers
@@ -71,19 +72,23 @@ def _kept(name: str, result: Any) -> bytes | None:
     library, description = result.library, result.fndesc
     if library.has_dynamic_globals or result.lifted or result.reload_init:
         return None
-    module = library._final_module
-    declared = [each.name for each in (*module.functions, *module.global_variables) if each.is_declaration]
+    wanted, code = _declared(library._final_module), [library._get_compiled_object()]
+    memory: Any = rtsys.library._final_module  # parts of numba's memory that are LLVM's code themselves
+    defined = {each.name for each in memory.functions if not each.is_declaration}
+    if wanted & defined:
+        code.append(library.codegen._tm.emit_object(memory))
+        wanted = (wanted | _declared(memory)) - defined
     environments = {description.env_name: result.environment.consts}
     environments |= {each.env_name: each.consts for each in result._find_referenced_environments()}
-    kept = Kept(
-        name,
-        description.llvm_cpython_wrapper_name,
-        library._get_compiled_object(),
-        [symbol for symbol in declared if not symbol.startswith("llvm.")],
-        environments,
-    )
+    kept = Kept(name, description.llvm_cpython_wrapper_name, code, sorted(wanted), environments)
     pickled: bytes = cast(Any, serialize).dumps(tuple(kept))
     return pickled
+
+
+def _declared(module: Any) -> set[str]:
+    """Symbols that a module of LLVM's code wants from elsewhere."""
+    named = (each.name for each in (*module.functions, *module.global_variables) if each.is_declaration)
+    return {name for name in named if not name.startswith("llvm.")}
 
 
 class _Told(event.Listener):

@@ -32,8 +32,8 @@ class Kept(NamedTuple):
     name: str
     entry: str
     """Symbol of the function that Python calls."""
-    code: bytes
-    """Machine code as a relocatable object file."""
+    code: list[bytes]
+    """Machine code as relocatable object files."""
     wanted: list[str]
     """Symbols that are not in it."""
     environments: dict[str, list[Any]]
@@ -46,7 +46,8 @@ def load(data: bytes) -> Callable[..., Any] | None:
     engine = _engine()
     if not all(binding.address_of_symbol(symbol) for symbol in kept.wanted):
         return None
-    engine.add_object_file(binding.ObjectFileRef.from_data(kept.code))
+    for code in kept.code:
+        engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
     functions, own = _extension("_dynfunc"), None
     for symbol, constants in kept.environments.items():
