@@ -44,7 +44,9 @@ def kind(value: Any) -> Kind:
         return value.dtype, value.ndim, _LAYOUTS[value.flags.num & _FLAGS]
     if isinstance(value, np.void):
         return "record", value.dtype
-    raise TypeError(f"a kernel takes numbers, arrays, records, tuples of them and None; wanted one of these, not {given}")
+    raise TypeError(
+        f"a kernel takes numbers, arrays, records, tuples of them and None; wanted one of these, not {given}"
+    )
 
 
 def text(part: Kind) -> str:

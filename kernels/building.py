@@ -12,8 +12,7 @@ from types import FunctionType
 from typing import Any, cast
 
 import numba
-from numba.core import event, registry, serialize, types
-from numba.core.runtime import rtsys
+from numba.core import event, registry, runtime, serialize, types
 from numba.extending import typeof_impl
 
 from kernels.compiler import KernelCompiler, for_callers
@@ -39,7 +38,7 @@ def build(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any
     dispatcher = dispatcher_of(kernel)
     given = tuple(dispatcher.typeof_pyval(argument) for argument in arguments)
     code = dispatcher.compile(given)
-    return code, _kept(kernel.__name__, dispatcher.overloads[given])
+    return code, _kept(kernel.py_func.__name__, dispatcher.overloads[given])
 
 
 @functools.cache
@@ -73,7 +72,9 @@ def _kept(name: str, result: Any) -> bytes | None:
     if library.has_dynamic_globals or result.lifted or result.reload_init:
         return None
     wanted, code = _declared(library._final_module), [library._get_compiled_object()]
-    memory: Any = rtsys.library._final_module  # parts of numba's memory that are LLVM's code themselves
+    memory: Any = cast(
+        Any, runtime
+    ).rtsys.library._final_module  # parts of numba's memory that are LLVM's code themselves
     defined = {each.name for each in memory.functions if not each.is_declaration}
     if wanted & defined:
         code.append(library.codegen._tm.emit_object(memory))

@@ -95,10 +95,12 @@ def _give_symbols() -> None:
     atexit.register(memory.memsys_shutdown)
 
 
-C_MATH = frozenset(
-    "acos acosh asin asinh atan atan2 atanh ceil cos cosh exp expm1 fabs floor fmod log log10 log1p pow round sin sinh "
-    "sqrt tan tanh trunc".split()
-)
+# fmt: off
+C_MATH = frozenset((
+    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "ceil", "cos", "cosh", "exp", "expm1", "fabs", "floor",
+    "fmod", "log", "log10", "log1p", "pow", "round", "sin", "sinh", "sqrt", "tan", "tanh", "trunc",
+))
+# fmt: on
 """Functions that numba takes from Python's C library, of which a process may have two."""
 
 

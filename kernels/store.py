@@ -2,9 +2,10 @@
 
 numba's own cache looks at the file in which a function stands, not at the functions it calls, and so runs stale code
 after an edit of one of those. Here the name of a kept kernel is a hash of its bytecode and constants and those of every
-function it reaches (`kernels.fingerprint`), of the kinds of its arguments, of the processor, of numba's settings and of
-the sources that compile. The folder carries the versions of numba, llvmlite, Python and this package. Any number of
-processes may use it at once: a file is written whole under its final name or not at all, and its name fixes its content.
+function it reaches (`kernels.fingerprint`), of the kinds of its arguments, of the processor, of numba's settings in the
+environment and of the sources of this package `kernels`. The folder carries the versions of numba, llvmlite, Python
+and shakerbench. Any number of processes may use it at once: a file is written whole under its final name or not at
+all, and its name fixes its content.
 """
 
 from __future__ import annotations
@@ -47,13 +48,13 @@ def machine_code_of(kernel: Kernel, kinds: tuple[Kind, ...], arguments: tuple[An
 def _name(kernel: Kernel, kinds: tuple[Kind, ...]) -> str:
     """The file's name: the function's for a person, and the hash."""
     made_of = repr((fingerprint(kernel), text(kinds), _settings()))
-    return f"{kernel.__module__}.{kernel.__name__}-{hashlib.sha256(made_of.encode()).hexdigest()[:32]}"
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}-{hashlib.sha256(made_of.encode()).hexdigest()[:32]}"
 
 
 def _settings() -> tuple[object, ...]:
     """What else decides what a kernel compiles to."""
-    given = sorted((key, value) for key, value in os.environ.items() if key.startswith("NUMBA_") and key != folder.GIVEN)
-    return *_machine(), given
+    numba = (item for item in os.environ.items() if item[0].startswith("NUMBA_") and item[0] != folder.GIVEN)
+    return *_machine(), sorted(numba)
 
 
 @functools.cache
