@@ -142,7 +142,7 @@ def test_a_kept_kernel_runs_without_numba(tmp_path: Path) -> None:
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
 
     def run(*arguments: str) -> list[float]:
-        command = [sys.executable, "kept.py", *arguments]
+        command = [sys.executable, "-c", "import kept", *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=env, check=True, capture_output=True, text=True)
         return [float(word) for word in done.stdout.split()]
 
