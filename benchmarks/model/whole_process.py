@@ -1,7 +1,7 @@
 """Job J in a process of its own, kernels kept: ``python -m benchmarks.model.whole_process [--before TREE]``.
 
-Processor seconds of a process that draws J's three diagrams (`benchmarks.model.roofline.GRIDS`) and nothing else, beside
-those of one that imports NumPy alone, or numba; with ``--before`` another tree of this software in turn.
+Processor seconds of a process that draws J's three diagrams (`benchmarks.model.roofline.GRIDS`) and nothing else,
+beside those of one that imports NumPy alone, or numba; with ``--before`` another tree of this software in turn.
 """
 
 from __future__ import annotations
