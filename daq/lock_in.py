@@ -53,6 +53,15 @@ class ToneFit:
         variances = self.covariance.diagonal()
         return np.sqrt(0.5 * (variances[0::2] + variances[1::2]))
 
+    def polar_sigma(self, k: int) -> Floats:
+        """Standard deviations of the relative amplitude and of the phase in rad of tone ``k``, shape (2,).
+
+        They differ where a mask leaves out the same phases of every cycle.
+        """
+        z, own = self.amplitudes[k], slice(2 * k, 2 * k + 2)
+        along = np.array([[z.real, z.imag], [-z.imag, z.real]]) / abs(z) ** 2
+        return np.asarray(np.sqrt(np.diagonal(along @ self.covariance[own, own] @ along.T)))
+
 
 @dataclass(frozen=True)
 class ToneFits:

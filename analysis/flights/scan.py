@@ -19,6 +19,7 @@ from analysis.events.impact_template import ImpactTemplate, white_noise
 from analysis.events.levels import Levels, measure_levels
 from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
+from analysis.plate.coloured_noise import with_coloured_noise
 from analysis.plate.motion import PlateMotion
 from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
@@ -213,7 +214,9 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         crossings=contact.crossings(),
         starts_open=contact.started_open,
         impacts=NO_IMPACTS if detector is None else detector.impacts(),
-        plate=PlateMotion(accumulator.finish(), _noise_mps2(recording, known), rate_hz, recording.gaps),
+        plate=PlateMotion(
+            with_coloured_noise(accumulator.finish()), _noise_mps2(recording, known), rate_hz, recording.gaps
+        ),
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
         filled_spans_s=_filled_spans_s(recording),
     )

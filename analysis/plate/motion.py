@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate.contact_flight_fit import ContactFlightFit
+from analysis.plate.contact_flight_fit import ContactAndFlight, ContactFlightFit
 from analysis.plate.fit_mask import FitIntervals
 from daq.lock_in import ToneFit
 from model.tones import Plate
@@ -137,7 +137,7 @@ class StepPlate:
     drive : ToneFit or None
         V, looped back; None where it was not recorded.
     contact_flight : ContactFlightFit
-        Separate amplitudes in contact and in flight, see `contact` and `flight`.
+        Separate amplitudes in contact and in flight, see `contact_and_flight`.
     gamma, gamma_uncertainty : float
         ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
     gamma_peak : float
@@ -177,18 +177,9 @@ class StepPlate:
     intervals: FitIntervals
 
     @cached_property
-    def _solved(self) -> tuple[ToneFit | None, ToneFit | None]:
+    def contact_and_flight(self) -> ContactAndFlight | None:
+        """Forcing tones and offset of either; None where one is too short, or they cannot be separated."""
         return self.contact_flight.solve()
-
-    @property
-    def contact(self) -> ToneFit | None:
-        """Forcing tones and offset in contact, m/s^2; None where contact or flight is too short."""
-        return self._solved[0]
-
-    @property
-    def flight(self) -> ToneFit | None:
-        """Forcing tones and offset in flight, m/s^2; None where contact or flight is too short."""
-        return self._solved[1]
 
     @cached_property
     def lines(self) -> tuple[SpectralLine, ...]:

@@ -26,6 +26,7 @@ SQUARED = (SECOND, THIRD, HUM)  # kept as unbiased squares: an amplitude without
 CLOCK_LIMIT = 5e-3  # relative difference beyond which it is another frequency, not a clock error
 REVERSED = 0.8 * np.pi  # phase beyond which leads are reversed
 SYSTEMATIC = 2e-5  # relative error of the estimator itself
+GATE_UNCERTAINTY = 0.05  # of a change between contact and flight that still tells something
 LEAST_WINDOWS = 4  # windows of a step that shows a modulation
 WANDER_SIGMAS = 4.0  # significance from which a sensor's zero wanders
 
@@ -175,17 +176,15 @@ def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first:
     if s.drive is None:
         return []
     rows: list[tuple[float, ...]] = []
-    sig_a, sig_v = s.acceleration.amplitude_sigma(), s.drive.amplitude_sigma()
     for m, scale in zip(s.forcing_multiples, scales, strict=True):
         k = s.multiples.index(m)
         z, v = s.acceleration.amplitudes[k], s.drive.amplitudes[k]
-        if abs(v) < 20 * sig_v[k] or abs(z) < 20 * sig_a[k]:
+        if abs(v) < 20 * s.drive.amplitude_sigma()[k] or abs(z) < 20 * s.acceleration.amplitude_sigma()[k]:
             continue
-        ratio = z / (v * scale)
-        sigma = float(np.hypot(np.hypot(sig_a[k] / abs(z), sig_v[k] / abs(v)), SYSTEMATIC))
-        omega = m * s.omega_radps
-        rows.append((GAIN, i, float(np.log(abs(ratio))), sigma, omega, asked, first))
-        rows.append((PHASE, i, float(np.angle(ratio)), sigma, omega, asked, first))
+        ratio, omega = z / (v * scale), m * s.omega_radps
+        gain, phase = np.hypot(np.hypot(s.acceleration.polar_sigma(k), s.drive.polar_sigma(k)), SYSTEMATIC)
+        rows.append((GAIN, i, float(np.log(abs(ratio))), float(gain), omega, asked, first))
+        rows.append((PHASE, i, float(np.angle(ratio)), float(phase), omega, asked, first))
     return rows
 
 
@@ -254,13 +253,10 @@ def _wander(sample: NDArray[np.int64], offset: Array, sigma: Array) -> float:
 def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
     """Contact against flight, offset, clock."""
     rows: list[tuple[float, ...]] = []
-    if s.contact is not None and s.flight is not None:
-        zc, zf = s.contact.amplitudes[0], s.flight.amplitudes[0]
-        sigma = float(np.hypot(s.contact.amplitude_sigma()[0] / abs(zc), s.flight.amplitude_sigma()[0] / abs(zf)))
-        if sigma < 0.05:
-            rows.append(
-                (GATE, i, float(np.log(abs(zf) / abs(zc))), np.hypot(sigma, SYSTEMATIC), s.omega_radps, asked, first)
-            )
+    both = s.contact_and_flight
+    if both is not None and both.log_gain_uncertainty < GATE_UNCERTAINTY:
+        sigma = float(np.hypot(both.log_gain_uncertainty, SYSTEMATIC))
+        rows.append((GATE, i, both.log_gain, sigma, s.omega_radps, asked, first))
     channel = setup.channels.accelerometer
     if channel.coupling == "dc" and channel.offset_v is not None:
         known = channel.offset_v.uncertainty / abs(channel.volts_per_mps2)

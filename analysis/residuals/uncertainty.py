@@ -33,6 +33,7 @@ LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as non
 BENT = 0.5  # second order over an event's own uncertainty, beyond which it is flown anew
 NEAR_SWITCH = 4.0  # changes within which a ball that leaves at once might rest before, or the reverse
 SHORT_S = 2e-3  # flights that a small change may hide from the contact circuit
+IN_TURN = 3  # flights in a row of which each begins as the last one ends, and a rounded landing is carried on
 BEFORE = 3  # events before one that is flown anew, on which an elastic ball's prediction leans
 
 
@@ -42,7 +43,8 @@ class Uncertainty:
 
     ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
     plate tone of the event's step, of the initial state of a plate mode in the step, and of each part of the rounding
-    to samples that edges of a step share. ``*_edge_s`` is what is left to each measured edge alone.
+    to samples that edges of a step share, its own and that of the landings it is predicted from. ``*_edge_s`` is
+    what is left to each measured edge alone.
     """
 
     opening_sigma_s: Array
@@ -87,21 +89,24 @@ def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
         if again.any():
             found = _FlownAgain(model, values, again).together(x, moved)
             edges[:, again], changes[:, again], bent[:, again] = found
-    before = np.stack([_earlier(ev.landing_sigma_s, back) for back in (1, 2)])
-    var = own**2 + np.sum(bent**2, axis=0) + np.sum((edges * before[..., None]) ** 2, axis=0)
-    var[:, 1] += _finite(base.ambiguity_s) ** 2
-    times = np.stack([base.opening_s, base.landing_s], axis=1)
+    times = _from_exact_landings(model, base, edges)
     opening, landing = (
         rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s) for i, seen in enumerate(ev.scatters)
     )
-    rounded = np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1)
-    sigma, alone = np.sqrt(var - rounded), np.sqrt(own**2 - rounded)
+    alone = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
+    var = alone**2 + np.sum(bent**2, axis=0)
+    var[:, 1] += _finite(base.ambiguity_s) ** 2
     none = np.zeros_like(opening)
+    shared = np.stack([np.hstack([opening, none]), np.hstack([none, landing])])
+    for back, slope in enumerate(edges, start=1):  # what is predicted from an earlier landing errs with it
+        var += (slope * _earlier(alone[:, 1], back)[:, None]) ** 2
+        shared -= slope.T[:, :, None] * _earlier(np.hstack([none, landing]), back)
+    sigma = np.sqrt(var)
     return Uncertainty(
         sigma[:, 0],
         sigma[:, 1],
-        np.hstack([changes[..., 0].T, opening, none]),
-        np.hstack([changes[..., 1].T, none, landing]),
+        np.hstack([changes[..., 0].T, shared[0]]),
+        np.hstack([changes[..., 1].T, shared[1]]),
         alone[:, 0],
         alone[:, 1],
     )
@@ -237,14 +242,30 @@ def _copies(
     return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
 
 
+def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Array) -> Array:
+    """Openings and landings (n, 2) as predicted had no landing been rounded that a prediction leans on.
+
+    A ball that leaves as it lands is predicted from the measured landing. Its rounding shifts what follows by the
+    slopes ``edges`` (2, n, 2), and with it an edge's place between two samples.
+    """
+    ev, predicted = model.evidence, np.stack([base.opening_s, base.landing_s], axis=1)
+    out, sampling_s = predicted, ev.scatters[1].sampling_s
+    for _ in range(IN_TURN):
+        error = np.clip(np.nan_to_num(ev.measured.landing_s - out[:, 1]), -sampling_s, sampling_s)
+        out = predicted - sum(slope * _earlier(error, back)[:, None] for back, slope in enumerate(edges, start=1))
+    return np.asarray(out)
+
+
 def _halves(ahead: Array, behind: Array, base: Array) -> tuple[Array, Array]:
     """First and second order of changes from predictions either way; the second counts as noise of each event."""
     return _finite(0.5 * (ahead - behind)), _finite(0.5 * (ahead + behind) - base)
 
 
 def _earlier(x: Array, back: int) -> Array:
-    """The value of the event so many before, (n,)."""
-    return np.asarray(np.where(np.arange(len(x)) >= back, x[np.maximum(np.arange(len(x)) - back, 0)], 0.0))
+    """The values of the event so many before, (n, ...); zero where there is none."""
+    out = np.zeros_like(x)
+    out[back:] = x[:-back]
+    return out
 
 
 def _finite(x: Array) -> Array:

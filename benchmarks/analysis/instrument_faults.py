@@ -116,6 +116,13 @@ def _accelerometer_read_late(v: Volts, run: other_plant.Run, rng: np.random.Gene
     v["accelerometer_v"] = np.roll(v["accelerometer_v"], 2)
 
 
+def _high_pass(v: Volts, run: other_plant.Run, rng: np.random.Generator) -> None:
+    """The zero at rest stays where the profile has it."""
+    b, a = butter(1, 1.0 / (run.rate_hz / 2.0), "high")
+    rest = 0.1 * run.reads_gravity
+    v["accelerometer_v"] = rest + lfilter(b, a, v["accelerometer_v"] - rest)
+
+
 LAG, PICKUP = "accelerometer_lag", "mains_pickup"
 FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {  # in words: what it does, and the names that it should get
     "none": (lambda v, run, rng: None, ()),
@@ -134,6 +141,7 @@ FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {  # in words: what it doe
     "mains in the drive, 3 mV": (_mains_in_drive, ()),
     "drive read a sample late": (_drive_read_late, ()),
     "accelerometer read two samples late": (_accelerometer_read_late, (LAG,)),
+    "high-pass of 1 Hz": (_high_pass, ("accelerometer_high_pass",)),
 }
 
 

@@ -47,6 +47,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "contact_latency": {"delay_s": (2e-5, 1e-4, 5e-4)},
     "accelerometer_lag": {"delay_s": (2e-5, 1e-4, 5e-4)},
     "mains_pickup": {"g": (0.002, 0.01, 0.08)},
+    "accelerometer_high_pass": {"hz": (0.1, 0.4, 3.0)},
     # not among the agreed candidates
     "friction_with_height": {"per_m": (0.3, 2.0, 30.0)},
     "friction_with_speed": {"per_mps": (0.02, 0.1, 0.6)},
@@ -306,6 +307,12 @@ def _late(felt: np.ndarray, samples: float) -> np.ndarray:
     return np.asarray(felt)
 
 
+def _blocked(felt: np.ndarray, corner: float) -> np.ndarray:
+    """A capacitor and a resistor, at rest before; the corner in units of the rate."""
+    turn = math.tan(math.pi * corner)
+    return np.asarray(lfilter([1.0 / (1.0 + turn), -1.0 / (1.0 + turn)], [1.0, (turn - 1.0) / (turn + 1.0)], felt))
+
+
 def _converted(run: Run, volts: np.ndarray) -> np.ndarray:
     """Volts as the converter gives them."""
     if not run.bits:
@@ -342,6 +349,8 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     felt = plate / G * (1.0 + run.hidden.get("accelerometer_gain.relative", 0.0)) + float(run.reads_gravity)
     if late_s := run.hidden.get("accelerometer_lag.delay_s", 0.0):
         felt = _late(felt, late_s * run.rate_hz)
+    if corner_hz := run.hidden.get("accelerometer_high_pass.hz", 0.0):
+        felt = float(run.reads_gravity) + _blocked(felt - float(run.reads_gravity), corner_hz / run.rate_hz)
     felt += run.hidden.get("mains_pickup.g", 0.0) * np.sin(2.0 * math.pi * 50.0 * time_s + 0.9)
     felt += run.hidden.get("accelerometer_offset.g", 0.0) + run.accelerometer_noise_g * rng.standard_normal(n)
     if run.spikes:

@@ -30,6 +30,7 @@ OTHER_NAMED = {
     "contact_latency": "contact_latency",
     "accelerometer_lag": "accelerometer_lag",
     "mains_pickup": "mains_pickup",
+    "accelerometer_high_pass": "accelerometer_high_pass",
 }
 OTHER_OUTSIDE = {  # and the covariate of each
     "friction_with_height": "height",
@@ -68,6 +69,7 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "contact_latency.delay_s": (("contact_latency", "delay_s", 1.0),),
     "accelerometer_lag.delay_s": (("accelerometer_lag", "delay_s", 1.0),),
     "mains_pickup.g": (("mains_pickup", "amplitude_mps2", G),),
+    "accelerometer_high_pass.hz": (("accelerometer_high_pass", "corner_hz", 1.0),),
 }
 
 AT_RATIO: Mapping[int, Mapping[str, float]] = {

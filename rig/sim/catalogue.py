@@ -217,6 +217,13 @@ NAMED: tuple[EffectEntry, ...] = (
         _size("time_constant_s", 0.0002, 0.0008, 0.0, 0.02),
     ),
     _named(
+        "accelerometer_high_pass",
+        5.0,
+        "sensor",
+        "high-pass of first order in the accelerometer's amplifier",
+        _size("corner_hz", 0.5, 2.0, 0.0, 20.0),
+    ),
+    _named(
         "mains_pickup",
         3.0,
         "sensor",

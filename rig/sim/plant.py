@@ -49,17 +49,22 @@ def _refresh(s: Any, p: Any, values: Any, drift: Any, dt_s: float) -> None:
     s.zero_v = p.accelerometer_v_per_g * p.accelerometer_offset_offset_g
     tau_s = p.accelerometer_lag_time_constant_s
     s.shown_part = math.exp(-s.dt_s / tau_s) if tau_s > 0.0 else 0.0
+    s.blocked_part = 1.0 - math.exp(-2.0 * math.pi * p.accelerometer_high_pass_corner_hz * s.dt_s)
 
 
 @njit()
 def _shown(s: Any, p: Any, volts: float) -> float:
-    """Volts behind the accelerometer's low-pass of first order, for an input straight between samples; and pickup."""
+    """Volts behind the accelerometer's low-pass of first order, for an input straight between samples, and behind its
+    amplifier's high-pass, which leaves the zero at rest where it is; and pickup."""
     rise = volts - s.unfiltered_v if s.sample > 0 else 0.0
     lag = rise * p.accelerometer_lag_time_constant_s / s.dt_s
     before = s.shown_v - s.unfiltered_v if s.sample > 0 else 0.0
     s.unfiltered_v = volts
     shown: float = volts - lag + (before + lag) * s.shown_part
     s.shown_v = shown
+    resting = s.volts_per_mps2 * (p.accelerometer_reads_gravity - 2 * s.turned) * gravity(p)
+    s.blocked_v += s.blocked_part * (shown - resting - s.blocked_v)
+    shown -= s.blocked_v
     if p.mains_pickup_amplitude_g == 0.0:
         return shown
     angle = 2.0 * math.pi * p.mains_pickup_frequency_hz * (s.t_s + s.dt_s) + p.mains_pickup_phase_rad

@@ -49,9 +49,11 @@ _FLOATS = (
     "turn_im",
     "volts_per_mps2",
     "zero_v",
-    "shown_part",  # derived from the parameters
+    "shown_part",
+    "blocked_part",  # derived from the parameters
     "shown_v",
     "unfiltered_v",  # of the accelerometer, behind and before its filter
+    "blocked_v",  # what a high-pass in its amplifier takes away
     "continuity_v",
 )
 _INTEGERS = (

@@ -63,9 +63,12 @@ def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("effect", "c"), [("accelerometer_lag", "1"), ("mains_pickup", "2")])
+@pytest.mark.parametrize(
+    ("effect", "c"), [("accelerometer_lag", "1"), ("mains_pickup", "2"), ("accelerometer_high_pass", "2")]
+)
 def test_a_fault_of_the_accelerometer_is_no_doing_of_ball_or_contact(tmp_path: Path, effect: str, c: str) -> None:
-    """A reading that is late, and one with mains in it, are named as such: no early contact, no plate that hums."""
+    """A reading that is late, one with mains in it, and one behind a high-pass are named as such: no early contact, no
+    plate that hums, no late contact."""
     verdict, _ = verdict_on(tmp_path, "--c", c, "--effect", effect, "--strength", "medium", "--seed", "35")
     assert verdict["verdict"] == "explained"
     assert [e["name"] for e in verdict["effects"]] == [effect]

@@ -100,7 +100,7 @@ def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
 def test_a_frequency_that_is_not_known_says_nothing_of_the_clock(uncertainty_hz: float, data: int) -> None:
     """A step whose frequency could not be fitted has no clock datum: an infinite uncertainty spoils every fit."""
     step = SimpleNamespace(
-        contact=None, flight=None, frequency_hz=25.0, frequency_uncertainty_hz=uncertainty_hz, omega_radps=157.0
+        contact_and_flight=None, frequency_hz=25.0, frequency_uncertainty_hz=uncertainty_hz, omega_radps=157.0
     )
     channel = SimpleNamespace(coupling="ac", offset_v=None)
     setup = SimpleNamespace(channels=SimpleNamespace(accelerometer=channel), forcing=SimpleNamespace(frequency_hz=25.0))
@@ -117,6 +117,16 @@ def test_what_an_accelerometer_shows_late_is_in_gain_and_phase() -> None:
         shown = 1.0 / (1.0 + low + sharpness * low**2)
         found = expected(data, {"accelerometer_lag": {k: np.array([x]) for k, x in values.items()}})
         assert found == pytest.approx(np.where(data.kind == GAIN, np.log(np.abs(shown)), np.angle(shown)))
+
+
+def test_a_high_pass_leads_and_tones_that_are_absent_pass_it() -> None:
+    """Gain and phase of a first-order high-pass at two tones; a tone of frequency 0 stands for none."""
+    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], 2, 1.0, 1.0)
+    corner = 1j * 2.0 * np.pi * 3.0
+    shown = data.omega_radps / (data.omega_radps - corner)
+    found = expected(data, {"accelerometer_high_pass": {"corner_hz": np.array([3.0])}})
+    assert found == pytest.approx(np.where(data.kind == GAIN, np.log(np.abs(shown)), np.angle(shown)))
+    assert effect("accelerometer_high_pass").hooks["accelerometer_response"]({"corner_hz": 3.0}, np.zeros(1)) == 1.0
 
 
 def test_a_zero_that_wanders_is_told_from_one_that_is_off_or_drifts() -> None:

@@ -50,6 +50,13 @@ def test_the_accelerometers_lag_is_that_of_its_low_pass() -> None:
     assert found == pytest.approx(1.0 / (1.0 + 1j * OMEGA * 5e-4), abs=3e-4)
 
 
+def test_the_accelerometers_high_pass_turns_its_reading_forward() -> None:
+    """2 Hz: the reading leads the plate by atan(2 / f), and its zero at rest stays where it is."""
+    shown = plate_g({"accelerometer_high_pass": {"corner_hz": 2.0}}, 0.3)
+    assert tone(shown) / 0.6 == pytest.approx(1.0 / (1.0 - 4j * np.pi / OMEGA), abs=1e-3)
+    assert np.mean(shown) == pytest.approx(np.mean(plate_g({}, 0.3)), abs=2e-3)
+
+
 def test_a_cable_that_picks_up_the_mains_leaves_the_plate_alone() -> None:
     """0.1 g at 50 Hz in the reading, the forcing tone as it was."""
     shown = plate_g({"mains_pickup": {"amplitude_g": 0.1, "frequency_hz": 50.0, "phase_rad": 0.0}}, 0.3)

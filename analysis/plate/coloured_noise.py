@@ -1,0 +1,70 @@
+"""Noise of the accelerometer that is stronger at the forcing's tones than the white noise which a fit's residual tells.
+
+Semiconductor sensors and charge amplifiers have noise that rises towards low frequencies. It shows in the phases of a
+tone from window to window, beyond those of the drive; an amplitude modulation leaves them alone. What all steps
+together tell of it widens every uncertainty of the tone, and where chance may do it, nothing is changed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.plate.motion import StepPlate
+
+SIGMAS = 4.0  # significance from which noise is coloured
+MIN_WINDOWS = 4  # windows of a step from which its phases count
+
+
+def with_coloured_noise(steps: Sequence[StepPlate | None]) -> tuple[StepPlate | None, ...]:
+    """Steps with the uncertainties of the forcing's tones as large as their phases in windows scatter."""
+    fitted = [s for s in steps if s is not None]
+    squares = np.zeros((2, 2))  # by forcing tone: sum of squares, and degrees of freedom
+    for s in fitted:
+        for t in range(len(s.forcing_multiples)):
+            squares[t] += _phase_scatter(s, t)
+    factors = [_factor(square, freedom) for square, freedom in squares]
+    if max(factors) == 1.0:
+        return tuple(steps)
+    return tuple(None if s is None else _widened(s, factors[: len(s.forcing_multiples)]) for s in steps)
+
+
+def _factor(square: float, freedom: float) -> float:
+    """How many times larger an uncertainty is than white noise makes it; 1 where chance may do it."""
+    if square <= freedom + SIGMAS * math.sqrt(2.0 * freedom):
+        return 1.0
+    return math.sqrt(square / freedom)
+
+
+def _phase_scatter(s: StepPlate, t: int) -> tuple[float, int]:
+    """Sum of squares of forcing tone ``t``'s phases about a straight line, in units of their noise, and its freedom."""
+    w, row = s.windows, s.multiples.index(s.forcing_multiples[t])
+    z = s.acceleration.amplitudes[row]
+    phase, variance = (w.amplitudes[:, t] / z).imag, (w.uncertainty_mps2[:, t] / abs(z)) ** 2
+    if s.drive is not None and (v := s.drive.amplitudes[row]) != 0.0:
+        phase = phase - (w.drive_v[:, t] / v).imag
+        variance = variance + (w.drive_uncertainty_v[:, t] / abs(v)) ** 2
+    seen = np.isfinite(phase) & (variance > 0.0)
+    if seen.sum() < MIN_WINDOWS:
+        return 0.0, 0
+    time_s, weight = w.time_s[seen], 1.0 / np.sqrt(variance[seen])
+    line = np.polynomial.Polynomial.fit(time_s, phase[seen], 1, w=weight)
+    return float(np.sum(((phase[seen] - line(time_s)) * weight) ** 2)), int(seen.sum()) - 2
+
+
+def _widened(s: StepPlate, factors: Sequence[float]) -> StepPlate:
+    """The step with each forcing tone's uncertainties multiplied by its factor."""
+    every = np.ones(2 * len(s.acceleration.amplitudes))
+    for multiple, factor in zip(s.forcing_multiples, factors, strict=True):
+        row = s.multiples.index(multiple)
+        every[2 * row : 2 * row + 2] = factor
+    return replace(
+        s,
+        acceleration=replace(s.acceleration, covariance=s.acceleration.covariance * np.outer(every, every)),
+        contact_flight=replace(s.contact_flight, rms_v=s.contact_flight.rms_v * factors[0]),
+        gamma_uncertainty=s.gamma_uncertainty * factors[0],
+        windows=replace(s.windows, uncertainty_mps2=s.windows.uncertainty_mps2 * factors),
+    )
