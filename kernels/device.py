@@ -14,8 +14,6 @@ from collections.abc import Callable
 from types import CellType, FunctionType
 from typing import Any
 
-from numba.extending import is_jitted
-
 from kernels import lanes, rows
 
 
@@ -129,7 +127,7 @@ def _with_kernels_remade(function: Callable[..., Any], wrap: Callable[[FunctionT
     """A copy of a function in which the kernels that it names are remade."""
 
     def value_of(value: Any) -> Any:
-        return remade(value, wrap) if is_jitted(value) or id(value) in _ONE_NUMBER else value
+        return remade(value, wrap) if hasattr(value, "py_func") or id(value) in _ONE_NUMBER else value
 
     code, given = function.__code__, function.__globals__
     read = _names(code)

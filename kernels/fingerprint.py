@@ -9,14 +9,12 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
-import inspect
-from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
-from numba.core.extending import _Intrinsic
-from numba.extending import is_jitted
+
+from kernels.intrinsic import Intrinsic
 
 Parts = list[object]
 
@@ -81,11 +79,10 @@ def _global(value: Any, used: tuple[str, ...], parts: Parts, seen: dict[int, int
 
 def _value(value: Any, parts: Parts, seen: dict[int, int]) -> None:
     """Add a value that numba may compile in."""
-    if is_jitted(value):
+    if hasattr(value, "py_func"):  # a kernel, or a function compiled by numba itself
         _kernel(value, parts, seen)
-    elif isinstance(value, _Intrinsic):  # writes machine code itself: all of its file may have a part in that
-        file = Path(inspect.getfile(value._defn))
-        parts.append(("intrinsic", value._name, hashlib.sha256(file.read_bytes()).hexdigest()))
+    elif isinstance(value, Intrinsic):
+        parts.append(("intrinsic", value.module, value.name))
     elif isinstance(value, enum.Enum):
         parts.append((type(value).__qualname__, value.name, value.value))
     elif isinstance(value, type) and issubclass(value, enum.Enum):

@@ -17,10 +17,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import llvmlite
-import numba
-
 NAME = "shakerbench"
+GIVEN = "NUMBA_CACHE_DIR"
+"""The variable of the environment that names another folder."""
 UNUSED_DAYS = 30.0
 """After which kernels of other versions, or of a source since edited, are removed."""
 DAY_S = 86400.0
@@ -31,7 +30,7 @@ _log = logging.getLogger(NAME)
 @functools.cache
 def places() -> tuple[Path, ...]:
     """Folders for this set of versions, best first: the environment's or the user's, then a temporary one."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
+    given = os.environ.get(GIVEN)
     first = Path(given) if given else _user_cache()
     return tuple(base / "kernels" / _versions() for base in (first, _temporary()) if base is not None)
 
@@ -81,8 +80,8 @@ def _give_up(place: Path, error: OSError) -> None:
         return
     left = places()[_unfit() :]
     where = f"they are kept in {left[0]} instead" if left else "every run compiles them anew"
-    _log.warning("compiled kernels cannot be kept in %s (%s): %s; NUMBA_CACHE_DIR names another folder", place,
-                 error.strerror or error, where)  # fmt: skip
+    _log.warning("compiled kernels cannot be kept in %s (%s): %s; %s names another folder", place,
+                 error.strerror or error, where, GIVEN)  # fmt: skip
 
 
 @functools.cache
@@ -142,9 +141,10 @@ def _temporary() -> Path | None:
 @functools.cache
 def _versions() -> str:
     """Everything but the sources that decides what a kernel compiles to, as a folder's name."""
+    version = importlib.metadata.version  # numba itself need not be imported
     try:
-        package = importlib.metadata.version(NAME)
+        package = version(NAME)
     except importlib.metadata.PackageNotFoundError:
         package = "source"
     python = f"{sys.implementation.cache_tag}-{sys.platform}"
-    return f"{package}-{python}-numba-{numba.__version__}-llvmlite-{llvmlite.__version__}"
+    return f"{package}-{python}-numba-{version('numba')}-llvmlite-{version('llvmlite')}"

@@ -9,15 +9,14 @@ import functools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
-from numba.core import event as numba_event
+from kernels.watch import watchers
 
 Progress = Callable[[str, float], None]
 
 
-class _Compiling(numba_event.Listener):
-    """Listener to numba's compilations; cached kernels cause none.
+class _Compiling:
+    """Watcher of compilations (`kernels.watch`); kept kernels cause none.
 
     Parameters
     ----------
@@ -29,11 +28,11 @@ class _Compiling(numba_event.Listener):
     def __init__(self, told: Callable[[str, int], None]) -> None:
         self._told, self._depth, self._done = told, 0, 0
 
-    def on_start(self, event: Any) -> None:
+    def on_start(self, name: str) -> None:
         self._depth += 1
-        self._told(event.data["dispatcher"].py_func.__name__, self._done)
+        self._told(name, self._done)
 
-    def on_end(self, event: Any) -> None:
+    def on_end(self) -> None:
         self._depth, self._done = self._depth - 1, self._done + 1
         if self._depth == 0:
             self._told("", self._done)
@@ -68,8 +67,8 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
             bar.update(task, description=f"compiling, once: {kernel} ({done} done)" if kernel else doing)
 
         listener = _Compiling(compiling)
-        numba_event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
+        watchers.append(listener)
         try:
             yield say
         finally:
-            numba_event.unregister("numba:compile", listener)  # type: ignore[no-untyped-call]
+            watchers.remove(listener)

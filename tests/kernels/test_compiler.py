@@ -40,7 +40,7 @@ def test_a_called_kernel_is_compiled_for_its_caller_alone() -> None:
     """The answer is that of Python, and no version that Python could call was made of what is called."""
     values = np.array([2.0, 8.0, 18.0])
     assert total(values) == 1.0 + 2.0 + 3.0
-    assert total.signatures and not rooted.signatures and not halved.signatures
+    assert total.callables and not rooted.callables and not halved.callables
 
 
 def test_a_called_kernel_can_be_called_from_python_as_well() -> None:

@@ -1,18 +1,17 @@
 """What a person is told while kernels are compiled."""
 
-from types import SimpleNamespace
-
 import pytest
-from numba.core import event
 
 from bench.terminal import progress
+from kernels.watch import watchers
 
 
 def compiles(name: str) -> None:
-    """The events of one compilation, without a compiler."""
-    kernel = SimpleNamespace(py_func=SimpleNamespace(__name__=name))
-    with event.trigger_event("numba:compile", data={"dispatcher": kernel}):  # type: ignore[no-untyped-call]
-        pass
+    """What watchers are told of one compilation, without a compiler."""
+    for watcher in watchers:
+        watcher.on_start(name)
+    for watcher in watchers:
+        watcher.on_end()
 
 
 def test_compiling_is_announced_once_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -29,14 +28,14 @@ def test_compiling_is_announced_once_where_there_is_no_terminal(capsys: pytest.C
     assert capsys.readouterr().err.count("compiling") == 1
 
 
-def test_the_listener_names_the_kernel_and_counts() -> None:
+def test_the_watcher_names_the_kernel_and_counts() -> None:
     """Kernel and number of those done while compiling, nothing between compilations; deaf after the bar has gone."""
     told: list[tuple[str, int]] = []
     listener = progress._Compiling(lambda name, done: told.append((name, done)))
-    event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
+    watchers.append(listener)
     try:
         compiles("march")
         compiles("one_ahead")
     finally:
-        event.unregister("numba:compile", listener)  # type: ignore[no-untyped-call]
+        watchers.remove(listener)
     assert told == [("march", 0), ("", 1), ("one_ahead", 1), ("", 2)]

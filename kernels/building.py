@@ -1,0 +1,123 @@
+"""What is done when a kernel is not kept: numba is imported, and compiles it as `kernels.compiler` says."""
+
+# numba's inner parts carry no types
+# mypy: disable-error-code="no-untyped-call"
+from __future__ import annotations
+
+import functools
+import gc
+import importlib
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any, cast
+
+import numba
+from numba.core import event, registry, runtime, serialize, types
+from numba.extending import typeof_impl
+
+from kernels.compiler import KernelCompiler, for_callers
+from kernels.emit import borrowed, lanes, rows
+from kernels.fingerprint import fingerprint_of_closure
+from kernels.intrinsic import Intrinsic
+from kernels.kernel import Kernel
+from kernels.machine_code import Kept
+from kernels.watch import watchers
+
+EMITTED = (borrowed, lanes, rows)
+"""Imported before anything is compiled: numba looks for new types and functions when it begins."""
+
+
+def build(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any], bytes | None]:
+    """Compile ``kernel`` for the types of ``arguments``.
+
+    Returns
+    -------
+    tuple
+        What runs it, and its pickled `kernels.machine_code.Kept`; None where it holds addresses of this process.
+    """
+    dispatcher = dispatcher_of(kernel)
+    given = tuple(dispatcher.typeof_pyval(argument) for argument in arguments)
+    code = dispatcher.compile(given)
+    return code, _kept(kernel.py_func.__name__, dispatcher.overloads[given])
+
+
+@functools.cache
+def dispatcher_of(kernel: Kernel) -> Any:
+    """numba's own object for a kernel: for types in which kernels call each other, and for compiling."""
+    function = kernel.py_func
+    copy = FunctionType(function.__code__, function.__globals__, function.__name__, function.__defaults__,
+                        function.__closure__)  # fmt: skip
+    copy.__module__, copy.__qualname__ = function.__module__, function.__qualname__
+    if function.__closure__:  # the machine code of two of one name must not share a symbol
+        copy.__qualname__ += f"_{fingerprint_of_closure(cast(FunctionType, function))[:12]}"
+    own = {"cache": False, "no_cfunc_wrapper": True, "pipeline_class": KernelCompiler}
+    dispatcher: Any = numba.njit(**{**kernel.targetoptions, **own})(copy)
+    for_callers(dispatcher, copy, kernel.targetoptions)
+    return dispatcher
+
+
+@typeof_impl.register(Kernel)
+def _type_of_kernel(kernel: Kernel, context: object) -> Any:
+    return types.Dispatcher(dispatcher_of(kernel))
+
+
+@typeof_impl.register(Intrinsic)
+def _type_of_intrinsic(intrinsic: Intrinsic, context: object) -> Any:
+    emitted = getattr(importlib.import_module(intrinsic.module), intrinsic.name)
+    return cast(Any, registry.cpu_target).typing_context.resolve_value_type(emitted)
+
+
+def _kept(name: str, result: Any) -> bytes | None:
+    library, description = result.library, result.fndesc
+    if library.has_dynamic_globals or result.lifted or result.reload_init:
+        return None
+    wanted, code = _declared(library._final_module), [library._get_compiled_object()]
+    memory: Any = cast(
+        Any, runtime
+    ).rtsys.library._final_module  # parts of numba's memory that are LLVM's code themselves
+    defined = {each.name for each in memory.functions if not each.is_declaration}
+    if wanted & defined:
+        code.append(library.codegen._tm.emit_object(memory))
+        wanted = (wanted | _declared(memory)) - defined
+    environments = {description.env_name: result.environment.consts}
+    environments |= {each.env_name: each.consts for each in result._find_referenced_environments()}
+    kept = Kept(name, description.llvm_cpython_wrapper_name, code, sorted(wanted), environments)
+    pickled: bytes = cast(Any, serialize).dumps(tuple(kept))
+    return pickled
+
+
+def _declared(module: Any) -> set[str]:
+    """Symbols that a module of LLVM's code wants from elsewhere."""
+    named = (each.name for each in (*module.functions, *module.global_variables) if each.is_declaration)
+    return {name for name in named if not name.startswith("llvm.")}
+
+
+class _Told(event.Listener):
+    """Tells the watchers, and spares the garbage collector what was there before the outermost kernel began.
+
+    Compiling makes millions of objects: the collector need not look again and again at all others.
+    """
+
+    def __init__(self) -> None:
+        self._deep, self._ours = 0, False
+
+    def on_start(self, started: Any) -> None:
+        """Set aside what is there when the outermost kernel begins, unless somebody has."""
+        if self._deep == 0:
+            self._ours = gc.get_freeze_count() == 0
+            if self._ours:
+                gc.freeze()
+        self._deep += 1
+        for watcher in watchers:
+            watcher.on_start(started.data["dispatcher"].py_func.__name__)
+
+    def on_end(self, ended: Any) -> None:
+        """Take it back when that kernel is done."""
+        for watcher in watchers:
+            watcher.on_end()
+        self._deep -= 1
+        if self._deep == 0 and self._ours:
+            gc.unfreeze()
+
+
+event.register("numba:compile", _Told())

@@ -1,0 +1,1 @@
+"""Code of the intrinsics: imported by what compiles, after numba."""

@@ -1,0 +1,67 @@
+"""Machine code of kernels: taken from the folder under the hash of everything that it is made of, else compiled.
+
+numba's own cache looks at the file in which a function stands, not at the functions it calls, and so runs stale code
+after an edit of one of those. Here the name of a kept kernel is a hash of its bytecode and constants and those of every
+function it reaches (`kernels.fingerprint`), of the kinds of its arguments, of the processor, of numba's settings in the
+environment and of the sources of this package `kernels`. The folder carries the versions of numba, llvmlite, Python
+and shakerbench. Any number of processes may use it at once: a file is written whole under its final name or not at
+all, and its name fixes its content.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+from llvmlite import binding
+
+from kernels import folder, machine_code
+from kernels.arguments import Kind, text
+from kernels.fingerprint import fingerprint
+from kernels.kernel import Function, Kernel
+
+DIGEST_BYTES = 32
+_one_at_a_time = threading.RLock()
+
+
+def machine_code_of(kernel: Kernel, kinds: tuple[Kind, ...], arguments: tuple[Any, ...]) -> Function:
+    """What runs ``kernel`` for arguments of the given kinds, of which ``arguments`` are an example."""
+    with _one_at_a_time:
+        name = _name(kernel, kinds)
+        data = folder.read(name)
+        code = None
+        if data is not None and hashlib.sha256(data[DIGEST_BYTES:]).digest() == data[:DIGEST_BYTES]:
+            code = machine_code.load(data[DIGEST_BYTES:])
+        if code is None:  # not there, or damaged: it is written over
+            from kernels import building  # imports numba
+
+            code, kept = building.build(kernel, arguments)
+            if kept is not None:
+                folder.write(name, hashlib.sha256(kept).digest() + kept)
+        return code
+
+
+def _name(kernel: Kernel, kinds: tuple[Kind, ...]) -> str:
+    """The file's name: the function's for a person, and the hash."""
+    made_of = repr((fingerprint(kernel), text(kinds), _settings()))
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}-{hashlib.sha256(made_of.encode()).hexdigest()[:32]}"
+
+
+def _settings() -> tuple[object, ...]:
+    """What else decides what a kernel compiles to."""
+    numba = (item for item in os.environ.items() if item[0].startswith("NUMBA_") and item[0] != folder.GIVEN)
+    return *_machine(), sorted(numba)
+
+
+@functools.cache
+def _machine() -> tuple[str, ...]:
+    """The processor, and the hash of the sources that compile."""
+    own = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        own.update(path.read_bytes())
+    features = binding.get_host_cpu_features().flatten()
+    return binding.get_process_triple(), binding.get_host_cpu_name(), features, own.hexdigest()
