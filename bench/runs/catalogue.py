@@ -149,13 +149,6 @@ class Catalogue(Closing):
             raise InputError(f"{row['path']}: lies outside the runs' folder")
         return path
 
-    def id_of(self, file: Path) -> str:
-        """Short name of a recording below the folder (raises InputError for one that is not)."""
-        try:
-            return run_id(file.resolve().relative_to(self.folder).as_posix())
-        except ValueError as error:
-            raise InputError(f"{file}: is not below {self.folder}") from error
-
     def remarks(self, row: Row) -> Remarks:
         """Tags and notes of a run, from the file beside it (raises InputError)."""
         return read_remarks(side_file(self.file_of(row)))
