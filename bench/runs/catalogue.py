@@ -13,7 +13,7 @@ from typing import Any
 
 from bench.runs import query as queries
 from bench.runs.database import Opened, open_database
-from bench.runs.folder import Found, files_below, run_id
+from bench.runs.folder import Found, files_below
 from bench.runs.loops import FORMAT as LOOP_FORMAT
 from bench.runs.loops import Loop, loop_of_json, loops_of_hdf5
 from bench.runs.remarks import ENDING, Remarks, change_remarks, read_remarks, side_file

@@ -265,5 +265,5 @@ def test_what_is_no_table_is_named(tmp_path: Path, setup: Setup) -> None:
         bring_in(tmp_path / "a.h5", setup)
     raw = tmp_path / "b.csv"
     np.savetxt(raw, np.column_stack(list(columns().values())), "%.9g", ",", header=",".join(NAMES), comments="")
-    with pytest.raises(InputError, match="no such column.*wanted a unit: s ms us"):
+    with pytest.raises(InputError, match=r"no such column.*wanted a unit: s ms us"):
         assign(open_source(raw), parse_map(["accelerometer=accelerometer_v:furlong"]))
