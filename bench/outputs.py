@@ -169,7 +169,9 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
     if output.continues is not None and output.continues(path):
         return
     if output.kept:
-        raise InputError(f"{named}: exists already and is never overwritten; choose another name")
+        raise InputError(
+            f"{named}: exists already; recordings are never overwritten, not even with --overwrite; choose another name"
+        )
     if not overwrite:
         raise InputError(f"{named}: exists already; choose another name, or give --overwrite to replace it")
     with path.open("ab"):

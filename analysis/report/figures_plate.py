@@ -65,7 +65,7 @@ def _gain(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     ax.errorbar(x, deviation, 100.0 * sigma, fmt="o", ms=3.5, lw=0.8, color=style.MEASURED, label="measured")
     ax.axhline(0.0, lw=1.2, color=style.MODEL, label="a linear shaker")
     ax.set_ylabel("plate / drive, deviation (%)")
-    ax.set_title(f"middle {middle:.4g} (m/s²)/V", fontsize=9)
+    ax.set_title(f"median gain {middle:.4g} (m/s²)/V", fontsize=9)
     ax.legend(fontsize=8, frameon=False)
 
 

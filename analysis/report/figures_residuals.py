@@ -83,6 +83,7 @@ def _draw(
         for ax in column[:-1]:
             ax.sharex(column[-1])
             ax.tick_params(labelbottom=False)
+        column[-1].locator_params(axis="x", nbins=5)  # labels as 0.0015 stand side by side
         name = shown.symbol if covariate == "gamma" else about.words
         column[-1].set_xlabel(f"{name}, {about.unit}" if about.unit else name)
     for i in range(len(against), COLUMNS * blocks):

@@ -87,7 +87,7 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
             if name in ranked and o in ranked and ranked[o][0] < ranked[name][0]
         ]
         if behind:
-            out.append(f"of what is easily taken for {name}, it leaves behind: {', '.join(behind)}.")
+            out.append(f"effects that are easily taken for {name} gain less: {', '.join(behind)}.")
     return out
 
 

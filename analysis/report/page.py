@@ -337,7 +337,7 @@ def _alternatives(loop: ClosedLoop) -> str:
 def _remains(loop: ClosedLoop) -> str:
     left = loop.remainder
     words = (
-        f"<p>Excess over the noise floor: {left.ratio:.2f} times (flights), {left.plate_rms_z:.2f} times (plate); "
+        f"<p>Residuals over their noise: {left.ratio:.2f} times (flights), {left.plate_rms_z:.2f} times (plate); "
         f"so much lack of fit by chance: {html.escape(probability(left.p_lack_of_fit))}.</p>"
     )
     if left.covariate:

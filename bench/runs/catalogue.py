@@ -13,7 +13,7 @@ from typing import Any
 
 from bench.runs import query as queries
 from bench.runs.database import Opened, open_database
-from bench.runs.folder import Found, files_below, run_id
+from bench.runs.folder import Found, files_below
 from bench.runs.loops import FORMAT as LOOP_FORMAT
 from bench.runs.loops import Loop, loop_of_json, loops_of_hdf5
 from bench.runs.remarks import ENDING, Remarks, change_remarks, read_remarks, side_file
@@ -148,13 +148,6 @@ class Catalogue(Closing):
         if not path.is_relative_to(self.folder):
             raise InputError(f"{row['path']}: lies outside the runs' folder")
         return path
-
-    def id_of(self, file: Path) -> str:
-        """Short name of a recording below the folder (raises InputError for one that is not)."""
-        try:
-            return run_id(file.resolve().relative_to(self.folder).as_posix())
-        except ValueError as error:
-            raise InputError(f"{file}: is not below {self.folder}") from error
 
     def remarks(self, row: Row) -> Remarks:
         """Tags and notes of a run, from the file beside it (raises InputError)."""

@@ -90,6 +90,8 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
                 live.stop() if live.is_started else live.start()  # while it holds, nothing is drawn over what is typed
 
         yield show
+    if not screen.is_terminal:
+        screen.line()  # a terminal's cursor is left on a new line; in a log, what follows would go on in the same
 
 
 def narrow_lines(status: Status) -> str:

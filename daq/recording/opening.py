@@ -43,7 +43,7 @@ def open_quickly(path: Path) -> Recording | None:
         When it is not a recording, or cannot be read.
     """
     if not path.is_file():
-        raise InputError(f"{path}: no such file.")
+        raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}.")
     found = check_tables(path)
     return None if found is None or found.seal_differs else open_checked(path, found)
 
@@ -74,14 +74,17 @@ def differing_blocks(recording: Recording) -> list[str]:
 def require_file(path: Path) -> None:
     """Refuse what cannot be an HDF5 file (raises InputError)."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file.")
+        raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}.")
     try:
         with path.open("rb") as raw:
             head, tail = raw.read(len(SIGNATURE)), check(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     if head != SIGNATURE and tail is None and not h5py.is_hdf5(path):
-        raise InputError(f"{path}: cannot be read as HDF5 (it does not begin as one).")
+        raise InputError(
+            f"{path}: cannot be read as HDF5 (it does not begin as one); other files become recordings with "
+            f"bench import {path} --profile P.toml --out REC.h5."
+        )
 
 
 def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recording:
@@ -132,7 +135,7 @@ def require_recording(path: Path, file: Any) -> None:
     if file.attrs.get("format") != FORMAT:
         raise InputError(
             f"{path}: is HDF5 but not a recording of this software (attribute format is "
-            f"{file.attrs.get('format')!r}); turn it into one: bench import {path} --profile P.toml --out REC.h5"
+            f"{file.attrs.get('format')!r}); turn it into one: bench import {path} --profile P.toml --out REC.h5."
         )
     if int(file.attrs["format_version"]) > FORMAT_VERSION:
         raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")

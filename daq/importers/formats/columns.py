@@ -32,6 +32,7 @@ _ALIASES = {
 TIME_UNITS_S = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 VOLT_UNITS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3}
 ACCELERATION_UNITS = {"g": "V/g", "m/s^2": "V/(m/s^2)", "m/s2": "V/(m/s^2)", "mps2": "V/(m/s^2)"}
+MAP_UNITS = "s ms us ns V mV fs g m/s^2"  # as bench import --help has them
 RATE_NAMES = {"rate", "ratehz", "fs", "samplerate", "samplingrate", "sampleratehz", "fshz"}
 
 
@@ -77,7 +78,7 @@ def listed(names: Sequence[str]) -> str:
     """Names for an error: the first few, without what would steer a terminal."""
     few = ["".join(c if c.isprintable() else "?" for c in name[:_SHOWN_CHARACTERS]) for name in names[:_SHOWN]]
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(few) + more
+    return (", ".join(few) or "none") + more
 
 
 def parse_map(items: Sequence[str]) -> dict[str, Column]:
@@ -188,8 +189,9 @@ def _mapped(source: Source, role: str, column: Column) -> Column:
         elif column.name.isdigit() and 1 <= int(column.name) <= len(source.names):
             match = source.names[int(column.name) - 1]
         else:
+            units = f"; after a colon wanted a unit: {MAP_UNITS}" if ":" in column.name else ""
             raise InputError(
-                f"{source.path}: --map {role}={column.name}: no such column; it has {listed(source.names)}."
+                f"{source.path}: --map {role}={column.name}: no such column; it has {listed(source.names)}{units}."
             )
     unit = column.unit or split_name(match)[1]
     return Column(match, unit if _unit_fits(role, unit) else "")

@@ -37,7 +37,7 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
         When the file is missing, of an unknown kind, or does not read.
     """
     if not path.is_file():
-        raise InputError(f"{path}: no such file.")
+        raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}.")
     ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
     if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat"):
         return CsvSource(path, select or {}, select_column)

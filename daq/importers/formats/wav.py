@@ -28,6 +28,8 @@ class WavSource(HeldSource):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks of other programs
                 rate, data = self._load(wavfile, path)
+        except UnboundLocalError as error:  # SciPy's, for a file that ends before its first sample
+            raise InputError(f"{path}: cannot be read as WAV (cut off before its samples); copy it again.") from error
         except (*READ_ERRORS, ZeroDivisionError) as error:
             raise InputError(f"{path}: cannot be read as WAV ({error}).") from error
         if not rate or not data.size:

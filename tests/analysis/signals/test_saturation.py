@@ -31,7 +31,8 @@ def test_a_sine_that_turns_at_its_ends_does_not_stand_there(amplitude: float, no
 
 
 def test_steps_of_a_saturated_accelerometer_are_told_and_left_out(make, tmp_path: Path) -> None:
-    """A sensor that ends at 1.2 g, both tones together reach twice gamma: steps beyond are named in a warning, and no closed loop uses them."""
+    """A sensor that ends at 1.2 g, and both tones together reach twice gamma: steps beyond are named in a warning, and
+    no closed loop uses them."""
     with open_recording(make([0.3, 0.5, 0.8, 0.9], hold=20).path) as source:
         codes = np.column_stack([source.codes(name) for name in source.channels])
         at = source.channels.index("accelerometer")

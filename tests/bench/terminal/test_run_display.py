@@ -65,6 +65,7 @@ def test_the_display_draws_and_keeps_quiet(tmp_path: Path, capsys) -> None:
         show(status)
     out = capsys.readouterr()
     assert out.out == "" and "of the limits: drive" in out.err and "contact alive" in out.err
+    assert out.err.endswith("\n"), "what is written after it to a log begins a line"
     with run_display(quiet=True) as show:
         show(status)
     assert capsys.readouterr() == ("", "")

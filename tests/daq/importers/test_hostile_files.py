@@ -17,7 +17,7 @@ import pytest
 from scipy.io import savemat
 
 from daq.export.export import export
-from daq.importers.formats.columns import assign, listed
+from daq.importers.formats.columns import assign, listed, parse_map
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import open_recording
@@ -245,3 +245,25 @@ def test_noise_is_no_recording(tmp_path: Path, setup: Setup, ending: str, start:
     raw.write_bytes(start + bytes(4000))
     with pytest.raises(InputError):
         bring_in(raw, setup)
+
+
+def test_a_wav_file_cut_off_in_its_head(tmp_path: Path, setup: Setup) -> None:
+    """A WAV file that ends before its format or its samples is refused by name, with what to do."""
+    raw = tmp_path / "a.wav"
+    raw.write_bytes(b"RIFF\0\0\0\0WAVE")
+    with pytest.raises(InputError, match=r"a\.wav: cannot be read as WAV .*copy it again"):
+        bring_in(raw, setup)
+
+
+def test_what_is_no_table_is_named(tmp_path: Path, setup: Setup) -> None:
+    """A folder is called a folder, a file without columns has none, and an unknown unit brings the known ones."""
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(InputError, match="is a folder; wanted a file"):
+        bring_in(tmp_path / "a.csv", setup)
+    h5py.File(tmp_path / "a.h5", "w").close()
+    with pytest.raises(InputError, match="among none; wanted accelerometer_v"):
+        bring_in(tmp_path / "a.h5", setup)
+    raw = tmp_path / "b.csv"
+    np.savetxt(raw, np.column_stack(list(columns().values())), "%.9g", ",", header=",".join(NAMES), comments="")
+    with pytest.raises(InputError, match=r"no such column.*wanted a unit: s ms us"):
+        assign(open_source(raw), parse_map(["accelerometer=accelerometer_v:furlong"]))

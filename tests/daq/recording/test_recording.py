@@ -187,7 +187,7 @@ def test_other_files_are_not_taken_for_recordings(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         open_recording(tmp_path / "none.h5")
     (tmp_path / "text.h5").write_text("hello")
-    with pytest.raises(InputError, match="cannot be read as HDF5"):
+    with pytest.raises(InputError, match=r"cannot be read as HDF5.*bench import"):
         open_recording(tmp_path / "text.h5")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = [1, 2]
