@@ -337,11 +337,13 @@ def _alternatives(loop: ClosedLoop) -> str:
 def _remains(loop: ClosedLoop) -> str:
     left = loop.remainder
     words = (
-        f"<p>Residuals over their noise: {left.ratio:.2f} times (flights), {left.plate_rms_z:.2f} times (plate); "
-        f"so much lack of fit by chance: {html.escape(probability(left.p_lack_of_fit))}.</p>"
+        f"<p>Residuals over their noise: {left.ratio:.2f} times (flights), {left.plate_rms_z:.2f} times (plate). "
+        f"Chance that noise alone leaves such a pattern in them: {html.escape(probability(left.p_lack_of_fit))}.</p>"
     )
     if left.covariate:
-        words += f"<p>What is left goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
+        words += f"<p>The pattern goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
+        if loop.verdict != "unexplained":
+            words += "<p>It is no larger than the noise: a quiet or long run shows trifles that no flight needs.</p>"
     if loop.discovered is not None:
         words += f"<p>Discovered: {html.escape(loop.discovered.description)}.</p>"
     notes = "".join(f"<li>{plain_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))
