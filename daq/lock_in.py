@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from daq.lock_in_kernel import accumulate, add_rows, invert
+from daq.lock_in_kernel import accumulate, add_sorts, invert
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -208,14 +208,10 @@ class LockIn:
 
     def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
         """Sums over the chosen sorts as those of one sort."""
-
-        def total(values: Floats) -> Floats:
-            out = np.zeros((1, *values.shape[1:]))
-            add_rows(values.reshape(len(values), -1), chosen, out.reshape(-1))
-            return out
-
-        counts = self._counts[chosen].sum()[None]
-        return self._of_sums(total(self._grams), total(self._sides), total(self._squares), counts)
+        own = self._grams, self._sides, self._squares, self._counts
+        sums = tuple([np.zeros((1, *each.shape[1:]), each.dtype) for each in own])
+        add_sorts(chosen, *own, *sums)
+        return self._of_sums(*sums)
 
     def only(self, tones: Mask) -> LockIn:
         """The fit of the chosen ``tones`` (k,) alone, of all sorts, from the sums there are; not to be added to."""
@@ -233,6 +229,11 @@ class LockIn:
         total._squares[0] = self._squares.sum(axis=0) + other._squares.sum(axis=0)
         total._counts[0] = self.n + other.n
         return total
+
+    def __sub__(self, other: LockIn) -> LockIn:
+        """The fit without the values of ``other``, which are some of these (same tones, same channels, one sort)."""
+        sums = self._grams - other._grams, self._sides - other._sides, self._squares - other._squares
+        return self._of_sums(*sums, self._counts - other._counts)
 
     def inverse(self) -> Floats:
         """Inverse of the normal matrix; raises ``ValueError`` when the values cannot tell the tones apart."""
@@ -281,8 +282,8 @@ def solved(frequencies_hz: Floats, inverse: Floats, side: Floats, square: float,
         Sum of the values' squares.
     n : int
     """
-    solutions, variances = _solutions(inverse[None], side[None], np.array([square]), np.array([n]))
-    solution, variance = solutions[0], float(variances[0])
+    solution = inverse @ side
+    variance = max(square - float(solution @ side), 0.0) / (n - side.size)
     # column pairs are (cos, -sin), so the unknowns are Re z and Im z
     return ToneFit(
         frequencies_hz=frequencies_hz,

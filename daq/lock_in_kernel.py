@@ -78,30 +78,49 @@ def accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _add_products(rows, start, stop, gram, side, square):  # type: ignore[no-untyped-def]
     """Add products summed over columns ``start`` to ``stop``: tones with tones, channels with tones and themselves."""
+    n = rows.shape[0]
+    for a in range(0, n, 2):  # two by two: each value that is read is used twice
+        a0, a1 = rows[a, start:stop], rows[min(a + 1, n - 1), start:stop]
+        for b in range(0, a + 1, 2):
+            b0, b1 = rows[b, start:stop], rows[min(b + 1, n - 1), start:stop]
+            first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+            for i in range(a0.size):
+                first += a0[i] * b0[i]
+                second += a0[i] * b1[i]
+                third += a1[i] * b0[i]
+                fourth += a1[i] * b1[i]
+            _add_product(a, b, first, gram, side, square)
+            if b + 1 <= a:
+                _add_product(a, b + 1, second, gram, side, square)
+            if a + 1 < n:
+                _add_product(a + 1, b, third, gram, side, square)
+                _add_product(a + 1, b + 1, fourth, gram, side, square)
+
+
+@njit(error_model="numpy")
+def _add_product(a, b, total, gram, side, square):  # type: ignore[no-untyped-def]
+    """Add a product of rows ``b <= a``: tones come first, then channels."""
     p = gram.shape[0]
-    for a in range(rows.shape[0]):
-        own = rows[a, start:stop]
-        for b in range(min(a + 1, p)):
-            other, total = rows[b, start:stop], 0.0
-            for i in range(own.size):
-                total += own[i] * other[i]
-            if a < p:
-                gram[a, b] += total
-            else:
-                side[b, a - p] += total
-        if a >= p:
-            total = 0.0
-            for i in range(own.size):
-                total += own[i] * own[i]
-            square[a - p] += total
+    if a < p:
+        gram[a, b] += total
+    elif b < p:
+        side[b, a - p] += total
+    elif a == b:
+        square[a - p] += total
 
 
 @njit()
-def add_rows(values, chosen, out):  # type: ignore[no-untyped-def]
-    """Add the ``chosen`` rows of ``values`` (m, n) to ``out`` (n,), one after the other."""
-    for row in chosen:
-        for i in range(out.shape[0]):
-            out[i] += values[row, i]
+def add_sorts(chosen, grams, sides, squares, counts, gram, side, square, count):  # type: ignore[no-untyped-def]
+    """Add the sums of the ``chosen`` sorts, one after the other, to those of the only sort of the last four."""
+    for s in chosen:
+        count[0] += counts[s]
+        for a in range(grams.shape[1]):
+            for b in range(grams.shape[2]):
+                gram[0, a, b] += grams[s, a, b]
+            for c in range(sides.shape[2]):
+                side[0, a, c] += sides[s, a, c]
+        for c in range(squares.shape[1]):
+            square[0, c] += squares[s, c]
 
 
 @njit(error_model="numpy")

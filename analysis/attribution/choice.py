@@ -42,6 +42,14 @@ class Judge:
         lead = self.gain(x, best)
         return not self.finds(x, best) and not lead.exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
 
+    def refuted(self, x: Hypothesis, beside: Hypothesis) -> bool:
+        """Whether ``x`` leaves more than noise where another hypothesis does not.
+
+        That refutes it, however much steps differ in how clearly they tell the two apart.
+        """
+        ratio = self.limits.noise_like_ratio
+        return beside.noise_like(ratio) and not x.noise_like(ratio)
+
     def refusal(self, best: Hypothesis, x: Hypothesis, depth: int, chance: ChanceGains | None = None) -> str | None:
         """Reason in words that forbids ``x`` in place of ``best``; None where nothing does.
 

@@ -56,11 +56,14 @@ class Hypothesis:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))
 
-    def noise_like(self, ratio: float) -> bool:
-        """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms."""
+    def noise_like(self, ratio: float, plate_ratio: float | None = None) -> bool:
+        """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms.
+
+        ``plate_ratio`` is that of plate data where it is another.
+        """
         world, values = self.fitted.fitter.world, self.fitted.values
         flights = rms_standardised(world, values, world.uncertainty(values))
-        return flights < ratio and plate_rms_standardised(world, values) < ratio
+        return flights < ratio and plate_rms_standardised(world, values) < (plate_ratio or ratio)
 
 
 class Refits:

@@ -34,7 +34,8 @@ class Pruning:
             free = tuple(k for c in rest for k in c.free)
             start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
             x = self.refits.scored(rest, self.refits.fitter.fit(best.whitener, free, start))
-            if not self.judge.gain(x, best).exceeds(self.limits.tie_nats, self.limits.tie_sigmas):
+            needed = self.judge.gain(x, best).exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
+            if not needed and not self.judge.refuted(x, best):
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
         return best
@@ -109,6 +110,8 @@ class Pruning:
 
     def _as_good(self, fuller: Hypothesis, x: Hypothesis) -> bool:
         """Whether a special case may stand in: under the same name where it ties, under another unless beyond doubt."""
+        if self.judge.refuted(x, fuller):
+            return False
         if x.names == fuller.names:
             return self.judge.tied(fuller, x)
         return not self.judge.gain(x, fuller).exceeds(self.limits.gain_nats, self.limits.gain_sigmas)

@@ -11,6 +11,7 @@ A. Miller, Subset Selection in Regression, 2nd ed. (Chapman & Hall, 2002), chapt
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -67,12 +68,35 @@ class StepwiseSelection:
         return self.refits.converged((), Whitener.of(self.world, {}), (), {})
 
     def run(self) -> SelectionResult:
-        """Add effects one after the other while held-out steps gain."""
+        """Add effects one after the other while held-out steps gain.
+
+        Of two causes at once a third effect may gain more than either alone, and no step leads from there to both.
+        Where the first choice would end unexplained, the best one of another name is followed as well.
+        """
         before = self.declared()
-        best, rounds, tried = before, list[str](), list[Hypothesis]()
-        rivals, found = list[Hypothesis](), list[Hypothesis]()
+        found = self._round(before, self.library, 0)
+        taken, first = self._followed(before, found)
+        kin = contained_in(first)
+        others = [x for x in found if not contained_in(x.names) & kin]
+        if not others or not first or taken.best.noise_like(self.limits.lack_ratio, self.limits.plate_rms_z):
+            return taken
+        other, _ = self._followed(before, others)
+        lead = self.judge.gain(taken.best, other.best)
+        beyond_doubt = lead.exceeds(self.limits.next_effect_nats, self.limits.next_effect_sigmas)
+        if not beyond_doubt and not self.judge.refuted(taken.best, other.best):
+            return taken
+        instead = (
+            f"{' + '.join(first)}, chosen first, leaves more than noise; what follows foretells held-out steps better "
+            f"by {lead.gain:.0f} nats"
+        )
+        return replace(other, tried=taken.tried, rounds=(instead, *other.rounds))
+
+    def _followed(self, before: Hypothesis, found: list[Hypothesis]) -> tuple[SelectionResult, tuple[str, ...]]:
+        """The result of the rounds that begin with the choice among ``found``, and the names that were chosen first."""
+        best, rounds, rivals, tried = before, list[str](), list[Hypothesis](), found
         refused: list[Rejected] = []
         chance: list[ChanceTest] = []
+        first: tuple[str, ...] = ()
         rng = generator_of(self.world)
         chain = [before]
         for depth in range(self.limits.most_effects):
@@ -80,11 +104,11 @@ class StepwiseSelection:
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
             options = remaining_candidates(self.library, best) if depth else self.library
-            plain = self._special_case(best, found) if depth else None
-            found = self._round(best, options, depth)
-            if plain is not None:
-                found += self._round(plain, remaining_candidates(self.library, plain, best.names), depth)
-            tried = tried if depth else found
+            if depth:
+                plain = self._special_case(best, found)
+                found = self._round(best, options, depth)
+                if plain is not None:
+                    found += self._round(plain, remaining_candidates(self.library, plain, best.names), depth)
             accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
             chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
@@ -92,6 +116,7 @@ class StepwiseSelection:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best_by_chance(chance, depth)}")
                 break
             gain, added = self.judge.gain(best, accepted), _added(best, accepted)
+            first = first or accepted.candidates[-1].names
             rounds.append(
                 f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats "
                 f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
@@ -108,15 +133,18 @@ class StepwiseSelection:
             best = self.pruning.without_excess(best)
             ties = (best, *ties[1:])
         left = [x for x in refused if not set(x.names) <= set(best.names)]
-        return SelectionResult(
-            before,
-            best,
-            ties,
-            tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried),
-            tuple(rounds),
-            max(left, key=lambda x: x.gain, default=None),
-            tuple(chance),
-            tuple(chain[:-1]),
+        return (
+            SelectionResult(
+                before,
+                best,
+                ties,
+                tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried),
+                tuple(rounds),
+                max(left, key=lambda x: x.gain, default=None),
+                tuple(chance),
+                tuple(chain[:-1]),
+            ),
+            first,
         )
 
     def _round(self, best: Hypothesis, options: Sequence[Candidate], depth: int) -> list[Hypothesis]:
@@ -154,20 +182,15 @@ class StepwiseSelection:
         return self.judge.choose(best, found, depth, null), best, null
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """The best and every rival as good as it that is not the same motion with an idle parameter.
-
-        Where the best one leaves no more than noise, a rival that leaves more is refuted by what it leaves, however
-        much steps differ in how clearly they tell the two apart.
-        """
+        """The best and every rival as good as it that is not the same motion with an idle parameter."""
         if best is before:
             return ()
-        out, ratio = [best], self.limits.noise_like_ratio
-        explained = best.noise_like(ratio)
+        out = [best]
         z_best, _ = best.whitener.white(self.world.residuals(best.fitted.values))
         for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
             if x is best or x.names in [t.names for t in out] or not self.judge.tied(best, x):
                 continue
-            if explained and not x.noise_like(ratio):
+            if self.judge.refuted(x, best):
                 continue
             z, _ = best.whitener.white(self.world.residuals(x.fitted.values))
             same = float(np.sqrt(np.median((z - z_best) ** 2))) < self.limits.idle_rms

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.levels import Levels
+from analysis.signals.search import first_beyond
 from kernels import njit
 
 Ints = npt.NDArray[np.int64]
 
 LEAD, EARLIER, AFTER = 4, 8, 8  # samples kept around a crossing, see `Window`
-AT_ONCE = 64  # samples looked at together for whether any of them matters
 CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
 CLOSES, OPENS, DIP = -1, 1, 0  # kinds of crossing
 
@@ -81,8 +81,8 @@ class CrossingScan:
         n = _scan(fraction[pad : pad + count], self.thresholds, slow, self.state, self.lowest, first, where, kind)
         where, kind = where[:n].copy(), kind[:n].copy()
         around = np.arange(-self.around.before, self.around.after)
-        index = np.clip((where - first + pad)[:, None] + around, 0, fraction.size - 1)
-        found = Crossings(where, kind, fraction[index], self.around)
+        index = (where - first + pad)[:, None] + around
+        found = Crossings(where, kind, fraction.take(index, mode="clip"), self.around)
         self._found.append(found)
         return found
 
@@ -101,25 +101,6 @@ class CrossingScan:
         return merged
 
 
-@njit()
-def _until(x, begin, bound, above):  # type: ignore[no-untyped-def]
-    """First place from ``begin`` on where ``x`` is above the bound, or else below it; the end where it never is."""
-    while begin < x.shape[0]:
-        some, hits = x[begin : begin + AT_ONCE], 0
-        if above:
-            for v in some:
-                hits += v > bound
-        else:
-            for v in some:
-                hits += v < bound
-        if hits:
-            for i in range(some.shape[0]):
-                if some[i] > bound if above else some[i] < bound:
-                    return begin + i
-        begin += some.shape[0]
-    return begin
-
-
 @njit(error_model="numpy")
 def _scan(x, thresholds, slow, state, lowest, first, where, kind):  # type: ignore[no-untyped-def]
     """Hysteresis over one piece; ``state`` and ``lowest`` persist between pieces."""
@@ -132,7 +113,7 @@ def _scan(x, thresholds, slow, state, lowest, first, where, kind):  # type: igno
     while i + 1 < x.shape[0]:
         i += 1
         if s in (CLOSED, OPEN):  # mostly nothing happens for long
-            i = _until(x, i, high if s == CLOSED else dip, s == CLOSED)
+            i = first_beyond(x, i, high if s == CLOSED else dip, s == CLOSED)
             if i == x.shape[0]:
                 break
         v = x[i]

@@ -254,7 +254,8 @@ def fit_edges(
     sigma_y = noise * np.maximum(shape.chi, own)  # an edge of another shape is less certain
     last = before + np.maximum(room - 2 * stretch, 0)
     use = (columns >= first[:, None]) & (columns <= np.maximum(last, first)[:, None])
-    w = np.where(use, np.exp(-(columns - first[:, None]) * dt / shape.tau_s), 0.0)
+    decay = np.exp(-columns * dt / shape.tau_s)  # of the samples from the first moved one on
+    w = np.where(use, decay[np.maximum(columns - first[:, None], 0)], 0.0)
     power = (w**2).sum(axis=1)
     # u = exp(-d / tau), d from the edge to the first moved sample
     u, sigma_u = (y * w).sum(axis=1) / power, sigma_y / np.sqrt(power)

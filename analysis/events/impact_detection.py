@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.impact_template import FINE, LEAD, LENGTH, ImpactTemplate
+from analysis.signals.search import first_beyond
 from analysis.signals.stream import block_means
 from kernels import njit
 
@@ -151,30 +152,30 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
             for i in range(n):
                 first = t0 * own[i] + t1 * own[i + 1] + t2 * own[i + 2] + t3 * own[i + 3]
                 total[i] += first + t4 * own[i + 4] + t5 * own[i + 5] + t6 * own[i + 6] + t7 * own[i + 7]
-    n = 0
-    last = -length
-    for i in range(count):
-        v = out[i]
-        if v > limit:
-            if i - last >= LEAD:
-                found[n] = pad + i
-                n += 1
-                last = i
-            elif v > out[found[n - 1] - pad]:
-                found[n - 1] = pad + i
-                last = i
+    n, last, i = 0, -length, first_beyond(out, 0, limit, True)
+    while i < count:
+        if i - last >= LEAD:
+            found[n] = pad + i
+            n += 1
+            last = i
+        elif out[i] > out[last]:
+            found[n - 1] = pad + i
+            last = i
+        i = first_beyond(out, i + 1, limit, True)
     return n
 
 
 @njit(error_model="numpy")
 def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
     """Add the template, begun ``lag`` samples before the snippet, to the snippet ``out``."""
-    for k in range(out.shape[0]):
-        position = (k + lag) * FINE
-        j = int(np.floor(position))
-        if 0 <= j < fine.shape[0] - 1:
-            share = position - j
-            out[k] += size * ((1.0 - share) * fine[j] + share * fine[j + 1])
+    first = int(np.floor(lag * FINE))
+    share = lag * FINE - first  # the same for all samples, which are whole numbers of points apart
+    before, after = size * (1.0 - share), size * share
+    begin = max((FINE - 1 - first) // FINE, 0)
+    end = min((fine.shape[0] - 2 - first) // FINE + 1, out.shape[0])
+    for k in range(begin, end):
+        j = first + k * FINE
+        out[k] += before * fine[j] + after * fine[j + 1]
 
 
 @njit(error_model="numpy", fastmath={"contract", "nsz"})
@@ -251,11 +252,12 @@ def _time(x, offset, found, count, fine, columns, norms, projector, limit, out, 
 @njit(error_model="numpy")
 def _subtract(x, offset, table, fine, width):  # type: ignore[no-untyped-def]
     """Subtract every impact's template, ``width`` samples a sample, from ``x`` (``x[0]`` is sample ``offset``)."""
+    points = FINE / width
     for row in range(table.shape[0]):
         begin = int(np.ceil(table[row, 0])) - LEAD * width
         for sample in range(max(begin, offset), min(begin + fine.shape[0] // FINE * width, offset + x.shape[0])):
-            position = ((sample - table[row, 0]) / width + LEAD) * FINE
-            j = int(np.floor(position))
-            if 0 <= j < fine.shape[0] - 1:
+            position = (sample - table[row, 0]) * points + LEAD * FINE
+            j = int(position)
+            if position >= 0.0 and j < fine.shape[0] - 1:
                 share = position - j
                 x[sample - offset] -= np.float32(table[row, 1] * ((1.0 - share) * fine[j] + share * fine[j + 1]))

@@ -160,9 +160,9 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
     share = position - low
     top, bottom = np.zeros(points + 2), np.zeros(points + 2)
     for index, part in ((low, 1.0 - share), (low + 1, share)):
-        inside = np.minimum(index, points + 1)
-        np.add.at(top, inside, part * weight * flat)
-        np.add.at(bottom, inside, part * weight**2)
+        inside = np.minimum(index, points + 1).ravel()
+        top += np.bincount(inside, (part * weight * flat).ravel(), points + 2)
+        bottom += np.bincount(inside, (part * weight**2).ravel(), points + 2)
     known = bottom > MIN_WEIGHT * np.quantile(bottom[:points], 0.9)  # a weak landing alone would amplify the noise
     grid = np.arange(points)
     mean, known = top / np.where(known, bottom, 1.0), known[:points]

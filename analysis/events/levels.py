@@ -57,17 +57,18 @@ class Levels:
         return np.array([LOW, HIGH, 1.0 - min(max(DIP_SIGMAS * noise, MIN_DIP), MAX_DIP)])
 
 
-def measure_levels(volts: Floats, declared_closed_v: float, declared_open_v: float) -> Levels:
-    """Levels and noise from a sample of continuity volts, ``volts`` shape (n,).
+def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, declared_open_v: float) -> Levels:
+    """Levels and noise from a sample of continuity volts, ``read`` shape (n,).
 
     A plateau follows sixteen samples (four, where no plateau is so long) on one side of the declared middle, or more
     where edges are slow. Without a plateau the declared level stands.
     """
-    found = _on_plateaus(volts, declared_closed_v, declared_open_v, 1)
+    step_v, volts = _step_v(read), read.astype(np.float64, copy=False)
+    found = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, 1)
     found = replace(found, rise_samples=_rise_samples(volts, found.closed_v, found.swing_v))
     if found.stretch == 1:
         return found
-    settled = _on_plateaus(volts, declared_closed_v, declared_open_v, found.stretch)
+    settled = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, found.stretch)
     return replace(settled, rise_samples=found.rise_samples)
 
 
@@ -92,7 +93,9 @@ def _edge_lengths(volts, closed_v, swing_v):  # type: ignore[no-untyped-def]
     return lengths[:found].copy()
 
 
-def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float, stretch: int) -> Levels:
+def _on_plateaus(
+    volts: Floats, step_v: float, declared_closed_v: float, declared_open_v: float, stretch: int
+) -> Levels:
     """Levels and noise where the voltage has been on one side for `PLATEAU_SAMPLES`, times ``stretch``."""
     swing = declared_open_v - declared_closed_v
     side = (volts - declared_closed_v) / swing > 0.5
@@ -110,11 +113,11 @@ def _on_plateaus(volts: Floats, declared_closed_v: float, declared_open_v: float
             continue
         level = float(np.median(plateau))
         near = plateau[np.abs(plateau - level) < NEAR_LEVEL * abs(swing)]
-        level = float(np.median(near)) if near.size else level
+        level = float(np.median(near)) if 0 < near.size < plateau.size else level
         deviation = np.abs(near - level)
         spreads.append(_core_rms(deviation))
         levels.append(level if near.size > 0.5 * plateau.size else declared)
-    noise = max([*spreads, _step_v(volts) / np.sqrt(12.0), 1e-6 * abs(swing)])
+    noise = max([*spreads, step_v / np.sqrt(12.0), 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)
 
 
@@ -130,9 +133,9 @@ def _settled(volts, side, wanted, before, length):  # type: ignore[no-untyped-de
     return out[:found].copy()
 
 
-def _step_v(volts: Floats) -> float:
+def _step_v(volts: npt.NDArray[np.floating]) -> float:
     """Step of the converter: smallest distance of two values, ones that rounding has set apart taken as one."""
-    values = np.unique(volts)
+    values = np.unique(volts).astype(np.float64)
     apart = np.diff(values)
     apart = apart[apart > ROUNDING * np.abs(values).max(initial=0.0)]
     return float(apart.min()) if apart.size else 0.0

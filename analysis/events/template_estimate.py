@@ -7,7 +7,7 @@ between the template's onset and the contact edge.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -43,8 +43,19 @@ N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind 
 MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
 
 
+@dataclass(frozen=True)
+class _Stretch:
+    """Part of a step in a piece: its first sample, its place there, the normal equations of all its samples, and which
+    of their tones are always fitted."""
+
+    start: int
+    own: slice
+    every: LockIn
+    main: npt.NDArray[np.bool_]
+
+
 def estimate_template(
-    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, gaps: Ints | None = None
+    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, noise_v: float, gaps: Ints | None = None
 ) -> ImpactTemplate | None:
     """Impact template from a few pieces of a recording.
 
@@ -56,6 +67,8 @@ def estimate_template(
         Frequencies filled in.
     rate_hz
         Sampling rate.
+    noise_v
+        White noise of the accelerometer, see `noise_of`.
     gaps : int array, shape (k, 2)
         Sample before which samples were lost, and how many: the motion's phase jumps there.
 
@@ -65,12 +78,14 @@ def estimate_template(
         None where the accelerometer shows no impacts.
     """
     width = thinning(rate_hz)
-    pieces, rate_hz = [piece.thinned(width) for piece in pieces], rate_hz / width
-    noise_v = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in pieces]))
+    if width > 1:
+        pieces, rate_hz = [piece.thinned(width) for piece in pieces], rate_hz / width
+        noise_v = noise_of(pieces)
     steps = _unbroken(steps, np.zeros(0, np.int64) if gaps is None else gaps[:, 0], width)
     tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
     few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, N_BASIS_TONES).astype(int))]
-    still = [_without_motion(piece, np.zeros(0), steps, rate_hz) for piece in pieces]
+    stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
+    still = [_without_motion(*both, np.zeros(0), rate_hz) for both in zip(pieces, stretches, strict=True)]
     places = [_onsets(volts, fitted, noise_v) for volts, fitted in still]
     template = None
     for turn in range(N_ALIGNMENTS):
@@ -89,8 +104,13 @@ def estimate_template(
             detector.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
             own = detector.impacts().time_s * rate_hz + piece.pad
             places.append(own)
-            still[k] = _without_motion(piece, own, steps, rate_hz)
+            still[k] = _without_motion(piece, stretches[k], own, rate_hz)
     return None if template is None else replace(template, width=width)
+
+
+def noise_of(pieces: list[Piece]) -> float:
+    """White noise of the accelerometer, in volts: the median of the pieces'."""
+    return float(np.median([white_noise(piece.own("accelerometer").astype(np.float64)) for piece in pieces]))
 
 
 def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDArray[np.void]:
@@ -134,16 +154,10 @@ def _snippets(volts: Floats, fitted: npt.NDArray[np.bool_], places: Floats, echo
     return volts[index[usable]], fractions[usable]
 
 
-def _without_motion(
-    piece: Piece, places: Floats, steps: npt.NDArray[np.void], rate_hz: float
-) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Accelerometer volts less each step's tones (fitted outside impacts), and the samples where a fit was possible."""
+def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> list[_Stretch]:
+    """The parts of steps in a piece that are long enough to fit their motion."""
     volts = piece.channels["accelerometer"].astype(np.float64)
-    fitted = np.zeros(volts.size, dtype=np.bool_)
-    quiet = np.ones(volts.size, dtype=np.bool_)
-    for place in places.astype(np.int64):
-        quiet[max(place - 4, 0) : max(place + int(MASK_S * rate_hz), 0)] = False
-    ends = steps["first_sample"] + steps["n_samples"]
+    ends, found = steps["first_sample"] + steps["n_samples"], []
     for row in steps[(ends > piece.first) & (steps["first_sample"] < piece.last)]:
         start = max(int(row["first_sample"] + row["settle_samples"]), piece.first)
         stop = min(int(row["first_sample"] + row["n_samples"]), piece.last)
@@ -152,30 +166,47 @@ def _without_motion(
         own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
         if share_at_an_end(volts[own]) > STANDS:
             continue  # the edges of what is cut off would look like impacts
+        first, ratio = float(row["frequency_hz"]), int(row["ratio"])
+        tones_hz = first * np.array(multiples_of(ratio))
+        tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, (stop - start) / rate_hz))
+        every = LockIn(rate_hz, tones_hz)
+        every.add(volts[own], start)
+        found.append(_Stretch(start, own, every, np.isin(tones_hz, first * np.unique([1, 2, 3, ratio]))))
+    return found
+
+
+def _without_motion(
+    piece: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Accelerometer volts less each step's tones (fitted outside impacts), and the samples where a fit was possible."""
+    volts = piece.channels["accelerometer"].astype(np.float64)
+    fitted = np.zeros(volts.size, dtype=np.bool_)
+    ringing = np.zeros(volts.size, dtype=np.bool_)
+    for place in places.astype(np.int64):
+        ringing[max(place - 4, 0) : max(place + int(MASK_S * rate_hz), 0)] = True
+    for part in stretches:
+        own = part.own
         try:
-            fit = _motion(volts[own], start, rate_hz, row, quiet[own])
+            fit = _motion(part, volts[own], ringing[own])
         except ValueError:  # too few unmasked samples in this piece of the step
             continue
         volts[own] -= fit.offset
-        _subtract_tones(volts[own], start, fit.frequencies_hz / rate_hz, fit.amplitudes)
+        _subtract_tones(volts[own], part.start, fit.frequencies_hz / rate_hz, fit.amplitudes)
         fitted[own] = True
     return volts, fitted
 
 
-def _motion(volts: Floats, start: int, rate_hz: float, row: np.void, quiet: npt.NDArray[np.bool_]) -> ToneFit:
-    """Plate tones in a piece of a step: the main ones, and harmonics and mains lines that are significant.
+def _motion(part: _Stretch, volts: Floats, ringing: npt.NDArray[np.bool_]) -> ToneFit:
+    """Plate tones outside impacts: the main ones, and harmonics and mains lines that are significant.
 
     Hum and distortion left in would look like ringing; absent harmonics would fit noise into the masked intervals.
     """
-    first = float(row["frequency_hz"])
-    main = first * np.unique([1, 2, 3, row["ratio"]])
-    tones_hz = first * np.array(multiples_of(int(row["ratio"])))
-    tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, volts.size / rate_hz))
-    every = LockIn(rate_hz, tones_hz)
-    every.add(volts, start, quiet)
-    fit = every.solve()
-    present = np.isin(tones_hz, main) | (np.abs(fit.amplitudes) > SIGNIFICANT * fit.amplitude_sigma())
-    return fit if present.all() else every.only(present).solve()
+    masked = LockIn(part.every.rate_hz, part.every.frequencies_hz)
+    masked.add(volts, part.start, ringing)  # few samples: the sums over the others are not made anew
+    outside = part.every - masked
+    fit = outside.solve()
+    present = part.main | (np.abs(fit.amplitudes) > SIGNIFICANT * fit.amplitude_sigma())
+    return fit if present.all() else outside.only(present).solve()
 
 
 @njit(error_model="numpy")

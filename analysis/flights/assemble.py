@@ -20,6 +20,7 @@ from analysis.plate.motion import PlateMotion
 from analysis.statistics import nearest
 from daq.recording import Recording
 from daq.setup.setup import Setup
+from kernels import njit
 
 __all__ = ["FlightFlag", "Flights", "flights_of", "write_csv"]
 
@@ -287,23 +288,40 @@ def _hidden(
     plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Ints, flags: Ints
 ) -> Ints:
     """Flag `UNSURE` where a ball leaving from rest in free flight would have met the plate well before its landing."""
-    out = np.zeros(takeoff.size, dtype=np.int64)
     skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT | FlightFlag.RELAUNCHED
     rest = ((flags & int(skip)) == 0) & ((contact > RESTED_S) | np.isnan(contact))
-    for k in np.unique(step[rest]):
-        fitted = plate.steps[k] if 0 <= k < len(plate.steps) else None
-        if fitted is None:
-            continue
-        motion = fitted.forcing()
-        index = np.flatnonzero(rest & (step == k))
-        start = plate.true_time_s(takeoff[index])[:, None]
-        since = np.linspace(0.0, 1.0, HIDDEN_POINTS)[None, 1:] * (landing - takeoff)[index, None]
-        moved = motion.position_at(start + since) - motion.position_at(start)
-        height = motion.velocity_at(start) * since - 0.5 * g * since**2 - moved
-        early = height[:, :HIDDEN_BEFORE]
-        suspicious = early.min(axis=1) < -HIDDEN_DEPTH * np.maximum(np.abs(height).max(axis=1), 1e-6)
-        out[index[suspicious]] |= int(FlightFlag.UNSURE)
+    index = np.flatnonzero(rest & np.isfinite(plate.frequency_hz(step)))
+    omega, z = plate.forcing_tones(step[index])
+    start_s, step_s = plate.true_time_s(takeoff[index]), (landing - takeoff)[index] / (HIDDEN_POINTS - 1)
+    moving = omega != 0.0
+    place = np.where(moving, -z / np.where(moving, omega, 1.0) ** 2 * np.exp(1j * omega * start_s), 0.0)
+    speed = (1j * omega * place).real.sum(axis=0)
+    lowest, highest = np.empty(index.size), np.empty(index.size)
+    _clearances(place, np.exp(1j * omega * step_s), speed, step_s, g, lowest, highest)
+    out = np.zeros(takeoff.size, dtype=np.int64)
+    out[index[lowest < -HIDDEN_DEPTH * np.maximum(highest, 1e-6)]] = int(FlightFlag.UNSURE)
     return out
+
+
+@njit(error_model="numpy")
+def _clearances(place, turn, speed, step_s, g, lowest, highest):  # type: ignore[no-untyped-def]
+    """Least clearance of each path from rest well before its end, and its largest distance from the plate, m.
+
+    The plate's place is the real part of the sum of its tones ``place`` (2, n), which turn by ``turn`` (2, n) from each
+    point of a path to the next, ``step_s`` (n,) later; a path begins with ``speed`` (n,).
+    """
+    for i in range(speed.shape[0]):
+        first, second, t = place[0, i], place[1, i], 0.0
+        begin, low, high = first.real + second.real, 1e300, 0.0
+        for k in range(1, HIDDEN_POINTS):
+            first *= turn[0, i]
+            second *= turn[1, i]
+            t += step_s[i]
+            height = (speed[i] - 0.5 * g * t) * t - (first.real + second.real - begin)
+            high = max(high, abs(height))
+            if k <= HIDDEN_BEFORE:
+                low = min(low, height)
+        lowest[i], highest[i] = low, high
 
 
 def _gammas(found: Scan, step: Ints) -> Floats:

@@ -24,4 +24,4 @@ def plausibility_warnings(recording: Recording, plate: PlateMotion) -> list[str]
     if "drive" in recording.channels and steps:
         rows = [(s.gamma_drive, s.gamma, s.gamma_uncertainty) for s in steps]
         found += plate_warnings(np.array(rows, [(name, np.float64) for name in GAMMAS]), recording.setup)
-    return [*found, *filter(None, [plate.saturation()])]
+    return [*found, *plate.saturation_warnings()]

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
 from analysis.events.crossings import OPENS, Crossings, CrossingScan
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
-from analysis.events.impact_template import ImpactTemplate, white_noise
+from analysis.events.impact_template import ImpactTemplate
 from analysis.events.levels import Levels, measure_levels
-from analysis.events.template_estimate import estimate_template
+from analysis.events.template_estimate import estimate_template, noise_of
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.coloured_noise import with_coloured_noise
 from analysis.plate.motion import PlateMotion
@@ -133,17 +133,16 @@ def survey(recording: Recording) -> Survey:
         )
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
-    noise = float(np.median([white_noise(p.own("accelerometer").astype(np.float64)) for p in looked]))
-    template = estimate_template(looked, resolved_steps(recording), recording.rate_hz, recording.gaps)
+    noise = noise_of(looked)
+    template = estimate_template(looked, resolved_steps(recording), recording.rate_hz, noise, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
         return Survey(None, noise, template)
-    volts = [p.own("continuity").astype(np.float64) for p in looked]
+    volts = [p.own("continuity") for p in looked]
     if contact.coupling == "ac":
-        coupling = measure_coupling(volts, contact.swing_v, recording.rate_hz)
+        coupling = measure_coupling([own.astype(np.float64) for own in volts], contact.swing_v, recording.rate_hz)
         return Survey(coupling.levels, noise, template, coupling)
-    sample = np.concatenate(volts)
-    return Survey(measure_levels(sample, contact.closed_v.value, contact.open_v.value), noise, template)
+    return Survey(measure_levels(np.concatenate(volts), contact.closed_v.value, contact.open_v.value), noise, template)
 
 
 def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tuple[str, ...]) -> None:

@@ -19,6 +19,7 @@ from analysis.plate.line_trials import LineTrials
 from analysis.plate.mains_lines import (
     LOBE,
     MAINS_HZ,
+    is_absent,
     lines_apart,
     refined_line,
     strongest_hz,
@@ -260,14 +261,17 @@ class StepAccumulator:
         fit, length_s = chunk.fits[0], state.blocks / self.block_rate_hz
         tones = len(state.multiples)
         every_hz = fit.frequencies_hz.copy()
-        trials = LineTrials(state, self.block_rate_hz) if len(every_hz) > tones else None
+        trials: LineTrials | None = None
         for i, line in enumerate(state.mains):
             place = next((k for k in range(tones, len(every_hz)) if every_hz[k] == line.hz), None)
-            if place is None or trials is None:
+            if place is None or (
+                trials is None and is_absent(fit, place, line, chunk.beats[:, place - tones], length_s)
+            ):
                 continue
+            trials = trials or LineTrials(state, self.block_rate_hz)
             begin_hz = line.hz
             if length_s * line.reach_hz > LOBE:
-                begin_hz = strongest_hz(trials.demodulated(fit, place), line, length_s)
+                begin_hz, _ = strongest_hz(trials.demodulated(fit, place), line, length_s)
             fit_at = partial(trials.fit_at, place)
             found = refined_line(line, place, fit_at, begin_hz, np.delete(every_hz, place), length_s)
             if found.hz != every_hz[place]:

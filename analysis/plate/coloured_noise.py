@@ -48,11 +48,14 @@ def _phase_scatter(s: StepPlate, t: int) -> tuple[float, int]:
         phase = phase - (w.drive_v[:, t] / v).imag
         variance = variance + (w.drive_uncertainty_v[:, t] / abs(v)) ** 2
     seen = np.isfinite(phase) & (variance > 0.0)
-    if seen.sum() < MIN_WINDOWS:
+    if np.count_nonzero(seen) < MIN_WINDOWS:
         return 0.0, 0
-    time_s, weight = w.time_s[seen], 1.0 / np.sqrt(variance[seen])
-    line = np.polynomial.Polynomial.fit(time_s, phase[seen], 1, w=weight)
-    return float(np.sum(((phase[seen] - line(time_s)) * weight) ** 2)), int(seen.sum()) - 2
+    time_s, phase, weight = w.time_s[seen], phase[seen], 1.0 / variance[seen]
+    total = weight.sum()
+    time_s, phase = time_s - weight @ time_s / total, phase - weight @ phase / total
+    pull = weight * time_s
+    left = phase - time_s * (pull @ phase / (pull @ time_s))
+    return float(weight @ left**2), len(left) - 2
 
 
 def _widened(s: StepPlate, factors: Sequence[float]) -> StepPlate:

@@ -6,8 +6,10 @@ frequency uncertainty is part of the covariance of all tones.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,7 @@ WALK_HZ = 0.002  # random walk of the mains frequency within a second
 SIGNIFICANT = 6.0  # amplitude over its uncertainty from which a line's frequency is refined
 MIN_CYCLES_APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
 MIN_CYCLES = 5.0  # cycles of a line within a step, to be fitted
+FAR_FROM = 0.5  # part of a significant amplitude below which a line is not fitted at other frequencies
 LOBE = 0.25  # cycles over a step by which a line may be off and still be found from its start
 TRIAL_CYCLES = 0.1  # cycles over a step between the trial frequencies: the misfit is a parabola there
 BIN_S = 0.2  # bin of a long step's search, short against a beat of `MAX_OFFSET_HZ`
@@ -57,12 +60,11 @@ class MainsLine:
 
 def with_frequency_uncertainty(fit: ToneFit, lines: Sequence[MainsLine], factor: float) -> ToneFit:
     """The fit with the lines' frequency uncertainties in its covariance; ``factor`` from volts to its unit."""
-    covariance = fit.covariance
     for line in lines:
         if line.slopes is not None:
             both = np.column_stack([line.slopes.real, line.slopes.imag]).ravel() * line.sigma_hz * factor
-            covariance = covariance + np.outer(both, both)
-    return replace(fit, covariance=covariance)
+            fit = replace(fit, covariance=fit.covariance + np.outer(both, both))
+    return fit
 
 
 def unmeasured_line(nominal_hz: float) -> MainsLine:
@@ -76,16 +78,43 @@ def lines_apart(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) ->
     return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_CYCLES_APART / length_s]
 
 
-def strongest_hz(demodulated: Complexes, line: MainsLine, length_s: float) -> float:
-    """Frequency near the line's at which the residual of a long step is strongest.
+def strongest_hz(demodulated: Complexes, line: MainsLine, length_s: float) -> tuple[float, float]:
+    """Frequency near the line's at which the residual of a long step is strongest, and how strong it is there.
 
     ``demodulated`` are its sums over successive bins of `BIN_S`, times ``exp(-2 pi i f t)`` of the line, in any unit.
     """
-    middles_s = (np.arange(len(demodulated)) + 0.5) * BIN_S
-    count = int(np.ceil(line.reach_hz * length_s / LOBE))
-    off_hz = np.arange(-count, count + 1) * LOBE / length_s
-    strength = np.abs(np.exp(-2j * np.pi * off_hz[:, None] * middles_s) @ demodulated)
-    return float(line.hz + off_hz[np.argmax(strength)])
+    off_hz, turns = _trials(math.ceil(line.reach_hz * length_s / LOBE), length_s, len(demodulated))
+    strength = np.abs(turns @ demodulated)
+    at = int(np.argmax(strength))
+    return float(line.hz + off_hz[at]), float(strength[at])
+
+
+@lru_cache(maxsize=2)
+def _trials(count: int, length_s: float, bins: int) -> tuple[Floats, Complexes]:
+    """Frequencies (2 ``count`` + 1,) off a line's at which a long step is looked at, and the turns back of its bins."""
+    off_hz = np.asarray(np.arange(-count, count + 1) * LOBE / length_s, dtype=np.float64)
+    middles_s = (np.arange(bins) + 0.5) * BIN_S
+    return off_hz, np.exp(-2j * np.pi * off_hz[:, None] * middles_s)
+
+
+def is_absent(fit: ToneFit, place: int, line: MainsLine, demodulated: Complexes, length_s: float) -> bool:
+    """Whether a line is far from significant at every frequency in its reach, told without fitting it there.
+
+    Its amplitude elsewhere is estimated with the other tones held fast. Where they are more than a cycle over the step
+    away, that is right to a small part, for which `FAR_FROM` leaves room. ``demodulated`` is as for `strongest_hz`:
+    the accelerometer in volts less all tones but the line, which is in row ``place`` of the ``fit``.
+    """
+    quadratures = fit.covariance.diagonal()[2 * place : 2 * place + 2]
+    limit = FAR_FROM * SIGNIFICANT * math.sqrt(0.5 * (quadratures[0] + quadratures[1]))
+    if not abs(fit.amplitudes[place]) < limit:
+        return False
+    if length_s * line.reach_hz <= LOBE:
+        return True
+    apart_hz = np.abs(fit.frequencies_hz - line.hz)
+    apart_hz[place] = np.inf
+    if not (float(np.minimum.reduce(apart_hz)) - line.reach_hz) * length_s > 1.0:
+        return False
+    return 2.0 * strongest_hz(demodulated, line, length_s)[1] < limit * fit.n
 
 
 def refined_line(

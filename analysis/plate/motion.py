@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plate.contact_flight_fit import ContactAndFlight, ContactFlightFit
+from analysis.plate.contact_flight_fit import ContactFlightFit
 from analysis.plate.fit_mask import FitIntervals
 from analysis.signals.saturation import STANDS
 from daq.lock_in import ToneFit
@@ -105,12 +105,13 @@ class Windows:
 
         With the step's ``drive`` amplitudes (tones,), the deviation is that beyond the drive's own in the window.
         """
-        power, wanted = float(np.sum(np.abs(tones) ** 2)), np.broadcast_to(tones, self.amplitudes.shape)
-        variance = np.sum(np.abs(tones) ** 2 * self.uncertainty_mps2**2, axis=1)
+        powers, wanted = np.abs(tones) ** 2, tones
+        variance = self.uncertainty_mps2**2 @ powers
         if drive is not None and np.all(np.abs(drive) > 0.0):
             wanted = tones * self.drive_v / drive
-            variance = variance + np.sum(np.abs(tones) ** 4 * (self.drive_uncertainty_v / np.abs(drive)) ** 2, axis=1)
-        value = np.sum((np.conj(wanted) * (self.amplitudes - wanted)).real, axis=1) / power
+            variance = variance + (self.drive_uncertainty_v / np.abs(drive)) ** 2 @ powers**2
+        power = float(np.add.reduce(powers))
+        value = np.add.reduce((np.conj(wanted) * (self.amplitudes - wanted)).real, axis=1) / power
         return np.asarray(value), np.asarray(np.sqrt(variance) / power)
 
 
@@ -138,7 +139,7 @@ class StepPlate:
     drive : ToneFit or None
         V, looped back; None where it was not recorded.
     contact_flight : ContactFlightFit
-        Separate amplitudes in contact and in flight, see `contact_and_flight`.
+        Separate amplitudes in contact and in flight, see `flight_log_gain`.
     gamma, gamma_uncertainty : float
         ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
     gamma_peak : float
@@ -181,9 +182,9 @@ class StepPlate:
     intervals: FitIntervals
 
     @cached_property
-    def contact_and_flight(self) -> ContactAndFlight | None:
-        """Forcing tones and offset of either; None where one is too short, or they cannot be separated."""
-        return self.contact_flight.solve()
+    def flight_log_gain(self) -> tuple[float, float] | None:
+        """Logarithm of the first tone's amplitude in flight over that in contact, and its standard deviation."""
+        return self.contact_flight.log_gain()
 
     @cached_property
     def lines(self) -> tuple[SpectralLine, ...]:
@@ -192,7 +193,7 @@ class StepPlate:
 
     @property
     def saturated(self) -> bool:
-        """Whether the accelerometer cuts off so much of the motion that its tones suffer."""
+        """Whether the accelerometer cuts off part of the motion, not the peaks of impacts alone."""
         return self.cut_off > STANDS
 
     @property
@@ -251,17 +252,17 @@ class PlateMotion:
     rate_hz: float
     gaps: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
-    def saturation(self) -> str:
-        """A sentence that names the steps whose accelerometer saturates; empty where there are none."""
+    def saturation_warnings(self) -> tuple[str, ...]:
+        """A sentence that names the steps whose accelerometer saturates; none where it does not."""
         those = [s for s in self.steps if s is not None and s.saturated]
         if not those:
-            return ""
+            return ()
         numbers = ", ".join(str(s.step) for s in those)
         most, least_g = max(s.cut_off for s in those), min(s.gamma_peak for s in those)
         return (
             f"the accelerometer saturates in step {numbers}: up to {most:.0%} of the samples stand at its largest or "
             "smallest value, and gamma comes out too small; closed loops leave these steps out. "
-            f"Take a sensor or a range for more than {least_g:.2g} g"
+            f"Take a sensor or a range for more than {least_g:.2g} g",
         )
 
     @property
@@ -296,6 +297,21 @@ class PlateMotion:
 
     def acceleration_mps2(self, time_s: Floats, step: npt.NDArray[np.int64]) -> Floats:
         """Plate acceleration at times within steps (the forcing's tones), m/s^2; NaN where the step was not fitted."""
+        omega, z = self.forcing_tones(step)
+        return np.asarray((z * np.exp(1j * omega * self.true_time_s(time_s))).real.sum(axis=0))
+
+    def forcing_tones(self, step: npt.NDArray[np.int64]) -> tuple[Floats, npt.NDArray[np.complex128]]:
+        """Angular frequencies in rad/s and amplitudes in m/s^2 of the forcing's tones in steps (n,), both (2, n).
+
+        The second tone of a forcing that has but one is 0 at 0 rad/s; NaN where the step was not fitted.
+        """
+        omega, z = self._forcing
+        row_of = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
+        return omega[:, row_of], z[:, row_of]
+
+    @cached_property
+    def _forcing(self) -> tuple[Floats, npt.NDArray[np.complex128]]:
+        """The forcing's tones of every step, and of none."""
         omega, z = np.full((2, len(self.steps) + 1), np.nan), np.zeros((2, len(self.steps) + 1), dtype=np.complex128)
         for k, fitted in enumerate(self.steps):
             if fitted is not None:
@@ -305,9 +321,7 @@ class PlateMotion:
                     z[row, k] = fitted.acceleration.amplitudes[at]
                 if len(fitted.forcing_multiples) == 1:
                     omega[1, k] = 0.0
-        row_of = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
-        rotation = np.exp(1j * omega[:, row_of] * self.true_time_s(time_s))
-        return np.asarray((z[:, row_of] * rotation).real.sum(axis=0))
+        return omega, z
 
     def _table(self) -> tuple[Floats, Floats]:
         omega = np.array([np.nan if s is None else s.omega_radps for s in self.steps])

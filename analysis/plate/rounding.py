@@ -18,20 +18,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.statistics import median
 from daq.lock_in import ToneFit
 
 EACH_VALUE = 4  # times that each value must come on average before the distances of values tell a converter's step
 
+MOST_COUNTS = 1 << 14  # codes that are counted one by one instead of sorted
+
 
 def converter_step(values: NDArray[Any]) -> float:
     """Distance of neighbouring values of a rounded signal, codes or volts; 0 where they do not show one."""
-    in_order = np.sort(values)
-    changes = in_order[1:] != in_order[:-1]
-    steps = int(np.count_nonzero(changes))
-    if steps < 1 or EACH_VALUE * (steps + 1) > len(values):
+    if values.dtype.kind == "i" and int(values.max()) - int(values.min()) < MOST_COUNTS:
+        different = np.flatnonzero(np.bincount(values.astype(np.int64) - int(values.min())))
+    else:
+        different = np.unique(values)
+    if different.size < 2 or EACH_VALUE * different.size > len(values):
         return 0.0
-    different = in_order[np.append(True, changes)]
-    return float(np.median(np.diff(different.astype(np.float64))))
+    return median(np.diff(different.astype(np.float64)))
 
 
 def rounding_sigma(amplitude: float, step: float, noise: float) -> float:

@@ -6,7 +6,9 @@ version stands beside it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +25,6 @@ from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording
 from daq.setup.setup import Setup
-from model.tones import Plate
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -46,10 +47,15 @@ def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ra
     return float("nan")
 
 
-def gamma_peak_of(plate: Plate, frequency_hz: float, g_mps2: float) -> float:
-    """``max(-a_p) / g`` over one period of the forcing."""
-    t = np.linspace(0.0, 1.0 / frequency_hz, PEAK_POINTS)
-    return float(np.max(-plate.acceleration_at(t))) / g_mps2
+def gamma_peak_of(amplitudes: Complexes, multiples: tuple[int, ...], g_mps2: float) -> float:
+    """``max(-a_p) / g`` over one period of the forcing, of its tones (k,) at ``multiples`` of its frequency."""
+    return -float(np.minimum.reduce((_period(multiples) @ amplitudes).real)) / g_mps2
+
+
+@cache
+def _period(multiples: tuple[int, ...]) -> Complexes:
+    """Tones of unit amplitude over a period, (`PEAK_POINTS`, k)."""
+    return np.asarray(np.exp(2j * np.pi * np.linspace(0.0, 1.0, PEAK_POINTS)[:, None] * multiples))
 
 
 def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
@@ -81,7 +87,6 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
     gamma = gamma_of(unmasked, multiples, setup, state.ratio)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
-    forcing = Plate(2 * np.pi * volts.frequencies_hz[rows], unmasked[rows])
     total.forget()  # its sums stay with the step until the recording is read to its end
     return StepPlate(
         step=state.step,
@@ -95,10 +100,10 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         acceleration=acceleration,
         unmasked_mps2=unmasked,
         drive=drive,
-        contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms, factor, zero_v),
+        contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
-        gamma_peak=gamma_peak_of(forcing, state.frequency_hz, setup.g_mps2.value),
+        gamma_peak=gamma_peak_of(unmasked[rows], tuple(multiples[r] for r in rows), setup.g_mps2.value),
         gamma_drive=_drive_gamma(drive, multiples, setup, state.ratio),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),
@@ -128,14 +133,13 @@ def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup
 def _without_modulation(fit: ToneFit, windows: Windows, rows: list[int], noise_mps2: float) -> ToneFit:
     """The fit with the power of a slow amplitude modulation, which is no noise, taken out of its residual rms."""
     tones = fit.amplitudes[rows]
-    if windows.time_s.size < MIN_WINDOWS or not np.all(np.abs(tones) > 0.0):
+    count = windows.time_s.size
+    if count < MIN_WINDOWS or fit.rms == 0.0 or not np.all(tones):
         return fit
     value, sigma = windows.relative_amplitude(tones)
-    power = 0.5 * float(np.sum(np.abs(tones) ** 2)) * max(float(np.mean(value**2) - np.mean(sigma**2)), 0.0)
+    power = 0.5 * float(np.vdot(tones, tones).real) * max(float(value @ value - sigma @ sigma) / count, 0.0)
     excess = max(fit.rms**2 - noise_mps2**2 - (1.0 + MODULATION_ERROR) * power, 0.0)
-    rms = float(np.sqrt(noise_mps2**2 + excess))
-    if fit.rms == 0.0:
-        return fit
+    rms = math.sqrt(noise_mps2**2 + excess)
     return replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2)
 
 

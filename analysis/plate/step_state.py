@@ -40,6 +40,11 @@ class Span:
     values: Floats
     block_class: npt.NDArray[np.int8]
 
+    @property
+    def last(self) -> int:
+        """One past the last block."""
+        return self.first + len(self.values)
+
     def clear(self, mask_level: int) -> npt.NDArray[np.bool_]:
         """Blocks outside the chosen mask, (n,)."""
         return self.block_class % N_MASK_LEVELS >= mask_level
@@ -64,6 +69,8 @@ class ChunkFit:
         The step's fit of accelerometer and of drive when the chunk was closed.
     intervals : FitIntervals
         Times outside the mask.
+    beats : complex array, shape (b, lines)
+        Accelerometer less all tones but a mains line, demodulated at it and summed over bins of `BIN_S`.
     """
 
     slow_s: Floats
@@ -74,6 +81,7 @@ class ChunkFit:
     noise: Floats
     fits: tuple[ToneFit, ToneFit]
     intervals: FitIntervals
+    beats: Complexes
 
 
 @dataclass

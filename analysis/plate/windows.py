@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
+from analysis.plate.mains_lines import BIN_S
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
 from analysis.statistics import median
 from daq.lock_in import ToneFit
@@ -36,7 +37,7 @@ class StepTones(NamedTuple):
     """Fit of the step that residuals are taken from: k tones, 2 channels.
 
     ``cycles`` (k,) per block, ``response`` (k,) of the block mean, ``amplitudes`` (2, k), ``offsets`` (2,), and
-    ``rows`` of the forcing's tones.
+    ``rows`` of the forcing's tones, then those of mains lines, ``forcing`` and ``lines`` many.
     """
 
     cycles: Floats
@@ -44,6 +45,13 @@ class StepTones(NamedTuple):
     amplitudes: Complexes
     offsets: Floats
     rows: Ints
+    forcing: int
+    lines: int
+
+    @property
+    def unknowns(self) -> int:
+        """Of a window: a constant, and two for each of the forcing's tones."""
+        return 2 * self.forcing + 1
 
 
 class SpanSums(NamedTuple):
@@ -64,11 +72,16 @@ class SpanSums(NamedTuple):
 
 
 class SpanWindows(NamedTuple):
-    """Windows of ``length`` blocks, ``least`` of them unmasked, else there is no window, numbered from ``counted``."""
+    """Windows of ``length`` blocks, ``least`` of them unmasked, else there is no window, numbered from ``counted``.
+
+    Beats of mains lines have bins of ``beat`` blocks, counted from block ``origin`` on.
+    """
 
     length: int
     least: float
     counted: int
+    beat: float
+    origin: int
 
 
 class Scratch(NamedTuple):
@@ -102,15 +115,19 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
         lock_in.response(),
         np.array([f.amplitudes for f in fits]),
         np.array([f.offset for f in fits]),
-        np.array(state.rows),
+        np.array([*state.rows, *range(len(state.multiples), lock_in.frequencies_hz.size)]),
+        len(state.rows),
+        lock_in.frequencies_hz.size - len(state.multiples),
     )
     group = max(int(rate_hz / (SLOW_PER_CYCLE * state.frequency_hz)), 1)
     length = max(round(WINDOW_CYCLES * rate_hz / state.frequency_hz), 1)
-    least = max(MIN_WINDOW_COVER * length, 2.0 * (2 * tones.rows.size + 1))
+    least = max(MIN_WINDOW_COVER * length, 2.0 * tones.unknowns)
+    begin, beat = state.spans[0].first, BIN_S * rate_hz
+    beats = np.zeros((int((state.spans[-1].last - 1 - begin) / beat) + 1, tones.lines), dtype=np.complex128)
     parts, intervals, counted = [], [], 0
     for span in state.spans:
-        windows = SpanWindows(length, least, counted)
-        sums, row_of = _sum_span(span, state.mask_level, group, tones, windows, rate_hz)
+        windows = SpanWindows(length, least, counted, beat, begin)
+        sums, row_of = _sum_span(span, state.mask_level, group, tones, windows, rate_hz, beats)
         keep, window, contact = _places(span.block_class, state.mask_level, row_of, length)
         intervals.append(FitIntervals.of_blocks(span.first, keep, window, contact, 1.0 / rate_hz))
         parts.append(sums)
@@ -119,21 +136,54 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     amplitudes, spread, noise = _solve_windows(tones, fits, sums)
     none = np.zeros(len(intervals), dtype=np.int64)
     whole = intervals[0] if len(intervals) == 1 else FitIntervals.join(intervals, none, none)
-    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, whole)
+    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, whole, beats)
 
 
 def _solve_windows(tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSums) -> tuple[Complexes, Floats, Floats]:
     """Amplitudes (w, tones, 2), their spread in units of the noise (w, tones), and the noise (2,)."""
-    q = 2 * tones.rows.size + 1
-    inverse = np.linalg.inv(sums.gram + RIDGE * np.eye(q))
-    solution = inverse @ sums.side
-    amplitudes = tones.amplitudes[:, tones.rows].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
-    variances = np.diagonal(inverse, axis1=1, axis2=2)
+    windows, q = sums.used.size, tones.unknowns
+    solution, variances, left = np.empty((windows, q, 2)), np.empty((windows, q)), np.add.reduce(sums.power)
+    _solve(sums.gram, sums.side, solution, variances, left)
+    amplitudes = tones.amplitudes[:, tones.rows[: tones.forcing]].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
     spread = np.sqrt(0.5 * (variances[:, 1::2] + variances[:, 2::2]))
-    left = np.maximum(np.add.reduce(sums.power) - np.add.reduce(sums.side * solution, axis=(0, 1)), 0.0)
-    freedom = float(np.add.reduce(sums.used)) - q * sums.used.size
-    noise = np.sqrt(left / freedom) if freedom > 0.0 else np.array([f.rms for f in fits])
+    freedom = float(np.add.reduce(sums.used)) - q * windows
+    noise = np.sqrt(np.maximum(left, 0.0) / freedom) if freedom > 0.0 else np.array([f.rms for f in fits])
     return amplitudes, spread, noise
+
+
+@njit(error_model="numpy", fastmath={"contract", "nsz"})
+def _solve(grams, sides, solutions, variances, left):  # type: ignore[no-untyped-def]
+    """Solutions (w, q, 2) of the windows' normal equations, and the diagonals (w, q) of their matrices' inverses.
+
+    By Gauss-Jordan elimination, which needs no pivots where a matrix is positive. What each solution explains is taken
+    from the sums of squares ``left`` (2,).
+    """
+    q = grams.shape[1]
+    a = np.empty((q, q))
+    for w in range(grams.shape[0]):
+        for k in range(q):
+            for j in range(q):
+                a[k, j] = grams[w, k, j]
+            a[k, k] += RIDGE
+        for k in range(q):
+            pivot = 1.0 / a[k, k]
+            a[k, k] = 1.0
+            for j in range(q):
+                a[k, j] *= pivot
+            for i in range(q):
+                if i != k:
+                    factor = a[i, k]
+                    a[i, k] = 0.0
+                    for j in range(q):
+                        a[i, j] -= factor * a[k, j]
+        for i in range(q):
+            variances[w, i] = a[i, i]
+            for c in range(2):
+                total = 0.0
+                for j in range(q):
+                    total += a[i, j] * sides[w, j, c]
+                solutions[w, i, c] = total
+                left[c] -= total * sides[w, i, c]
 
 
 def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[float, float, bool] | None:
@@ -169,13 +219,14 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
 
 
 def _sum_span(
-    span: Span, level: int, group: int, tones: StepTones, windows: SpanWindows, rate_hz: float
+    span: Span, level: int, group: int, tones: StepTones, windows: SpanWindows, rate_hz: float, beats: Complexes
 ) -> tuple[SpanSums, Ints]:
     """Sums of the residuals of a span's block means about the step's ``tones``, in slow bins of ``group`` blocks.
 
     Beside them the number of the window of each place of ``windows.length`` blocks, and of the rest; -1 for none.
+    To ``beats`` (b, lines) the residual is added, each mains line left in and demodulated at it.
     """
-    n, q = len(span.values), 2 * tones.rows.size + 1
+    n, q = len(span.values), tones.unknowns
     bins, places = n // group, n // windows.length
     sums = SpanSums(
         np.empty(bins),
@@ -190,11 +241,11 @@ def _sum_span(
         np.empty((tones.cycles.size, RESYNC)),
         np.empty((tones.cycles.size, RESYNC)),
         np.empty((2, RESYNC)),
-        np.empty((RESYNC, q)),
+        np.empty((2 * tones.rows.size + 1, RESYNC)),
         np.zeros(bins, dtype=np.int64),
     )
     row_of = np.full(places + 1, -1)
-    given = span.values, span.block_class, span.first, level, group, tones, windows, rate_hz
+    given = span.values, span.block_class, span.first, level, group, tones, windows, rate_hz, beats
     w = _fill_sums(*given, sums, scratch, row_of)
     kept = sums._replace(
         time_s=sums.time_s[:w],
@@ -211,53 +262,84 @@ def _places(block_class, level, row_of, length):  # type: ignore[no-untyped-def]
     """Whether each block is outside the mask, its window, and whether it is contact, (n,) each."""
     n = block_class.shape[0]
     keep, window, contact = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
+    for w in range(row_of.shape[0]):
+        window[w * length : (w + 1) * length] = row_of[w]
     for i in range(n):
-        keep[i] = block_class[i] % N_MASK_LEVELS >= level
-        window[i] = row_of[i // length]
-        contact[i] = block_class[i] // N_MASK_LEVELS == CONTACT
+        place = block_class[i] // N_MASK_LEVELS
+        keep[i] = block_class[i] - place * N_MASK_LEVELS >= level
+        contact[i] = place == CONTACT
     return keep, window, contact
 
 
 @njit(error_model="numpy")
-def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, sums, scratch, row_of):  # type: ignore[no-untyped-def]
+def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, beats, sums, scratch, row_of):  # type: ignore[no-untyped-def]
     """Fill a span's ``sums`` from its block means ``x`` (n, 2), and ``row_of``; returns the number of windows.
 
-    Slow sums take the first channel; block ``i`` belongs to slow bin ``i // group``.
+    Slow sums take the first channel; a slow bin has ``group`` blocks.
     """
     length = windows.length
     cosine, sine, left, row, n_slow = scratch
-    n, q = x.shape[0], row.shape[1]
+    n, q = x.shape[0], sums.gram.shape[1]
     turns(tones.cycles, cosine, sine)
     for begin in range(0, n, RESYNC):
         size = min(RESYNC, n - begin)
         _residuals(x, begin, size, first, tones, cosine, sine, left, row)
         for at in range(size):
-            i = begin + at
-            if block_class[i] % N_MASK_LEVELS < level:
-                continue
-            if i // group < n_slow.shape[0]:
-                sums.slow[i // group] += left[0, at]
-                n_slow[i // group] += 1
-            w = i // length
-            if w < sums.used.shape[0]:
-                sums.used[w] += 1
-                for a in range(q):
-                    for b in range(a + 1):
-                        sums.gram[w, a, b] += row[at, a] * row[at, b]
-                    for c in range(2):
-                        sums.side[w, a, c] += row[at, a] * left[c, at]
+            clear = block_class[begin + at] % N_MASK_LEVELS >= level
+            for c in range(2):
+                left[c, at] = left[c, at] if clear else 0.0
+            for a in range(row.shape[0]):
+                row[a, at] = row[a, at] if clear else 0.0
+        for g in range(begin // group, min((begin + size - 1) // group + 1, n_slow.shape[0])):
+            start, stop = max(g * group - begin, 0), min((g + 1) * group - begin, size)
+            sums.slow[g] += _dot(left[0, start:stop], row[0, start:stop])
+            n_slow[g] += int(_dot(row[0, start:stop], row[0, start:stop]))
+        for w in range(begin // length, min((begin + size - 1) // length + 1, sums.used.shape[0])):
+            start, stop = max(w * length - begin, 0), min((w + 1) * length - begin, size)
+            sums.used[w] += int(_dot(row[0, start:stop], row[0, start:stop]))
+            for a in range(q):
+                for b in range(a + 1):
+                    sums.gram[w, a, b] += _dot(row[a, start:stop], row[b, start:stop])
                 for c in range(2):
-                    sums.power[w, c] += left[c, at] * left[c, at]
+                    sums.side[w, a, c] += _dot(row[a, start:stop], left[c, start:stop])
+            for c in range(2):
+                sums.power[w, c] += _dot(left[c, start:stop], left[c, start:stop])
+        _add_beats(first + begin - windows.origin, size, windows.beat, tones, q, left, row, beats)
     for g in range(n_slow.shape[0]):
         sums.slow_s[g] = (first + (g + 0.5) * group) / rate_hz
         sums.slow[g] = sums.slow[g] / n_slow[g] if n_slow[g] > 0 else np.nan
     return _keep_windows(first, windows, rate_hz, sums, row_of)
 
 
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _dot(x, y):  # type: ignore[no-untyped-def]
+    """Scalar product of two arrays (n,)."""
+    total = 0.0
+    for i in range(x.size):
+        total += x[i] * y[i]
+    return total
+
+
+@njit(error_model="numpy")
+def _add_beats(since, size, beat, tones, q, left, row, beats):  # type: ignore[no-untyped-def]
+    """Add to ``beats`` the residual of ``size`` blocks, the first of them ``since`` blocks after their origin."""
+    start = 0
+    while start < size:
+        place = int((since + start) / beat)
+        stop = max(min(int(np.ceil((place + 1) * beat)) - since, size), start + 1)
+        for line in range(beats.shape[1]):
+            z = tones.amplitudes[0, tones.rows[tones.forcing + line]]
+            a, b = row[q + 2 * line, start:stop], row[q + 2 * line + 1, start:stop]
+            both, x = _dot(a, b), left[0, start:stop]
+            cosine = _dot(x, a) + z.real * _dot(a, a) + z.imag * both
+            beats[place, line] += complex(cosine, _dot(x, b) + z.real * both + z.imag * _dot(b, b))
+        start = stop
+
+
 @njit(error_model="numpy")
 def _keep_windows(first, windows, rate_hz, sums, row_of):  # type: ignore[no-untyped-def]
     """Windows of enough blocks go to the front, numbered, their matrices made whole; how many there are."""
-    length, least, counted = windows
+    length, least, counted = windows.length, windows.least, windows.counted
     kept, q = 0, sums.gram.shape[1]
     for w in range(sums.used.shape[0]):
         if sums.used[w] >= least:
@@ -277,8 +359,8 @@ def _keep_windows(first, windows, rate_hz, sums, row_of):  # type: ignore[no-unt
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _residuals(x, begin, size, first, tones, cosine, sine, left, row):  # type: ignore[no-untyped-def]
-    """Residuals ``left`` (2, size) of the blocks from ``begin`` on, and their forcing's columns ``row`` (size, q)."""
-    cycles, response, amplitudes, offsets, rows = tones
+    """Residuals ``left`` (2, size) of blocks from ``begin`` on, and the columns ``row`` (2 r + 1, size) of ``rows``."""
+    cycles, response, amplitudes, offsets, rows = tones[:5]
     for c in range(2):
         for i in range(size):
             left[c, i] = x[begin + i, c] - offsets[c]
@@ -294,7 +376,7 @@ def _residuals(x, begin, size, first, tones, cosine, sine, left, row):  # type: 
             if rows[r] == j:
                 a, b = start.real, start.imag
                 for i in range(size):
-                    row[i, 2 * r + 1] = a * cosine[j, i] - b * sine[j, i]
-                    row[i, 2 * r + 2] = -(a * sine[j, i] + b * cosine[j, i])
+                    row[2 * r + 1, i] = a * cosine[j, i] - b * sine[j, i]
+                    row[2 * r + 2, i] = -(a * sine[j, i] + b * cosine[j, i])
     for i in range(size):
-        row[i, 0] = 1.0
+        row[0, i] = 1.0

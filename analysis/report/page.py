@@ -39,6 +39,7 @@ from analysis.report.wording import (
     verdict_line,
 )
 from analysis.residuals.covariates import COVARIATES
+from analysis.thresholds import FROZEN
 from daq.recording.provenance import software_commit, software_version
 from daq.setup.errors import InputError
 from model.effects.registry import effect
@@ -343,7 +344,10 @@ def _remains(loop: ClosedLoop) -> str:
     if left.covariate:
         words += f"<p>The pattern goes with: {html.escape(COVARIATES[left.covariate].words)}.</p>"
         if loop.verdict != "unexplained":
-            words += "<p>It is no larger than the noise: a quiet or long run shows trifles that no flight needs.</p>"
+            words += (
+                f"<p>It is within what is let pass, {FROZEN.lack_ratio:g} times the noise of the flights: in a quiet "
+                "or a long run a trifle is significant.</p>"
+            )
     if loop.discovered is not None:
         words += f"<p>Discovered: {html.escape(loop.discovered.description)}.</p>"
     notes = "".join(f"<li>{plain_html(_capital(n))}.</li>" for n in (*moved_calibrations(loop), *loop.notes))

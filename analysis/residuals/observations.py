@@ -217,7 +217,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         setup,
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
-        notes=(*notes, *filter(None, [flights.plate.saturation()])),
+        notes=(*notes, *flights.plate.saturation_warnings()),
         hints_hz=hints,
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),

@@ -253,10 +253,9 @@ def _wander(sample: NDArray[np.int64], offset: Array, sigma: Array) -> float:
 def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
     """Contact against flight, offset, clock."""
     rows: list[tuple[float, ...]] = []
-    both = s.contact_and_flight
-    if both is not None and both.log_gain_uncertainty < GATE_UNCERTAINTY:
-        sigma = float(np.hypot(both.log_gain_uncertainty, SYSTEMATIC))
-        rows.append((GATE, i, both.log_gain, sigma, s.omega_radps, asked, first))
+    if s.flight_log_gain is not None and s.flight_log_gain[1] < GATE_UNCERTAINTY:
+        log_gain, sigma = s.flight_log_gain
+        rows.append((GATE, i, log_gain, float(np.hypot(sigma, SYSTEMATIC)), s.omega_radps, asked, first))
     channel = setup.channels.accelerometer
     if channel.coupling == "dc" and channel.offset_v is not None:
         known = channel.offset_v.uncertainty / abs(channel.volts_per_mps2)

@@ -249,11 +249,10 @@ def _check_recordings(recordings: list[Path]) -> None:
     from bench.terminal.console import warn
     from daq.recording import open_recording
     from daq.setup.calibration_age import warnings_at_start
-    from daq.setup.errors import InputError
+    from daq.setup.errors import require_file
 
     for path in recordings:
-        if not path.is_file():
-            raise InputError(f"{path}: wanted a recording, there is no such file; name one made by ramp or import")
+        require_file(path)
     for path in recordings:
         with open_recording(path) as recording:
             for doubt in warnings_at_start(recording.setup, str(recording.attrs.get("started", ""))):

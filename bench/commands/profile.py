@@ -100,6 +100,7 @@ def _text_of(name: str) -> str:
     from bench.profiles.find import find_profile
     from bench.profiles.next_run import profile_text
     from daq.setup.errors import InputError
+    from daq.setup.strict_toml import read_toml_text
 
     path = Path(name)
     if path.is_file() and path.suffix.lower() in (".h5", ".hdf5"):
@@ -107,8 +108,4 @@ def _text_of(name: str) -> str:
         if not text.strip():
             raise InputError(f"{path}: holds no profile")
         return text
-    path = find_profile(name)
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: wanted a readable TOML file in UTF-8; {error}") from error
+    return read_toml_text(find_profile(name))

@@ -8,7 +8,7 @@ from typing import Any
 
 from bench.runs.remarks import Remarks
 from daq.recording.header import Header, read_headers
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, require_file
 
 
 def identity_of(recording: Path) -> str:
@@ -19,8 +19,7 @@ def identity_of(recording: Path) -> str:
     InputError
         Where the file is missing, or no recording.
     """
-    if not recording.is_file():
-        raise InputError(f"{recording}: no such file; wanted a recording")
+    require_file(recording)
     for _, found in read_headers([recording]):
         if isinstance(found, Header):
             return found.identity

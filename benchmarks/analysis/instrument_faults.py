@@ -18,6 +18,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from benchmarks.plants import other_plant
+from benchmarks.plants.handed_over import imported
 
 Volts = dict[str, np.ndarray]
 Fault = Callable[[Volts, other_plant.Run, np.random.Generator], None]
@@ -152,10 +153,6 @@ FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {  # in words: what it doe
 
 def recorded(fault: Fault, ratio: int, hidden: dict[str, float], seed: int, folder: Path) -> Path:
     """A recording of the other plant with one fault, imported with its owner's profile."""
-    from daq.importers.formats.open import open_source
-    from daq.importers.import_recording import import_recording
-    from rig.profile import load_setup
-
     rng = np.random.default_rng((seed, 7))
     gammas = rng.permutation(np.round(np.linspace(*GAMMAS[ratio], 22), 4))
     run = other_plant.Run(
@@ -166,12 +163,7 @@ def recorded(fault: Fault, ratio: int, hidden: dict[str, float], seed: int, fold
     volts = other_plant.simulate(run)
     del volts["impacts"]
     fault(volts, run, rng)
-    raw, profile, out = folder / "recording.npz", folder / "profile.toml", folder / "recording.h5"
-    np.savez(raw, allow_pickle=False, **volts)
-    profile.write_text(other_plant.profile_of(run), encoding="utf-8")
-    setup, text = load_setup(profile)
-    import_recording(open_source(raw), out, setup, text)
-    return out
+    return imported(volts, other_plant.profile_of(run), folder)
 
 
 def trial(name: str, ratio: int, friction: bool, seed: int) -> tuple[bool, str]:

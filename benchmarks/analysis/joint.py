@@ -21,6 +21,7 @@ from analysis.joint.join_runs import join_runs
 from analysis.loop.close_loop import close_loop
 from bench.cli import app
 from benchmarks.plants import other_plant as plant
+from benchmarks.spent import peak_mb
 
 SPREADS = {"drive_gain.relative": 0.004, "accelerometer_gain.relative": 0.0025, "phase_lag.delay_s": 1e-5}
 """From run to run, standard deviations: half of what the profile states, or somewhat less."""
@@ -52,15 +53,6 @@ def short_runs(
         csv.unlink()
         out.append(recording)
     return out
-
-
-def peak_mb() -> float:
-    """Most memory that this process has had, MB; 0 where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0.0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def main() -> None:

@@ -18,23 +18,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.spent import processor_seconds
+
 GOALS_S = {"cold": 45.0, "warm": 15.0, "bench --help": 0.15}
 DEMO = "import sys; from bench.cli import main; sys.argv = ['bench', *sys.argv[1:]]; main()"
-
-
-def run(tree: Path, kernels: Path, arguments: list[str]) -> tuple[float, float]:
-    """Processor and wall seconds of a `bench` call of the software in ``tree``."""
-    environment = os.environ | {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(kernels)}
-    with tempfile.TemporaryFile() as out:
-        began = time.perf_counter()
-        process = subprocess.Popen([sys.executable, "-c", DEMO, *arguments], cwd=kernels, env=environment, stdout=out,
-                                   stderr=out)  # fmt: skip
-        _, status, spent = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - began
-        if status:
-            out.seek(0)
-            raise SystemExit(f"bench {' '.join(arguments)} failed:\n{out.read().decode()}")
-    return spent.ru_utime + spent.ru_stime, wall
 
 
 def compiled(out: Path) -> None:
@@ -94,7 +81,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             calls = {"cold": ["demo", "--out", "cold"], "warm": ["demo", "--out", "warm"], "bench --help": ["--help"]}
             for call, arguments in calls.items():
-                spent, wall = run(tree, Path(name), arguments)
+                spent, wall = processor_seconds(DEMO, arguments, tree, Path(name))
                 found.setdefault(call, {})[which] = spent
                 goal = GOALS_S[call]
                 print(f"{which:<7} {call:<13} {spent:6.2f} s processor, {wall:6.1f} s wall (goal {goal:g})", flush=True)

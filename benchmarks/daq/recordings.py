@@ -9,13 +9,13 @@ the columns are written while blocks are appended, so `append` and `close` are a
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.spent import peak_mb
 from daq.export.export import export
 from daq.files.tables import Block
 from daq.importers.formats.open import open_source
@@ -41,15 +41,6 @@ def frames(first: int, n: int, rng: np.random.Generator) -> np.ndarray:
     continuity = np.where((t * 25.37) % 1 < 0.5, 5.0, 0.0) + rng.normal(0, 0.01, n)
     volts = np.column_stack([continuity, 0.2 * drive + rng.normal(0, 3e-3, n), drive + rng.normal(0, 2e-4, n)])
     return np.rint(volts / 10 * 32768).astype(np.int16)
-
-
-def peak_mb() -> float:
-    """Largest resident size so far, where the system tells."""
-    if sys.platform == "win32":
-        return float("nan")
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def main() -> None:

@@ -7,12 +7,11 @@ beside those of one that imports NumPy alone, or numba; with ``--before`` anothe
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
+
+from benchmarks.spent import processor_seconds
 
 JOB = """
 import numpy as np
@@ -26,16 +25,6 @@ for c, first in ((1, 0.55), (2, 0.25), (3, 0.12)):
 ALONE = {"import numpy": "import numpy", "import numba": "import numba"}
 
 
-def spent(code: str, tree: Path, kernels: str) -> float:
-    """Processor seconds of a process that runs ``code`` with the software in ``tree``."""
-    environment = os.environ | {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": kernels}
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=tree, env=environment)
-    _, status, used = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f"the process failed with {tree}")
-    return used.ru_utime + used.ru_stime
-
-
 def main() -> None:
     """Print a line a process: fastest and median."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -45,14 +34,15 @@ def main() -> None:
     own = Path(__file__).resolve().parents[2]
     trees = {"J now": own} if given.before is None else {"J before": given.before.resolve(), "J now": own}
     with tempfile.TemporaryDirectory() as folder:
-        jobs = {name: (JOB, tree, str(Path(folder, name))) for name, tree in trees.items()}
-        jobs |= {name: (code, own, folder) for name, code in ALONE.items()}
+        jobs = {name: (JOB, [], tree, Path(folder, name)) for name, tree in trees.items()}
+        jobs |= {name: (code, [], own, Path(folder)) for name, code in ALONE.items()}
         for job in jobs.values():
-            spent(*job)  # compiles
+            job[-1].mkdir(exist_ok=True)
+            processor_seconds(*job)  # compiles
         found: dict[str, list[float]] = {}
         for _ in range(given.rounds):
             for name, job in jobs.items():
-                found.setdefault(name, []).append(spent(*job))
+                found.setdefault(name, []).append(processor_seconds(*job)[0])
     for name, times in found.items():
         print(f"{name:<13} {min(times):.2f} s, median {statistics.median(times):.2f}")
     if given.before is not None:

@@ -19,9 +19,9 @@ from string import Template
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.plants.command import G, commanded, commands
 from kernels import njit
 
-G = 9.80665
 STEPS_PER_SAMPLE = 10
 
 SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
@@ -113,48 +113,10 @@ class Run:
 
 
 @njit()
-def _level(gammas, step_s, fade_s, t):
-    """Amplitude level and its first two time derivatives: a quintic fade at the start of each step."""
-    k = min(int(t / step_s), gammas.size - 1)
-    before = gammas[k - 1] if k > 0 else 0.0
-    x = (t - k * step_s) / fade_s
-    if x >= 1.0:
-        return gammas[k], 0.0, 0.0
-    rise = gammas[k] - before
-    value = x * x * x * (10.0 + x * (6.0 * x - 15.0))
-    first = 30.0 * x * x * (1.0 - x) ** 2
-    second = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
-    return before + rise * value, rise * first / fade_s, rise * second / fade_s**2
-
-
-@njit()
-def _tones(w, c, t):
-    """The waveform sin wt + sin cwt and its first two time derivatives."""
-    a, b = w * t, c * w * t
-    sa, sb = math.sin(a), math.sin(b)
-    return sa + sb, w * (math.cos(a) + c * math.cos(b)), -w * w * (sa + c * c * sb)
-
-
-@njit()
-def _commanded(gammas, step_s, fade_s, w, c, t):
-    """Displacement, velocity and acceleration asked of the plate, SI."""
-    if t < 0.0:
-        return 0.0, 0.0, 0.0
-    level, d_level, dd_level = _level(gammas, step_s, fade_s, t)
-    s, ds, dds = _tones(w, c, t)
-    unit = 9.80665 / (w * w)
-    return (
-        unit * level * s,
-        unit * (d_level * s + level * ds),
-        unit * (dd_level * s + 2.0 * d_level * ds + level * dds),
-    )
-
-
-@njit()
 def _plate(q, gammas, step_s, fade_s, w, c, t):
     """What the driven table does: the command with the hidden gain, lag, bend, hum and breathing."""
     level = gammas[max(min(int(t / step_s), gammas.size - 1), 0)]
-    x, v, a = _commanded(gammas, step_s, fade_s, w, c, t - q[_LAG])
+    x, v, a = commanded(gammas, step_s, fade_s, w, c, t - q[_LAG])
     gain = (1.0 + q[_GAIN]) / (1.0 + q[_COMPRESSION] * level * level)
     if q[_AM] != 0.0:
         gain *= 1.0 + q[_AM] * math.sin(2.0 * math.pi * q[_AM_HZ] * t)
@@ -272,15 +234,6 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, plate, edges, impacts):
     return n_edges, n_impacts
 
 
-@njit()
-def _commands(gammas, step_s, fade_s, w, c, time_s):
-    """Commanded acceleration at each sample."""
-    out = np.empty(time_s.size)
-    for k in range(time_s.size):
-        out[k] = _commanded(gammas, step_s, fade_s, w, c, time_s[k])[2]
-    return out
-
-
 def _continuity(run: Run, rng: np.random.Generator, edges: np.ndarray, n: int, latency_s: float) -> np.ndarray:
     """Volts of the contact circuit: square, its edges jittered; a contact between two samples is not seen."""
     times = np.abs(edges) + latency_s
@@ -345,7 +298,7 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, plate, edges, impacts)
     impacts, edges = impacts[:n_impacts], edges[:n_edges]
     time_s = np.arange(n) / run.rate_hz
-    command = _commands(gammas, step_s, fade_s, w, float(run.c), time_s)
+    command = commands(gammas, step_s, fade_s, w, float(run.c), time_s)
     felt = plate / G * (1.0 + run.hidden.get("accelerometer_gain.relative", 0.0)) + float(run.reads_gravity)
     if late_s := run.hidden.get("accelerometer_lag.delay_s", 0.0):
         felt = _late(felt, late_s * run.rate_hz)

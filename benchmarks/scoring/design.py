@@ -13,11 +13,8 @@ PAIRS = (
 )  # fmt: skip
 REPETITION = 100_000_000  # between the seeds of two repetitions
 INVISIBLE = ("contact_gap", "contact_closure", "clock_error")
-LATER = (
-    "accelerometer_lag",
-    "mains_pickup",
-    "accelerometer_high_pass",
-)  # in the library after the others' seeds were given: theirs stay as they were
+LATER = ("accelerometer_lag", "mains_pickup", "accelerometer_high_pass")
+"""In the library since the others' seeds were given: theirs stay as they were."""
 
 COUNTS = {"strong": 8, "weak": 4, "clean": 50, "declared": 50, "outside": 6, "pair": 2}
 OWN_COUNTS = {"strong": 3, "weak": 2, "clean": 10, "outside": 1, "pair": 0}

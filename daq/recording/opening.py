@@ -19,7 +19,7 @@ from daq.files.frame_file import as_if_ended, is_being_written
 from daq.files.seal import Checked, Patched, check, check_tables
 from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, require_file
 
 UNCHECKED = "recorded by an earlier version, without checksums over its tables: they are read unchecked"
 CHUNK_CACHE_BYTES = 1 << 20  # of each open column: it holds the chunk that the next read begins in
@@ -42,8 +42,7 @@ def open_quickly(path: Path) -> Recording | None:
     InputError
         When it is not a recording, or cannot be read.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}.")
+    require_file(path)
     found = check_tables(path)
     return None if found is None or found.seal_differs else open_checked(path, found)
 
@@ -71,10 +70,9 @@ def differing_blocks(recording: Recording) -> list[str]:
     return [f"block {i}: samples {first[i]} to {first[i] + n[i] - 1} differ from what was recorded" for i in bad]
 
 
-def require_file(path: Path) -> None:
+def require_hdf5(path: Path) -> None:
     """Refuse what cannot be an HDF5 file (raises InputError)."""
-    if not path.is_file():
-        raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}.")
+    require_file(path)
     try:
         with path.open("rb") as raw:
             head, tail = raw.read(len(SIGNATURE)), check(path)

@@ -17,7 +17,7 @@ from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
 from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, table_of
 from daq.files.seal import Checked, check
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32
-from daq.recording.opening import differing_blocks, open_checked, open_file, require_file, unsealed
+from daq.recording.opening import differing_blocks, open_checked, open_file, require_hdf5, unsealed
 from daq.recording.reader import ALL, Recording, attributes_intact
 from daq.recording.subprocess_reader import Tell, apart
 from daq.setup.errors import InputError
@@ -69,7 +69,7 @@ def examine(path: Path) -> tuple[Recording, Survey]:
     UnreadableError
         When nothing of it can be read.
     """
-    require_file(path)
+    require_hdf5(path)
     found = check(path)
     if found is not None and not found.seal_differs:
         try:

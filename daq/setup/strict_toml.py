@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, require_file
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -33,13 +33,19 @@ def load_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
     InputError
         When the file cannot be read, is no TOML, or does not fit the model (all faults in one message).
     """
+    text = read_toml_text(path)
+    return parse_toml(text, model, str(path)), text
+
+
+def read_toml_text(path: Path) -> str:
+    """The text of a TOML file, whatever mark it begins with and however its lines end (raises InputError)."""
+    require_file(path)
     try:
         raw = path.read_bytes()
         utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        text = raw.decode("utf-16" if utf16 else "utf-8-sig").replace("\r\n", "\n")
+        return raw.decode("utf-16" if utf16 else "utf-8-sig").replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: wanted a readable TOML file in UTF-8; {error}") from error
-    return parse_toml(text, model, str(path)), text
 
 
 def parse_toml(text: str, model: type[Model], name: str) -> Model:

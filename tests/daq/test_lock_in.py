@@ -68,6 +68,20 @@ def test_pieces_add_up_to_the_whole():
     np.testing.assert_allclose(both.solve(1).amplitudes, 2 * AMPLITUDES, rtol=1e-8)
 
 
+def test_values_taken_away_leave_the_fit_of_the_others():
+    """A fit less some of its values is that of the others alone."""
+    n = np.arange(9000)
+    x = tones(n) + 0.1 * np.random.default_rng(4).standard_normal(n.size)
+    some = (n // 700) % 5 == 1
+    every, few = LockIn(RATE, FREQUENCIES), LockIn(RATE, FREQUENCIES)
+    every.add(x, 0)
+    few.add(x, 0, some)
+    found, wanted = (every - few).solve(), fit_tones(x, 0, RATE, FREQUENCIES, ~some)
+    np.testing.assert_allclose(found.amplitudes, wanted.amplitudes, rtol=1e-10)
+    np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-9, atol=1e-15)
+    assert found.n == wanted.n
+
+
 def test_means_of_samples_give_the_amplitudes_of_the_samples():
     """The boxcar's gain and delay are taken out, even for a tone near the rate of the means."""
     boxcar = 16

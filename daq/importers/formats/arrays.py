@@ -45,6 +45,12 @@ class ArraySource:
         self._lengths: dict[str, int] = {}
         self._types: dict[str, np.dtype[Any]] = {}
         self._scales: dict[str, tuple[float, float]] = {}
+        self._left_out: list[str] = []
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Arrays of something else than real numbers."""
+        return tuple(self._left_out)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -53,7 +59,10 @@ class ArraySource:
 
     def _offer(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         """Take an array into the table: a vector as it is, a matrix column by column."""
-        if dtype.kind not in "iufb" or not shape or max(shape) < 2:
+        if not shape or max(shape) < 2:
+            return
+        if dtype.kind not in "iufb":
+            self._left_out.append(name)
             return
         if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             self._lengths[name], self._types[name] = max(shape), dtype

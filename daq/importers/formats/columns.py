@@ -62,6 +62,7 @@ class Source(Protocol):
 
     path: Path
     names: tuple[str, ...]
+    left_out: tuple[str, ...]
     rate_hz: float | None
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
@@ -72,6 +73,12 @@ class Source(Protocol):
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time."""
+
+
+def columns_of(source: Source) -> str:
+    """The columns of a source for an error, and those that cannot be columns."""
+    numbers = f"; not real numbers: {listed(source.left_out)}" if source.left_out else ""
+    return listed(source.names) + numbers
 
 
 def listed(names: Sequence[str]) -> str:
@@ -160,7 +167,7 @@ def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
             chosen[role] = Column(found[0], split_name(found[0])[1])
     if "accelerometer" not in chosen:
         raise InputError(
-            f"{source.path}: no column for the accelerometer among {listed(source.names)}; wanted accelerometer_v, "
+            f"{source.path}: no column for the accelerometer among {columns_of(source)}; wanted accelerometer_v, "
             "or say --map accelerometer=COLUMN."
         )
     return chosen
@@ -191,7 +198,7 @@ def _mapped(source: Source, role: str, column: Column) -> Column:
         else:
             units = f"; after a colon wanted a unit: {MAP_UNITS}" if ":" in column.name else ""
             raise InputError(
-                f"{source.path}: --map {role}={column.name}: no such column; it has {listed(source.names)}{units}."
+                f"{source.path}: --map {role}={column.name}: no such column; it has {columns_of(source)}{units}."
             )
     unit = column.unit or split_name(match)[1]
     return Column(match, unit if _unit_fits(role, unit) else "")

@@ -67,6 +67,7 @@ class CsvSource:
     """
 
     rate_hz: float | None = None
+    left_out: tuple[str, ...] = ()
 
     def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
         self.path = path

@@ -17,7 +17,7 @@ from daq.importers.formats.npz import NpzSource
 from daq.importers.formats.tdms import TdmsSource
 from daq.importers.formats.uff58 import UffSource
 from daq.importers.formats.wav import WavSource
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, require_file
 
 
 def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
@@ -36,8 +36,7 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     InputError
         When the file is missing, of an unknown kind, or does not read.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}.")
+    require_file(path)
     ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
     if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat"):
         return CsvSource(path, select or {}, select_column)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from analysis.attribution.hypothesis import Hypothesis, SelectionResult
 from analysis.attribution.selection import StepwiseSelection, remaining_candidates
 from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
 from analysis.residuals.whitening import Whitener
-from analysis.thresholds import MOST_OF_A_STEP_NATS
+from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)
 SOME = ("coulomb_friction", "viscous_damping", "quadratic_drag", "local_gravity", "adhesion", "contact_latency")
@@ -67,7 +68,7 @@ def test_noise_is_given_no_name(explain: Explain) -> None:
     assert found.ties == ()
 
 
-def test_what_leaves_more_than_noise_does_not_tie_with_what_leaves_none(
+def test_what_leaves_more_than_noise_neither_ties_with_nor_replaces_what_leaves_none(
     selection_of: Callable[..., StepwiseSelection],
 ) -> None:
     """Friction explains the run: drag is no rival, however well its steps do; beside drag as the best, a second is."""
@@ -82,6 +83,27 @@ def test_what_leaves_more_than_noise_does_not_tie_with_what_leaves_none(
     as_good = replace(friction, candidates=(candidate,))
     assert selection._ties(nothing, friction, [friction, as_good]) == (friction, as_good)
     assert selection._ties(nothing, drag, [drag, friction]) == (drag, friction)
+    assert selection.pruning._as_good(friction, as_good) and selection.pruning._as_good(drag, friction)
+    assert not selection.pruning._as_good(friction, drag)
+
+
+def test_a_first_choice_that_leaves_more_than_noise_gives_way_to_another(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A choice misled to damping, with one effect allowed: friction is followed as well, and what is taken says so."""
+    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 1, gammas=GAMMAS)
+    few = [c for c in candidates_of(world) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
+    selection = StepwiseSelection(world, fitter_of(world), replace(FROZEN, most_effects=1), library=few)
+    choose = selection.judge.choose
+
+    def misled(best: Hypothesis, found: Sequence[Hypothesis], *rest: Any) -> Hypothesis | None:
+        return next((x for x in found if x.names == ("viscous_damping",)), None) or choose(best, found, *rest)
+
+    monkeypatch.setattr(selection.judge, "choose", misled)
+    result = selection.run()
+    assert result.best.names == ("coulomb_friction",)
+    assert result.rounds[0].startswith("viscous_damping, chosen first, leaves more than noise")
+    assert {names for names, _ in result.tried} >= {("viscous_damping",), ("coulomb_friction",)}
 
 
 @pytest.mark.slow

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.crossings import AT_ONCE, CLOSES, DIP, OPENS, CrossingScan
+from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
 from analysis.events.levels import Levels
+from analysis.signals.search import AT_ONCE
 
 N = 3 * AT_ONCE
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from analysis.flights.scan import plate_of
-from analysis.plate.mains_lines import BIN_S, PRIOR_SIGMA_HZ, refined_line, strongest_hz, unmeasured_line
+from analysis.plate.mains_lines import BIN_S, PRIOR_SIGMA_HZ, is_absent, refined_line, strongest_hz, unmeasured_line
 from daq.lock_in import ToneFit, fit_tones
 from daq.recording import open_recording
 
@@ -52,7 +54,7 @@ def test_a_long_step_finds_a_line_many_turns_off(hz: float) -> None:
     time_s, x = _long(hz, 0.5)
     demodulated = (x - np.cos(2 * np.pi * 25.37 * time_s)) * np.exp(-2j * np.pi * 50.0 * time_s)
     sums = demodulated.reshape(-1, round(BIN_S * RATE_HZ)).sum(axis=1)
-    begin_hz = strongest_hz(sums, unmeasured_line(50.0), 40.0)
+    begin_hz, _ = strongest_hz(sums, unmeasured_line(50.0), 40.0)
     line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
     assert line.slopes is not None
     assert abs(line.hz - hz) < 4.0 * line.sigma_hz < 2e-3
@@ -63,9 +65,39 @@ def test_noise_moves_no_line() -> None:
     time_s, x = _long(50.0, 0.0)
     demodulated = (x - np.cos(2 * np.pi * 25.37 * time_s)) * np.exp(-2j * np.pi * 50.0 * time_s)
     sums = demodulated.reshape(-1, round(BIN_S * RATE_HZ)).sum(axis=1)
-    begin_hz = strongest_hz(sums, unmeasured_line(50.0), 40.0)
+    begin_hz, _ = strongest_hz(sums, unmeasured_line(50.0), 40.0)
     line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
     assert line == unmeasured_line(50.0)
+
+
+def _with_tones(x: np.ndarray, hz: float) -> ToneFit:
+    return fit_tones(x, 0, RATE_HZ, [25.37, 50.74, hz])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("length_s", [3.0, 12.0])
+def test_no_line_that_could_be_measured_is_called_absent(length_s: float, seed: int) -> None:
+    """Lines of all sizes anywhere within reach: what is called absent moves no line, and noise alone is called so."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(round(length_s * RATE_HZ)) / RATE_HZ
+    prior, called = unmeasured_line(50.0), []
+    for size in (0.0, *np.geomspace(0.02, 1.0, 12)):
+        hz = 50.0 + rng.uniform(-prior.reach_hz, prior.reach_hz)
+        x = size * np.cos(2 * np.pi * hz * time_s + rng.uniform(0, 6)) + np.cos(2 * np.pi * 25.37 * time_s)
+        x += rng.standard_normal(time_s.size)
+        fit = fit_tones(x, 0, RATE_HZ, [25.37, 50.74, 50.0])
+        others = (fit.amplitudes[:2, None] * np.exp(2j * np.pi * fit.frequencies_hz[:2, None] * time_s)).real.sum(
+            axis=0
+        )
+        turned = (x - fit.offset - others) * np.exp(-2j * np.pi * 50.0 * time_s)
+        sums = turned.reshape(-1, round(BIN_S * RATE_HZ)).sum(axis=1)
+        begin_hz, _ = strongest_hz(sums, prior, length_s)
+        fit_at = partial(_with_tones, x)
+        line = refined_line(prior, 2, fit_at, begin_hz, fit.frequencies_hz[:2], length_s)
+        called.append(is_absent(fit, 2, prior, sums, length_s))
+        assert not called[-1] or line == prior
+    assert called[0]
+    assert not called[-1]
 
 
 def test_a_line_keeps_away_from_the_forcing() -> None:

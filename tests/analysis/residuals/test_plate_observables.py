@@ -100,7 +100,7 @@ def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
 def test_a_frequency_that_is_not_known_says_nothing_of_the_clock(uncertainty_hz: float, data: int) -> None:
     """A step whose frequency could not be fitted has no clock datum: an infinite uncertainty spoils every fit."""
     step = SimpleNamespace(
-        contact_and_flight=None, frequency_hz=25.0, frequency_uncertainty_hz=uncertainty_hz, omega_radps=157.0
+        flight_log_gain=None, frequency_hz=25.0, frequency_uncertainty_hz=uncertainty_hz, omega_radps=157.0
     )
     channel = SimpleNamespace(coupling="ac", offset_v=None)
     setup = SimpleNamespace(channels=SimpleNamespace(accelerometer=channel), forcing=SimpleNamespace(frequency_hz=25.0))

@@ -30,6 +30,16 @@ def test_a_sine_that_turns_at_its_ends_does_not_stand_there(amplitude: float, no
     assert share_at_an_end(np.zeros(N)) == 0.0
 
 
+@pytest.mark.parametrize("dtype", [np.int16, np.float64])
+def test_only_a_crowd_at_an_end_counts(dtype: type) -> None:
+    """More than four times as many readings at an end as at the next value count, at either end, whatever the order."""
+    values = np.repeat([-9, -4, 0, 5, 6], [50, 10, 20, 10, 41]).astype(dtype)
+    rng = np.random.default_rng(2)
+    assert share_at_an_end(rng.permutation(values)) == pytest.approx(91 / 131)
+    assert share_at_an_end(rng.permutation(values[1:][values[1:] < 6])) == pytest.approx(49 / 89)
+    assert share_at_an_end(np.repeat(np.array([1, 2], dtype), [40, 10])) == 0.0
+
+
 def test_steps_of_a_saturated_accelerometer_are_told_and_left_out(make, tmp_path: Path) -> None:
     """A sensor that ends at 1.2 g, and both tones together reach twice gamma: steps beyond are named in a warning, and
     no closed loop uses them."""

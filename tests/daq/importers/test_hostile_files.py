@@ -267,3 +267,14 @@ def test_what_is_no_table_is_named(tmp_path: Path, setup: Setup) -> None:
     np.savetxt(raw, np.column_stack(list(columns().values())), "%.9g", ",", header=",".join(NAMES), comments="")
     with pytest.raises(InputError, match=r"no such column.*wanted a unit: s ms us"):
         assign(open_source(raw), parse_map(["accelerometer=accelerometer_v:furlong"]))
+
+
+def test_columns_of_something_else_than_real_numbers_are_named(tmp_path: Path, setup: Setup) -> None:
+    """An accelerometer stored as complex numbers: the error says that it is there and why it is no column."""
+    raw = tmp_path / "a.h5"
+    with h5py.File(raw, "w") as file:
+        for name, values in columns().items():
+            file[name] = values.astype(np.complex128) if name == "accelerometer_v" else values
+        file["remark"] = ["a", "b"]
+    with pytest.raises(InputError, match=r"no column for the accel.*; not real numbers: accelerometer_v, remark"):
+        bring_in(raw, setup)

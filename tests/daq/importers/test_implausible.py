@@ -26,20 +26,6 @@ LEVELS = [0.2, 0.5, 0.3]
 Columns = dict[str, NDArray[np.float64]]
 
 
-@pytest.fixture
-def columns(ramp: Callable[..., NDArray[np.float64]]) -> Columns:
-    """Three steps of drive, the acceleration that goes with it (2 g/V at 0.1 V/g), and a contact circuit."""
-    drive = ramp(LEVELS, [25.37] * 3)
-    time = np.arange(len(drive)) / RATE_HZ
-    rng = np.random.default_rng(5)
-    return {
-        "time_s": time,
-        "continuity_v": np.where((time * 25.37) % 1 < 0.4, 5.0, 0.0) + rng.normal(0, 0.01, len(time)),
-        "accelerometer_v": 0.2 * drive + rng.normal(0, 1e-3, len(time)),
-        "drive_v": drive,
-    }
-
-
 def write_csv(path: Path, columns: Columns, delimiter: str = ",") -> Path:
     """A CSV with a header."""
     table = np.column_stack(list(columns.values()))
