@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,6 +25,8 @@ FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "
               "notes": "frame_notes"}  # fmt: skip
 FRAME_END = "frame_end"
 ROW_CRC = "row_crc32"
+_SUPERBLOCK_BYTES = 48  # of versions 2 and 3
+_UNDEFINED_ADDRESS = 2**64 - 1
 
 
 @functools.cache
@@ -48,9 +49,23 @@ def is_being_written(path: Path) -> bool:
 
     HDF5 file format, superblock version 3: byte 8 is the version, bit 2 of byte 11 the mode.
     """
+    head = _superblock(path)
+    return len(head) == _SUPERBLOCK_BYTES and head[8] >= 3 and bool(head[11] & 4)
+
+
+def is_cut_short(path: Path) -> bool:
+    """Whether the file is shorter than it says: HDF5 could not write its end, or a copy was not finished.
+
+    HDF5 file format, superblock versions 2 and 3: bytes 28 to 35 are the address of the end of the file.
+    """
+    head = _superblock(path)
+    end = int.from_bytes(head[28:36], "little")
+    return len(head) == _SUPERBLOCK_BYTES and head[8] >= 2 and path.stat().st_size < end < _UNDEFINED_ADDRESS
+
+
+def _superblock(path: Path) -> bytes:
     with path.open("rb") as raw:
-        head = raw.read(12)
-    return len(head) == 12 and head[8] >= 3 and bool(head[11] & 4)
+        return raw.read(_SUPERBLOCK_BYTES)
 
 
 def as_if_ended(path: Path) -> Patched:
@@ -59,13 +74,11 @@ def as_if_ended(path: Path) -> Patched:
     A reader of a file in single-writer-multiple-readers mode repeats what does not read, for ever longer times. The
     superblock (version 3) is read with the mode's bits cleared, the file's own length, and the checksum of that.
     """
-    with path.open("rb") as raw:
-        head = bytearray(raw.read(48))
-        size = raw.seek(0, os.SEEK_END)
-    if len(head) < 48:
+    head = bytearray(_superblock(path))
+    if len(head) < _SUPERBLOCK_BYTES:
         return Patched(path, ())
     head[11] &= ~5
-    head[28:36] = size.to_bytes(8, "little")
+    head[28:36] = path.stat().st_size.to_bytes(8, "little")
     head[44:] = lookup3(bytes(head[:44])).to_bytes(4, "little")
     return Patched(path, ((0, bytes(head)),))
 

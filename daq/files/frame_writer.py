@@ -85,6 +85,7 @@ class FrameWriter:
         self._file.flush()
         self._file.swmr_mode = True
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        self._hdf5_descriptor = self._file.id.get_vfd_handle()
         self._identity = os.fstat(self._descriptor).st_ino
         self.is_broken = False
 
@@ -115,11 +116,13 @@ class FrameWriter:
 
     @contextlib.contextmanager
     def _refusals(self) -> Iterator[None]:
-        """HDF5 reports a disk that refuses as one of two errors; for a person it is one."""
+        """HDF5 reports a disk that refuses as one of two errors; for a person it is one, and the last."""
+        if self.is_broken:
+            raise OSError(f"{self.path}: the disk had refused")
         try:
             yield
         except (OSError, RuntimeError) as error:
-            self.is_broken = True
+            self._let_go()
             raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
 
     def _write(self, blocks: Sequence[Block]) -> None:
@@ -164,6 +167,18 @@ class FrameWriter:
             dataset[n:] = sealed_rows(rows.astype(SIDE_TABLES[table]))
             dataset.id.flush()
 
+    def _let_go(self) -> None:
+        """Keep HDF5 from the file: it writes again what was refused, when it closes the file and when the process ends.
+
+        It would crash the process there, or leave a file that claims to be whole. What it writes goes nowhere.
+        """
+        self.is_broken = True
+        with contextlib.suppress(OSError):
+            if os.fstat(self._hdf5_descriptor).st_ino == self._identity:  # it has not been closed
+                nowhere = os.open(os.devnull, os.O_RDWR)
+                os.dup2(nowhere, self._hdf5_descriptor)
+                os.close(nowhere)
+
     def end(self, ending: Mapping[str, Any]) -> None:
         """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""
         text = _ending_text(ending)
@@ -198,6 +213,7 @@ class FrameWriter:
         try:
             self._file.close()
         except (OSError, RuntimeError) as error:
+            self._let_go()
             raise OSError(f"{self.path}: could not be closed ({error})") from error
         finally:
             where = self._rescued() if vanished else self.path

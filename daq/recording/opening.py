@@ -6,6 +6,7 @@ them (`daq.recording.survey`).
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from daq.files.column_file import FORMAT, FORMAT_VERSION
-from daq.files.frame_file import as_if_ended, is_being_written
+from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short
 from daq.files.seal import Checked, Patched, check, check_tables
 from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording
@@ -93,7 +94,7 @@ def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recordin
     found
         What differs: it is put right, or left out.
     ended
-        Read a frames file as if its writer had closed it.
+        Read a file that was not closed, or is shorter than it says, as if its writer had closed it as it is.
 
     Raises
     ------
@@ -123,9 +124,22 @@ def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
             return h5py.File(Patched(path, found.patches), "r")
         if is_being_written(path):
             return h5py.File(as_if_ended(path), "r") if ended else h5py.File(path, "r", swmr=True)
+        if ended and is_cut_short(path) and (frames := _frames_cut_short(path)) is not None:
+            return frames
         return h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES, rdcc_w0=LEAST_RECENT_FIRST)
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
+
+
+def _frames_cut_short(path: Path) -> Any:
+    """A frames file that is shorter than it says; None for columns, whose tables stand at the end that is missing."""
+    with contextlib.suppress(OSError, RuntimeError, KeyError):
+        file = h5py.File(as_if_ended(path), "r")
+        with contextlib.suppress(OSError, RuntimeError, KeyError):
+            if FRAMES in file and file.attrs.get("format") == FORMAT:
+                return file
+        file.close()
+    return None
 
 
 def require_recording(path: Path, file: Any) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from daq.files.claims import refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
-from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, table_of
+from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, table_of
 from daq.files.seal import Checked, check
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32
 from daq.recording.opening import differing_blocks, open_checked, open_file, require_hdf5, unsealed
@@ -144,6 +144,8 @@ def look(path: str, ended: bool, skip: list[str], tell: Tell) -> dict[str, Any]:
     """Body of the process: read everything but ``skip``."""
     lost: dict[str, list[tuple[int, int]]] = {}
     where: list[str] = []
+    if is_cut_short(Path(path)):
+        where.append("the file is shorter than it says: its end was never written, or not copied")
     with open_file(Path(path), Checked(), ended=ended) as file:
         if file.attrs.get("format") is not None:
             for name in _unreadable_tables(file, Path(path), skip, tell):

@@ -8,10 +8,12 @@ import sys
 import textwrap
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from benchmarks.daq import kill
+from daq.files.frame_file import is_being_written, lookup3
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
 from daq.setup.errors import InputError
@@ -73,7 +75,7 @@ def test_killed_recorders(tmp_path: Path, seconds: float) -> None:
 @posix
 @pytest.mark.parametrize("limit", [120_000, 200_000, 400_000])
 def test_a_full_disk(tmp_path: Path, limit: int) -> None:
-    """Where the disk refuses, the writer says so, and every block that was acknowledged before is recovered."""
+    """Where the disk refuses, the writer says so, the process ends in peace, and every acknowledged block is there."""
     script = """
         import resource, signal, sys
         from pathlib import Path
@@ -103,14 +105,31 @@ def test_a_full_disk(tmp_path: Path, limit: int) -> None:
     path = tmp_path / "a.h5"
     command = [sys.executable, "-c", textwrap.dedent(script), str(limit), str(path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert "refused:" in done.stdout, done.stderr
+    assert done.returncode == 0 and "refused:" in done.stdout, done.stderr
     assert "kept:" in done.stdout
     assert "bench recover" in done.stdout
     safe = int(done.stdout.split()[-1])
+    assert is_being_written(path)  # nothing touched the file after the refusal
     found = recover(path)
     assert found.n_samples >= safe > 0
     with open_recording(found.path) as recording:
         np.testing.assert_array_equal(recording.codes("drive"), np.repeat(np.arange(found.n_samples // 1000), 1000))
+
+
+def test_a_file_that_claims_more_than_it_holds(tmp_path: Path, setup: Setup) -> None:
+    """Frames that HDF5 marked as closed although their end was refused: all blocks that are there are recovered."""
+    path = tmp_path / "a.h5"
+    writer_of(path, setup)
+    head = bytearray(path.read_bytes()[:48])
+    head[11] &= ~5
+    head[28:36] = (path.stat().st_size + 43_596).to_bytes(8, "little")
+    head[44:] = lookup3(bytes(head[:44])).to_bytes(4, "little")
+    copy = tmp_path / "b.h5"
+    copy.write_bytes(bytes(head) + path.read_bytes()[48:])
+    with pytest.raises(OSError, match="truncated file"):
+        h5py.File(copy)
+    found = recover(copy)
+    assert found.n_samples == 3000 and "shorter than it says" in " ".join(found.damage)
 
 
 @posix
