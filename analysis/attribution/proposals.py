@@ -25,9 +25,14 @@ Tried = Callable[[Candidate], None]
 MOST_DRIFTING, DRIFTING_NATS = 4, 100.0  # strong candidates of a round that are tried with a drift; their least gain
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
-PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
+PARTS = (4.0, 2.0, 1.0, 0.5, 0.25)  # of a linear step, too short where few data agree: where its loss is looked up
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
+
+
+def has_shape(free: Sequence[ParameterId]) -> bool:
+    """Whether one of the parameters only shapes an effect."""
+    return any(parameter_of(k).is_shape for k in free)
 
 
 class Proposals:
@@ -122,8 +127,18 @@ class Proposals:
         plate_only = set(candidate.names) <= plate_effects()
         if level - starts[0][0] >= self.least_nats:
             two = (listed[0], starts[0]) if plate_only and led else distinct_starts(starts, free, with_size=plate_only)
-            fits = [self._fitted_from(best, (*best.free, *free), p) for _, p in two]
-            return self.refits.scored(added, min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values)))
+            both = (*best.free, *free)
+
+            def loss(x: Fitted) -> float:
+                return self.refits.profile_loss(best.whitener, x.values)
+
+            found = self.refits.scored(added, min((self._fitted_from(best, both, p) for _, p in two), key=loss))
+            if plate_only or not has_shape(free) or found.noise_like(self.noise_like_ratio):
+                return found
+            here = [{**best.fitted.values, **{k: p[k] for k in free}} for _, p in two]  # its calibrations
+            return self.refits.scored(
+                added, min(found.fitted, *(self._fitted_sharply(both, p) for p in here), key=loss)
+            )
         cheap = plate_only and (not best.free or bool(SQUARED_HOOKS & effect(candidate.names[0]).hooks.keys()))
         if not cheap and promised < self.least_nats:
             return None
@@ -141,7 +156,7 @@ class Proposals:
         """
         values = best.fitted.values
         starts = candidate.starts or ({},)
-        if any(parameter_of(k).is_shape for k in free) and not set(candidate.names) <= plate_effects():
+        if has_shape(free) and not set(candidate.names) <= plate_effects():
             starts = starts[:1]
         points = [{**values, **{k: v for k, v in point.items() if k in free}} for point in starts]
         return sorted(((self.refits.profile_loss(best.whitener, p), p) for p in points), key=lambda pair: pair[0])
@@ -162,20 +177,23 @@ class Proposals:
         if steps[0][0] < self.least_nats:
             return steps[0][0], []
         here = {k: best.fitted.values.get(k, null_value_of(k)) for k in steps[0][1]}
-        points = [
-            {k: v if k in shapes else part * v + (1.0 - part) * here[k] for k, v in point.items()}
-            for _, point in steps[:MOST_SHAPES]
-            for part in PARTS
-        ]
+
+        def reached(point: Point, part: float) -> Point:
+            parts = {k: part if k in free else min(part, 1.0) for k in point}  # calibrations go no farther
+            return {k: v if k in shapes else parts[k] * v + (1.0 - parts[k]) * here[k] for k, v in point.items()}
+
+        points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in PARTS]
         return steps[0][0], [(self.refits.profile_loss(best.whitener, p), p) for p in points]
 
     def _fitted_from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
         """Fit from a start with the weights of ``best``; where that loses, with the sharper ones of the start."""
         soft = self.fitter.fit(best.whitener, free, start)
         at_start, after = (self.refits.profile_loss(best.whitener, v) for v in (start, soft.values))
-        if at_start < after:
-            return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.world, start), free, start))
-        return self.refits.reweighted(soft)
+        return self._fitted_sharply(free, start) if at_start < after else self.refits.reweighted(soft)
+
+    def _fitted_sharply(self, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
+        """Fit from a start with its own weights: what lies far off is followed farther, if it is there."""
+        return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.world, start), free, start))
 
     def _from_afar(
         self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried

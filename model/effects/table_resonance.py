@@ -1,15 +1,22 @@
 """The table rings after each impact: a damped mode struck by the ball, on which the ball then rides and flies.
 
 The impulse is ``mass_ratio (1 + e) v`` on the mode's velocity, downwards; a ball at rest also
-presses it down by its weight, until it leaves.
+presses it down by its weight and its inertia, until it leaves. The drive was scaled to the plate that the operator had
+before him: bare, or with the ball at rest on it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 
 from kernels import njit
 from model.effects.base import Effect, Parameter, Row
+
+UNDAMPED = 1e-6  # a mode that nothing damps has no steady answer at its own frequency
 
 EFFECT = Effect(
     name="table_resonance",
@@ -35,11 +42,21 @@ EFFECT = Effect(
             0.9,
             0.02,
             null_value=0.05,
-            start_grid=(0.05,),
+            start_grid=(0.05, 0.3),
             is_shape=True,
             meaning="damping over critical",
         ),
+        Parameter(
+            "loaded",
+            "1",
+            0.0,
+            1.0,
+            0.3,
+            start_grid=(1.0,),
+            meaning="1 where the drive was scaled with the ball at rest on the plate",
+        ),
     ),
+    variants=(("mass_ratio", "frequency_hz", "damping"), ("mass_ratio", "frequency_hz", "damping", "loaded")),
     confused_with={"amplitude_modulation": "the low-frequency line of the accelerometer"},
     reference="seed paper: a slow resonance of the whole shaker above gamma_peak 4",
 )
@@ -49,3 +66,10 @@ EFFECT = Effect(
 def plate_mode(p: Row, k: int) -> tuple[float, float, float]:
     """``(omega_radps, damping_ratio, mass_ratio)``."""
     return 2.0 * math.pi * p[k + 1], p[k + 2], p[k]
+
+
+def transfer(p: Mapping[str, float], omega_radps: Any, accel_g: Any) -> Any:
+    """Factor on the bare plate's tones, where the drive's scale is that of the plate under the ball."""
+    own = 2.0 * np.pi * p["frequency_hz"]
+    bare = own**2 - omega_radps**2 + 2j * max(p["damping"], UNDAMPED) * own * omega_radps
+    return 1.0 - p["loaded"] * p["mass_ratio"] * omega_radps**2 / bare
