@@ -6,7 +6,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from analysis.loop.close_loop import close_loop
+from benchmarks.analysis.shaker_parts import recorded
+from benchmarks.plants.shaker import BALL_KG, Shaker
 
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
 
@@ -80,3 +85,16 @@ def test_what_has_no_name_is_not_called_explained(tmp_path: Path) -> None:
     verdict, _ = verdict_on(tmp_path, "--c", "2", "--effect", "upper_stop", "--strength", "strong", "--seed", "33")
     assert verdict["verdict"] == "unexplained"
     assert verdict["remainder"]["p_lack_of_fit"] < 1e-4
+
+
+@pytest.mark.slow
+def test_a_light_table_and_a_late_accelerometer_are_found_together(tmp_path: Path) -> None:
+    """A table of 20 kg behind a converter's filter, one tone: both causes have their names and sizes, nothing else."""
+    gammas = np.random.default_rng((80041, 7)).permutation(np.round(np.linspace(0.5, 2.6, 22), 4))
+    rig = Shaker(table_kg=20.0, gammas=tuple(gammas.tolist()), seed=80041)
+    loop = close_loop([recorded(rig, tmp_path)])
+    assert loop.verdict == "explained"
+    assert {effect.name for effect in loop.effects} == {"table_resonance", "accelerometer_lag"}
+    found = {(p.effect, p.parameter): p for p in loop.parameters}
+    for name, true in {"mass_ratio": BALL_KG / 20.0, "frequency_hz": 8.0, "damping": 0.7}.items():
+        assert found["table_resonance", name].value == pytest.approx(true, rel=0.05)
