@@ -41,7 +41,7 @@ contact_cycles = 8
 """
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_profile() -> Callable[..., Profile]:
     """A profile of three short steps; keyword ``ratio``, and ``(old, new)`` replacements of its text."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.files.tables import STEP_DTYPE
-from rig.profile import Profile, parse_profile
+from rig.profile import Profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import (
     BLOCKS_PER_CYCLE,
@@ -26,33 +26,6 @@ from rig.programme.sequencer import (
     largest_block,
     stop_fade_samples,
 )
-
-TEXT = """
-name = "test"
-[sampling]
-rate_hz = 2000
-[forcing]
-frequency_hz = 25.37
-ratio = {ratio}
-[drive]
-g_per_volt = 2.0
-[channels.continuity]
-[channels.accelerometer]
-sensitivity = 0.1
-unit = "V/g"
-[ball]
-mass_kg = 0.25
-[ramp]
-gamma = [0.2, 0.5, 0.3]
-settle_cycles = 2
-hold_cycles = 3
-[limits]
-drive_v = 9.5
-plate_mps2 = 120.0
-displacement_m = 0.02
-velocity_mps = 2.0
-contact_cycles = 8
-"""
 
 
 def rows(marks) -> np.ndarray:
@@ -87,9 +60,9 @@ def test_table_leads_everywhere_and_out() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(block=st.integers(1, 700))
-def test_blocks_do_not_show(block: int) -> None:
+def test_blocks_do_not_show(three_steps: Profile, block: int) -> None:
     """A whole run is the same, bit for bit, in blocks of any size."""
-    sequencer, reference = (fresh() for _ in range(2))
+    sequencer, reference = (fresh(three_steps) for _ in range(2))
     whole = drive_all(reference, 4096)
     run = drive_all(sequencer, block)
     n = min(len(whole), len(run))
@@ -98,43 +71,43 @@ def test_blocks_do_not_show(block: int) -> None:
     assert rows(sequencer.marks).tolist() == rows(reference.marks).tolist()
 
 
-@functools.cache
-def profile_of_three_steps() -> Profile:
+@pytest.fixture(scope="session")
+def three_steps(make_profile: Callable[..., Profile]) -> Profile:
     """The tests' profile, two tones; frozen, so that examples may share it."""
-    return parse_profile(TEXT.format(ratio=2), "test.toml")
+    return make_profile(ratio=2)
 
 
-def fresh() -> Sequencer:
-    """A new run of the test's profile."""
-    profile = profile_of_three_steps()
+def fresh(profile: Profile) -> Sequencer:
+    """A new run of the profile."""
     return Sequencer(plan(profile), profile)
 
 
 @settings(max_examples=40, deadline=None)
 @given(stop_at=st.integers(0, 2600), block=st.integers(1, 19), how=st.sampled_from([Stop.RAMP_DOWN, Stop.NOW]))
-def test_stop_anywhere_ends_at_zero_and_is_reproduced(stop_at: int, block: int, how: Stop) -> None:
+def test_stop_anywhere_ends_at_zero_and_is_reproduced(
+    three_steps: Profile, stop_at: int, block: int, how: Stop
+) -> None:
     """From a stop at any sample: zero within two cycles, no jump, and the table alone gives every sample again."""
-    sequencer = fresh()
+    sequencer = fresh(three_steps)
     run = drive_all(sequencer, block, stop_at, how)
     clock = sequencer.programme.clock
     asked = -(-stop_at // block) * block
     zero_from = asked if how is Stop.NOW else None
-    profile = profile_of_three_steps()
-    by_steps = fades_of_steps(profile, rows(sequencer.marks), zero_from=zero_from)
-    by_changes = fades_of_changes(profile, change_rows(profile, sequencer.fades))
+    by_steps = fades_of_steps(three_steps, rows(sequencer.marks), zero_from=zero_from)
+    by_changes = fades_of_changes(three_steps, change_rows(three_steps, sequencer.fades))
     for fades in (by_steps, by_changes):
-        assert np.array_equal(commanded(profile, fades, 0, len(run)), run)
-        assert np.array_equal(commanded(profile, fades, 333, 500), np.pad(run, (0, 900))[333:833])
+        assert np.array_equal(commanded(three_steps, fades, 0, len(run)), run)
+        assert np.array_equal(commanded(three_steps, fades, 333, 500), np.pad(run, (0, 900))[333:833])
     if asked < sequencer.programme.n_samples:
         assert not np.any(run[asked + clock.cycle_start(2) :])
     if how is Stop.RAMP_DOWN:
-        steepest = np.abs(np.diff(drive_all(fresh(), 64))).max()
+        steepest = np.abs(np.diff(drive_all(fresh(three_steps), 64))).max()
         assert np.abs(np.diff(run)).max() <= 2.0 * steepest
 
 
-def test_finish_step_holds_to_its_end() -> None:
+def test_finish_step_holds_to_its_end(three_steps: Profile) -> None:
     """A gentle stop completes the step under way and begins no other."""
-    sequencer = fresh()
+    sequencer = fresh(three_steps)
     first = sequencer.programme.steps[0]
     drive_all(sequencer, 8, first.first_sample + 5, Stop.FINISH_STEP)
     table = rows(sequencer.marks)
@@ -142,17 +115,16 @@ def test_finish_step_holds_to_its_end() -> None:
     assert sequencer.step.index == 0
 
 
-def test_marks_say_when_a_step_begins_and_how_it_ended() -> None:
+def test_marks_say_when_a_step_begins_and_how_it_ended(three_steps: Profile) -> None:
     """A whole run marks each step twice: as planned at its first sample, as driven at its last."""
-    sequencer = fresh()
+    sequencer = fresh(three_steps)
     drive_all(sequencer, 33)
     assert sequencer.marks == [step for step in sequencer.programme.steps for _ in range(2)]
 
 
-def test_no_settling_and_a_second_stop() -> None:
+def test_no_settling_and_a_second_stop(three_steps: Profile) -> None:
     """A state of no length is passed through, and asking twice changes nothing."""
-    profile = profile_of_three_steps()
-    short = profile.model_copy(update={"ramp": profile.ramp.model_copy(update={"settle_cycles": 0})})
+    short = three_steps.model_copy(update={"ramp": three_steps.ramp.model_copy(update={"settle_cycles": 0})})
     sequencer = Sequencer(plan(short), short)
     sequencer.take(sequencer.step.settle_samples + 1)
     assert sequencer.state is State.HOLDING
@@ -174,10 +146,9 @@ def test_block_size_leaves_time_to_stop(make_profile) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(block=st.integers(1, 60), waits=st.lists(st.integers(0, 400), min_size=6, max_size=6))
-def test_controlled_settling(block: int, waits: list[int]) -> None:
+def test_controlled_settling(three_steps: Profile, block: int, waits: list[int]) -> None:
     """Under control a step settles until told, whatever is changed meanwhile; the changes alone give every sample."""
-    profile = profile_of_three_steps()
-    sequencer = Sequencer(plan(profile), profile, controlled=True)
+    sequencer = Sequencer(plan(three_steps), three_steps, controlled=True)
     clock, pieces, fades_end = sequencer.programme.clock, [], 0
     while not sequencer.done:
         pieces.append(sequencer.take(block))
@@ -189,8 +160,8 @@ def test_controlled_settling(block: int, waits: list[int]) -> None:
         elif sequencer.state is State.SETTLING and not waits:
             sequencer.settled()
     run = np.concatenate(pieces)
-    fades = fades_of_changes(profile, change_rows(profile, sequencer.fades))
-    assert np.array_equal(commanded(profile, fades, 0, len(run)), run)
+    fades = fades_of_changes(three_steps, change_rows(three_steps, sequencer.fades))
+    assert np.array_equal(commanded(three_steps, fades, 0, len(run)), run)
     ended = [step for i, step in enumerate(sequencer.marks) if i % 2]
     assert len(ended) == 3
     for step in ended:
@@ -199,16 +170,16 @@ def test_controlled_settling(block: int, waits: list[int]) -> None:
         assert step.end_sample == clock.cycle_start(clock.cycle_after(hold_from) + step.hold_cycles)
 
 
-def test_only_settling_may_be_retargeted() -> None:
+def test_only_settling_may_be_retargeted(three_steps: Profile) -> None:
     """A hold is never disturbed."""
-    sequencer = fresh()
+    sequencer = fresh(three_steps)
     with pytest.raises(ValueError, match="while fading"):
         sequencer.retarget(sequencer.amplitudes, 2)
 
 
-def test_pause_keeps_the_amplitude_and_goes_on_with_a_cycle() -> None:
+def test_pause_keeps_the_amplitude_and_goes_on_with_a_cycle(three_steps: Profile) -> None:
     """Asked to pause: the step ends as planned, its amplitude stays, and the next step begins with a whole cycle."""
-    sequencer, clock = fresh(), fresh().programme.clock
+    sequencer, clock = fresh(three_steps), fresh(three_steps).programme.clock
     sequencer.pause(True)
     pieces = []
     while sequencer.state is not State.PAUSED:
@@ -221,14 +192,13 @@ def test_pause_keeps_the_amplitude_and_goes_on_with_a_cycle() -> None:
     assert len(table) == 3 and table[1]["first_sample"] > table[0]["first_sample"] + table[0]["n_samples"] + 400
     assert table[1]["first_sample"] == clock.cycle_start(clock.cycle_after(int(table[1]["first_sample"])))
     run = np.concatenate(pieces)
-    profile = profile_of_three_steps()
-    assert np.array_equal(run, commanded(profile, fades_of_steps(profile, table), 0, len(run)))
+    assert np.array_equal(run, commanded(three_steps, fades_of_steps(three_steps, table), 0, len(run)))
 
 
 @pytest.mark.parametrize("how", list(Stop))
-def test_every_stop_ends_a_pause(how: Stop) -> None:
+def test_every_stop_ends_a_pause(three_steps: Profile, how: Stop) -> None:
     """A paused run heeds every stop, finishing the step included, and ends at zero."""
-    sequencer = fresh()
+    sequencer = fresh(three_steps)
     sequencer.pause(True)
     while sequencer.state is not State.PAUSED:
         sequencer.take(10)
@@ -238,10 +208,10 @@ def test_every_stop_ends_a_pause(how: Stop) -> None:
     assert sequencer.done and not np.any(run[-10:]) and len(rows(sequencer.marks)) == 1
 
 
-def test_pause_that_nobody_ends_is_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pause_that_nobody_ends_is_a_stop(three_steps: Profile, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run left alone in a pause ramps down."""
     monkeypatch.setattr("rig.programme.sequencer.LONGEST_PAUSE_S", 0.5)
-    sequencer = fresh()
+    sequencer = fresh(three_steps)
     sequencer.pause(True)
     drive_all(sequencer, 10)
     assert len(rows(sequencer.marks)) == 1
