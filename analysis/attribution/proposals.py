@@ -25,9 +25,15 @@ Tried = Callable[[Candidate], None]
 MOST_DRIFTING, DRIFTING_NATS = 4, 100.0  # strong candidates of a round that are tried with a drift; their least gain
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
-PARTS = (4.0, 2.0, 1.0, 0.5, 0.25)  # of a linear step, too short where few data agree: where its loss is looked up
+PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
+LONGER = (4.0, 2.0)  # the same of a mode of the plate: its linear steps are too short while another cause is missing
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
+
+
+def moves_both(candidate: Candidate) -> bool:
+    """Whether the candidate is a mode of the plate: it shows in plate data and in every flight over that plate."""
+    return "plate_mode" in effect(candidate.names[0]).hooks
 
 
 def has_shape(free: Sequence[ParameterId]) -> bool:
@@ -133,7 +139,7 @@ class Proposals:
                 return self.refits.profile_loss(best.whitener, x.values)
 
             found = self.refits.scored(added, min((self._fitted_from(best, both, p) for _, p in two), key=loss))
-            if plate_only or not has_shape(free) or found.noise_like(self.noise_like_ratio):
+            if not moves_both(candidate) or found.noise_like(self.noise_like_ratio):
                 return found
             here = [{**best.fitted.values, **{k: p[k] for k in free}} for _, p in two]  # its calibrations
             return self.refits.scored(
@@ -179,10 +185,11 @@ class Proposals:
         here = {k: best.fitted.values.get(k, null_value_of(k)) for k in steps[0][1]}
 
         def reached(point: Point, part: float) -> Point:
-            parts = {k: part if k in free else min(part, 1.0) for k in point}  # calibrations go no farther
-            return {k: v if k in shapes else parts[k] * v + (1.0 - parts[k]) * here[k] for k, v in point.items()}
+            way = {k: part if k in free else min(part, 1.0) for k in point}  # calibrations go no farther
+            return {k: v if k in shapes else way[k] * v + (1.0 - way[k]) * here[k] for k, v in point.items()}
 
-        points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in PARTS]
+        parts = (*LONGER, *PARTS) if moves_both(candidate) else PARTS
+        points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in parts]
         return steps[0][0], [(self.refits.profile_loss(best.whitener, p), p) for p in points]
 
     def _fitted_from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:

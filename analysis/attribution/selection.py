@@ -122,6 +122,9 @@ class StepwiseSelection:
                 f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
             )
             kept = self.pruning.simplified(self.pruning.without_idle(accepted, rounds), self.library, rounds)
+            if kept is not accepted and (why := self._left_by_simplification(best, accepted, kept, depth, null)):
+                rounds.append(f"step back: that simpler form is refused ({why})")
+                break
             rivals = found if kept is accepted else []
             if kept is accepted:  # a cause and its drift are confirmed one by one
                 chain += [x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates][:1]
@@ -180,6 +183,15 @@ class StepwiseSelection:
                 return chosen, best, null
             best, null = again, ChanceGains(again, null.options, null.rng)
         return self.judge.choose(best, found, depth, null), best, null
+
+    def _left_by_simplification(
+        self, best: Hypothesis, accepted: Hypothesis, kept: Hypothesis, depth: int, null: ChanceGains
+    ) -> str | None:
+        """Why the simpler form of an effect of small gain is refused: it was another form that had passed the tests."""
+        clear = self.judge.gain(best, accepted).exceeds(self.limits.next_effect_nats, self.limits.next_effect_sigmas)
+        if clear or kept.names != accepted.names:
+            return None
+        return self.judge.refusal(best, kept, depth, null)
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""

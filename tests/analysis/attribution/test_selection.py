@@ -106,6 +106,25 @@ def test_a_first_choice_that_leaves_more_than_noise_gives_way_to_another(
     assert {names for names, _ in result.tried} >= {("viscous_damping",), ("coulomb_friction",)}
 
 
+@pytest.mark.parametrize("gain_nats", [10.0, 100.0])
+def test_a_simpler_form_of_a_weak_effect_passes_the_tests_itself(
+    selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch, gain_nats: float
+) -> None:
+    """A form is accepted and gives way to a simpler one that does nothing: a gain of 10 nats leaves no name, 100 do."""
+    selection = selection_of({UP: 0.05, DOWN: 0.05}, 1)
+    nothing, friction = selection.declared(), added(selection, named(selection, "coulomb_friction"))
+    share = gain_nats / len(nothing.losses) / np.count_nonzero(selection.train)
+    form = replace(friction, losses={k: x - share for k, x in nothing.losses.items()})
+    idle = replace(friction, losses=nothing.losses)
+    monkeypatch.setattr(selection.pruning, "simplified", lambda *_: idle)
+    monkeypatch.setattr(selection.judge, "choose", lambda *_: form)
+    result, _ = selection._followed(nothing, [form])
+    refused = any(
+        line.startswith("step back: that simpler form is refused (too small a gain") for line in result.rounds
+    )
+    assert refused == (gain_nats < FROZEN.next_effect_nats) == (result.best is result.before)
+
+
 @pytest.mark.slow
 def test_two_causes_are_both_named(explain: Explain) -> None:
     """Damping with a plate that holds the ball: neither can stand in for the other."""
