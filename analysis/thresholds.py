@@ -20,6 +20,9 @@ class Thresholds:
         Least held-out gain of the first effect, in nats and in standard errors of the per-step differences.
     next_effect_nats, next_effect_sigmas
         The same for every further effect: one cause must nearly fail before two are named.
+    few_steps_sigmas
+        The same standard errors where landings that were lost are found, or more than noise is left without the effect
+        and only noise with it: a gain by a single step has one.
     gain_nats, gain_sigmas
         Gain that is beyond doubt without a null of its own: of a richer form, of a term, at a detection limit.
     worse_nats, worse_sigmas
@@ -65,6 +68,7 @@ class Thresholds:
     best_of_all_p: float = 1e-3
     first_effect_nats: float = 6.0
     first_effect_sigmas: float = 1.5
+    few_steps_sigmas: float = 1.0
     gain_nats: float = 12.0
     gain_sigmas: float = 2.0
     next_effect_nats: float = 15.0

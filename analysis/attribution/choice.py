@@ -66,10 +66,12 @@ class Judge:
         nats, sigmas = limits.first_effect_nats, limits.first_effect_sigmas
         if depth:
             nats, sigmas = limits.next_effect_nats, limits.next_effect_sigmas
+        if self.finds(best, x) or self.refuted(best, x):  # a cause may show in few steps
+            sigmas = limits.few_steps_sigmas
         gain = self.gain(best, x)
         if not gain.gain > nats:
             return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
-        if not gain.exceeds(nats, 1.0 if self.finds(best, x) else sigmas):
+        if not gain.exceeds(nats, sigmas):
             return (
                 f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and "
                 f"{gain.clipped:.0f} +- {gain.clipped_error:.0f} with no step counted for more than "

@@ -31,7 +31,7 @@ MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and fr
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
 
 
-def moves_both(candidate: Candidate) -> bool:
+def is_plate_mode(candidate: Candidate) -> bool:
     """Whether the candidate is a mode of the plate: it shows in plate data and in every flight over that plate."""
     return "plate_mode" in effect(candidate.names[0]).hooks
 
@@ -85,7 +85,11 @@ class Proposals:
             return found
 
         with ThreadPoolExecutor(THREADS) as pool:
-            found = [x for x in pool.map(one, options) if x is not None]
+            fitted = list(pool.map(one, options))
+            found = [x for x in fitted if x is not None]
+            if not any(x.noise_like(self.noise_like_ratio) for x in found):
+                modes = [c for c, x in zip(options, fitted, strict=True) if x is not None and is_plate_mode(c)]
+                found += pool.map(lambda c: self._followed_farther(best, c), modes)
             if far and not self._settled(found):
                 found += self._from_afar(best, far, pool, tried)
             return found + self._drifting(best, found, pool)
@@ -125,26 +129,12 @@ class Proposals:
         free = tuple(k for k in candidate.free if k not in taken)
         if not free:
             return None
-        listed = self._starts(best, candidate, free)
-        promised, led = self._linear_gain(best, candidate, free)
-        starts = sorted([*listed, *led], key=lambda pair: pair[0])
+        promised, starts, two = self._begun(best, candidate, free)
         level = self.refits.profile_loss(best.whitener, best.fitted.values)
         added = (*best.candidates, Candidate(candidate.names, free))
-        plate_only = set(candidate.names) <= plate_effects()
         if level - starts[0][0] >= self.least_nats:
-            two = (listed[0], starts[0]) if plate_only and led else distinct_starts(starts, free, with_size=plate_only)
-            both = (*best.free, *free)
-
-            def loss(x: Fitted) -> float:
-                return self.refits.profile_loss(best.whitener, x.values)
-
-            found = self.refits.scored(added, min((self._fitted_from(best, both, p) for _, p in two), key=loss))
-            if not moves_both(candidate) or found.noise_like(self.noise_like_ratio):
-                return found
-            here = [{**best.fitted.values, **{k: p[k] for k in free}} for _, p in two]  # its calibrations
-            return self.refits.scored(
-                added, min(found.fitted, *(self._fitted_sharply(both, p) for p in here), key=loss)
-            )
+            return self._best_of(best, added, [self._fitted_from(best, (*best.free, *free), p) for _, p in two])
+        plate_only = set(candidate.names) <= plate_effects()
         cheap = plate_only and (not best.free or bool(SQUARED_HOOKS & effect(candidate.names[0]).hooks.keys()))
         if not cheap and promised < self.least_nats:
             return None
@@ -154,6 +144,31 @@ class Proposals:
         if gained < self.least_nats:
             return Hypothesis(added, fitted, best.whitener, fitted.held_out(best.whitener))
         return self.refits.scored(added, self.refits.reweighted(fitted))
+
+    def _followed_farther(self, best: Hypothesis, candidate: Candidate) -> Hypothesis:
+        """Fit a mode of the plate from its starts with their own weights, calibrations where the best one has them."""
+        free = tuple(k for k in candidate.free if k not in best.free)
+        _, _, two = self._begun(best, candidate, free)
+        starts = [{**best.fitted.values, **{k: p[k] for k in free}} for _, p in two]
+        fits = [self._fitted_sharply((*best.free, *free), p) for p in starts]
+        return self._best_of(best, (*best.candidates, Candidate(candidate.names, free)), fits)
+
+    def _best_of(self, best: Hypothesis, candidates: tuple[Candidate, ...], fits: Sequence[Fitted]) -> Hypothesis:
+        """The hypothesis of the fit with the lowest loss under the weights of ``best``."""
+        lowest = min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values))
+        return self.refits.scored(candidates, lowest)
+
+    def _begun(
+        self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]
+    ) -> tuple[float, list[tuple[float, Point]], list[tuple[float, Point]]]:
+        """What the candidate promises in nats; its starts with the loss at each, lowest first; the two to fit from."""
+        listed = self._starts(best, candidate, free)
+        promised, led = self._linear_gain(best, candidate, free)
+        starts = sorted([*listed, *led], key=lambda pair: pair[0])
+        plate_only = set(candidate.names) <= plate_effects()
+        if plate_only and led:
+            return promised, starts, [listed[0], starts[0]]
+        return promised, starts, distinct_starts(starts, free, with_size=plate_only)
 
     def _starts(self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]) -> list[tuple[float, Point]]:
         """The candidate's starting points with the loss at each, lowest first.
@@ -188,7 +203,7 @@ class Proposals:
             way = {k: part if k in free else min(part, 1.0) for k in point}  # calibrations go no farther
             return {k: v if k in shapes else way[k] * v + (1.0 - way[k]) * here[k] for k, v in point.items()}
 
-        parts = (*LONGER, *PARTS) if moves_both(candidate) else PARTS
+        parts = (*LONGER, *PARTS) if is_plate_mode(candidate) else PARTS
         points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in parts]
         return steps[0][0], [(self.refits.profile_loss(best.whitener, p), p) for p in points]
 

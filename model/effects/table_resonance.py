@@ -53,6 +53,7 @@ EFFECT = Effect(
             1.0,
             0.3,
             start_grid=(1.0,),
+            is_shape=True,
             meaning="1 where the drive was scaled with the ball at rest on the plate",
         ),
     ),

@@ -121,6 +121,21 @@ def test_a_small_gain_is_called_small(judge: Judge, explanation: Callable[..., H
     assert judge.rejected(best, [explanation("drag", np.full(STEPS, 0.22))], 0, None) is None
 
 
+@pytest.mark.parametrize(("steps", "scatter", "accepted"), [(2, 3.0, True), (1, 3.0, False), (2, 1.0, False)])
+def test_two_steps_are_enough_where_more_than_noise_is_left_without_the_cause(
+    judge: Judge, explanation: Callable[..., Hypothesis], steps: int, scatter: float, accepted: bool
+) -> None:
+    """A second cause that shows in two steps of sixteen stands beside a first one that leaves more than noise.
+
+    Not where a single step speaks for it and another a little against it, nor where the first leaves only noise.
+    """
+    gained = np.where(np.arange(STEPS) < steps, 60.0, 0.0)
+    gained[-1] = -1.0
+    best, x = explanation("nothing", gained, scatter=scatter), explanation("restitution", np.zeros(STEPS))
+    assert (judge.choose(best, [x], 1) is x) is accepted
+    assert (judge.rejected(best, [x], 1, None) is None) is accepted
+
+
 @pytest.mark.parametrize(("p", "accepted"), [(2e-4, True), (5e-3, False)])
 def test_what_chance_gains_as_well_is_refused_with_its_probability(
     judge: Judge, explanation: Callable[..., Hypothesis], p: float, accepted: bool
