@@ -33,7 +33,7 @@ NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its 
 
 def is_plate_mode(candidate: Candidate) -> bool:
     """Whether the candidate is a mode of the plate: it shows in plate data and in every flight over that plate."""
-    return "plate_mode" in effect(candidate.names[0]).hooks
+    return "plate_mode" in effect(candidate.names[0]).hooks and trend_name() not in candidate.names
 
 
 def has_shape(free: Sequence[ParameterId]) -> bool:
