@@ -12,8 +12,9 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.residuals.forward_model import ParameterId
-from analysis.residuals.lack_of_fit import plate_rms_standardised, rms_standardised
+from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
 from analysis.residuals.whitening import Whitener
+from analysis.thresholds import Thresholds
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,13 @@ class Hypothesis:
         world, values = self.fitted.fitter.world, self.fitted.values
         flights = rms_standardised(world, values, world.uncertainty(values))
         return flights < ratio and plate_rms_standardised(world, values) < (plate_ratio or ratio)
+
+    def passes(self, limits: Thresholds) -> bool:
+        """Whether what it leaves of flights and plate data passes the verdict's tests of the remainder."""
+        if self.noise_like(limits.lack_ratio, limits.plate_rms_z):
+            return True
+        left = goodness_of_fit(self.fitted.fitter.world, self.fitted.values, limits)
+        return left.flights_pass(limits) and left.plate_passes(limits)
 
 
 class Refits:

@@ -53,7 +53,8 @@ class Proposals:
     """
 
     def __init__(self, refits: Refits, limits: Thresholds) -> None:
-        self.refits, self.fitter, self.least_nats = refits, refits.fitter, limits.negligible_nats
+        self.refits, self.fitter, self.limits = refits, refits.fitter, limits
+        self.least_nats = limits.negligible_nats
         self.noise_like_ratio = limits.noise_like_ratio
 
     def round(
@@ -87,7 +88,7 @@ class Proposals:
         with ThreadPoolExecutor(THREADS) as pool:
             fitted = list(pool.map(one, options))
             found = [x for x in fitted if x is not None]
-            if not any(x.noise_like(self.noise_like_ratio) for x in found):
+            if not self._explained(best, found):
                 modes = [c for c, x in zip(options, fitted, strict=True) if x is not None and is_plate_mode(c)]
                 found += pool.map(lambda c: self._followed_farther(best, c), modes)
             if far and not self._settled(found):
@@ -122,6 +123,12 @@ class Proposals:
         """Whether the best of the fits from nearby has found the lost landings and leaves no more than noise."""
         top = min(found, key=self._loss, default=None)
         return top is not None and not top.whitener.lost and top.noise_like(self.noise_like_ratio)
+
+    def _explained(self, best: Hypothesis, found: Sequence[Hypothesis]) -> bool:
+        """Whether a fit from nearby leaves no more than noise, or the best one no more than the verdict lets pass."""
+        if any(x.noise_like(self.noise_like_ratio) for x in found):
+            return True
+        return best.passes(self.limits) or min([best, *found], key=self._loss).passes(self.limits)
 
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here."""

@@ -78,7 +78,7 @@ class StepwiseSelection:
         taken, first = self._followed(before, found)
         kin = contained_in(first)
         others = [x for x in found if not contained_in(x.names) & kin]
-        if not others or not first or taken.best.noise_like(self.limits.lack_ratio, self.limits.plate_rms_z):
+        if not others or not first or taken.best.passes(self.limits):
             return taken
         other, _ = self._followed(before, others)
         lead = self.judge.gain(taken.best, other.best)

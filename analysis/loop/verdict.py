@@ -73,9 +73,9 @@ def failed_tests(
     that are missed as far as their step's own openings foretell are missed by the tones alone, and pass.
     """
     out = []
-    if left.p_lack_of_fit < limits.lack_p and left.ratio > limits.lack_ratio:
+    if not left.flights_pass(limits):
         out.append(Failed("flights", left.ratio, limits.lack_ratio))
-    if left.plate_rms_z > limits.plate_rms_z:
+    if not left.plate_passes(limits):
         out.append(Failed("plate", left.plate_rms_z, limits.plate_rms_z))
     if named:
         landing, takeoff = (

@@ -72,6 +72,14 @@ class GoodnessOfFit:
     p_scatter: float
     p_serial: float
 
+    def flights_pass(self, limits: Thresholds) -> bool:
+        """Whether flights leave no more than noise, or no more than is let pass."""
+        return self.p_lack_of_fit >= limits.lack_p or self.ratio <= limits.lack_ratio
+
+    def plate_passes(self, limits: Thresholds) -> bool:
+        """Whether plate data leave no more than is let pass."""
+        return self.plate_rms_z <= limits.plate_rms_z
+
 
 @dataclass(frozen=True)
 class Innovations:
