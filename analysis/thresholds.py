@@ -5,6 +5,7 @@ A change of a number here is a decision to be recorded, with the whole confusion
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -96,6 +97,10 @@ class Thresholds:
     knots_rms: float = 1.05
     base_rms: float = 1.15
     similar_correlation: float = 0.8
+
+    def most_rms_us(self, floor_us: float) -> float:
+        """Largest error of an explained recording beside its noise floor; all edges of a step share `SHARED_S`."""
+        return self.max_rms_over_floor * math.hypot(floor_us, 1e6 * SHARED_S)
 
 
 FROZEN = Thresholds()

@@ -13,6 +13,7 @@ from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.residuals.forward_model import ParameterId
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
+from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 
@@ -67,11 +68,16 @@ class Hypothesis:
         return flights < ratio and plate_rms_standardised(world, values) < (plate_ratio or ratio)
 
     def passes(self, limits: Thresholds) -> bool:
-        """Whether what it leaves of flights and plate data passes the verdict's tests of the remainder."""
+        """Whether what it leaves passes the verdict's tests of flights, plate data and landings, on all steps."""
         if self.noise_like(limits.lack_ratio, limits.plate_rms_z):
             return True
-        left = goodness_of_fit(self.fitted.fitter.world, self.fitted.values, limits)
-        return left.flights_pass(limits) and left.plate_passes(limits)
+        world, values = self.fitted.fitter.world, self.fitted.values
+        left = goodness_of_fit(world, values, limits)
+        if not (left.flights_pass(limits) and left.plate_passes(limits)):
+            return False
+        rows, excluded = scored_rows(world, values, np.ones(len(world.evidence.steps), dtype=np.bool_))
+        missed = held_out_errors(world, values, rows, excluded).landing_rms_us
+        return missed <= limits.most_rms_us(noise_floors_us(world, values, rows)[0])
 
 
 class Refits:

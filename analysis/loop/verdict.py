@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
-from analysis.thresholds import SHARED_S, Thresholds
+from analysis.thresholds import Thresholds
 
 Verdict = Literal["explained", "unexplained", "nothing_missing"]
 
@@ -79,8 +79,7 @@ def failed_tests(
         out.append(Failed("plate", left.plate_rms_z, limits.plate_rms_z))
     if named:
         landing, takeoff = (
-            max(limits.max_rms_over_floor * math.hypot(floor, 1e6 * SHARED_S), chance)
-            for floor, chance in zip(floors_us, chance_us, strict=True)
+            max(limits.most_rms_us(floor), chance) for floor, chance in zip(floors_us, chance_us, strict=True)
         )
         if after.landing_rms_us > landing and not _by_tones(given, limits):
             out.append(Failed("landings", after.landing_rms_us, landing))
@@ -94,8 +93,7 @@ def _by_tones(given: GivenOpenings | None, limits: Thresholds) -> bool:
     """Whether no more than noise is left of held-out landings, once the openings have told the errors of the tones."""
     if given is None:
         return False
-    allowed = limits.max_rms_over_floor * math.hypot(given.floor_us, 1e6 * SHARED_S)
-    return given.landing_rms_us <= max(allowed, given.chance_us)
+    return given.landing_rms_us <= max(limits.most_rms_us(given.floor_us), given.chance_us)
 
 
 def verdict_of(

@@ -106,6 +106,30 @@ def test_a_first_choice_that_leaves_more_than_noise_gives_way_to_another(
     assert {names for names, _ in result.tried} >= {("viscous_damping",), ("coulomb_friction",)}
 
 
+def test_a_first_choice_that_the_verdict_lets_pass_is_followed_alone(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Uncertainties said too small, as a quiet rig's are: scatter without structure sends nobody another way."""
+    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 1, gammas=GAMMAS)
+    few = [c for c in candidates_of(world) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
+    selection = StepwiseSelection(world, fitter_of(world), library=few)
+    monkeypatch.setattr("analysis.attribution.hypothesis.rms_standardised", lambda *_: 1.5)
+    monkeypatch.setattr("analysis.residuals.lack_of_fit.rms_standardised", lambda *_: 1.5)
+    ways, follow = list[SelectionResult](), selection._followed
+
+    def counted(before: Hypothesis, found: list[Hypothesis]) -> tuple[SelectionResult, tuple[str, ...]]:
+        result, first = follow(before, found)
+        ways.append(result)
+        return result, first
+
+    monkeypatch.setattr(selection, "_followed", counted)
+    result = selection.run()
+    assert result.best.names == ("coulomb_friction",)
+    assert ways == [result]
+    assert result.best.passes(FROZEN) and not result.best.noise_like(FROZEN.lack_ratio)
+    assert not result.before.passes(FROZEN)
+
+
 @pytest.mark.parametrize("gain_nats", [10.0, 100.0])
 def test_a_simpler_form_of_a_weak_effect_passes_the_tests_itself(
     selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch, gain_nats: float
