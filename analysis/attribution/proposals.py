@@ -54,8 +54,6 @@ class Proposals:
 
     def __init__(self, refits: Refits, limits: Thresholds) -> None:
         self.refits, self.fitter, self.limits = refits, refits.fitter, limits
-        self.least_nats = limits.negligible_nats
-        self.noise_like_ratio = limits.noise_like_ratio
 
     def round(
         self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
@@ -104,7 +102,7 @@ class Proposals:
         for x in sorted(found, key=self._loss):
             if self._loss(best) - self._loss(x) > DRIFTING_NATS:
                 strong.setdefault(x.names, x)
-        if not strong or next(iter(strong.values())).noise_like(self.noise_like_ratio):
+        if not strong or next(iter(strong.values())).noise_like(self.limits.noise_like_ratio):
             return []
 
         def drifting(x: Hypothesis) -> Hypothesis | None:
@@ -122,11 +120,14 @@ class Proposals:
     def _settled(self, found: Sequence[Hypothesis]) -> bool:
         """Whether the best of the fits from nearby has found the lost landings and leaves no more than noise."""
         top = min(found, key=self._loss, default=None)
-        return top is not None and not top.whitener.lost and top.noise_like(self.noise_like_ratio)
+        return top is not None and not top.whitener.lost and top.noise_like(self.limits.noise_like_ratio)
 
     def _explained(self, best: Hypothesis, found: Sequence[Hypothesis]) -> bool:
-        """Whether a fit from nearby leaves no more than noise, or the best one no more than the verdict lets pass."""
-        if any(x.noise_like(self.noise_like_ratio) for x in found):
+        """Whether a fit from nearby leaves no more than noise, or ``best`` or the best fit passes the verdict's tests.
+
+        Those take longer, and are made of these two alone.
+        """
+        if any(x.noise_like(self.limits.noise_like_ratio) for x in found):
             return True
         return best.passes(self.limits) or min([best, *found], key=self._loss).passes(self.limits)
 
@@ -139,16 +140,16 @@ class Proposals:
         promised, starts, two = self._begun(best, candidate, free)
         level = self.refits.profile_loss(best.whitener, best.fitted.values)
         added = (*best.candidates, Candidate(candidate.names, free))
-        if level - starts[0][0] >= self.least_nats:
+        if level - starts[0][0] >= self.limits.negligible_nats:
             return self._best_of(best, added, [self._fitted_from(best, (*best.free, *free), p) for _, p in two])
         plate_only = set(candidate.names) <= plate_effects()
         cheap = plate_only and (not best.free or bool(SQUARED_HOOKS & effect(candidate.names[0]).hooks.keys()))
-        if not cheap and promised < self.least_nats:
+        if not cheap and promised < self.limits.negligible_nats:
             return None
         known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
         gained = max(best.fitted.loss - fitted.loss, level - self.refits.profile_loss(best.whitener, fitted.values))
-        if gained < self.least_nats:
+        if gained < self.limits.negligible_nats:
             return Hypothesis(added, fitted, best.whitener, fitted.held_out(best.whitener))
         return self.refits.scored(added, self.refits.reweighted(fitted))
 
@@ -202,7 +203,7 @@ class Proposals:
         settings = {tuple(p.get(k, null_value_of(k)) for k in shapes) for p in candidate.starts}
         steps = [self.fitter.linear_step(best.fitted, free, dict(zip(shapes, at, strict=True))) for at in settings]
         steps.sort(key=lambda pair: -pair[0])
-        if steps[0][0] < self.least_nats:
+        if steps[0][0] < self.limits.negligible_nats:
             return steps[0][0], []
         here = {k: best.fitted.values.get(k, null_value_of(k)) for k in steps[0][1]}
 
