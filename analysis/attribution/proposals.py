@@ -200,7 +200,7 @@ class Proposals:
         shapes = [k for k in free if parameter_of(k).is_shape]
         if not shapes:
             return self.fitter.linear_step(best.fitted, free)[0], []
-        settings = {tuple(p.get(k, null_value_of(k)) for k in shapes) for p in candidate.starts}
+        settings = dict.fromkeys(tuple(p.get(k, null_value_of(k)) for k in shapes) for p in candidate.starts)
         steps = [self.fitter.linear_step(best.fitted, free, dict(zip(shapes, at, strict=True))) for at in settings]
         steps.sort(key=lambda pair: -pair[0])
         if steps[0][0] < self.limits.negligible_nats:

@@ -279,7 +279,8 @@ class ForwardModel:
 
     def flying(self, values: Values) -> Own:
         """All parameters that touch a flight."""
-        return tuple(sorted(i for i in self.start(values).items() if i[0][0] not in plate_effects()))
+        left_out, names = plate_parameters(), plate_effects()
+        return tuple(sorted(i for i in self.start(values).items() if i[0][0] not in names and i[0] not in left_out))
 
     def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
@@ -384,6 +385,12 @@ def _followed() -> tuple[tuple[str, int, str], ...]:
 def plate_effects() -> frozenset[str]:
     """Names of the effects that touch plate data only, never a flight."""
     return frozenset(r.effect.name for r in registry() if r.hooks and r.hooks.keys() <= PLATE_ONLY_HOOKS)
+
+
+@functools.cache
+def plate_parameters() -> frozenset[ParameterId]:
+    """Parameters that touch plate data only, of effects that touch flights as well."""
+    return frozenset((r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.plate_only)
 
 
 @functools.cache

@@ -4,6 +4,7 @@ An effect is one file. Its module holds ``EFFECT`` and any of these hooks, compi
 where ``p`` is the row of all parameters, the local g last, and ``k`` the place of the effect's first one:
 
 ====================================== =========================================================================
+``gravity(p, k)``                      constant downward acceleration of the ball beside the local g, m/s^2
 ``force(s, h, v, u, p, k)``            acceleration of the ball in m/s^2, positive up; `s` seconds since take-off, `h`
                                        height above the plate (m), `v` velocity relative to the plate and `u` absolute
                                        velocity (m/s)
@@ -49,8 +50,9 @@ from numpy.typing import NDArray
 Row = NDArray[np.float64]
 """The row of all parameters, the local g last."""
 
-COMPILED_HOOKS = ("force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")
+COMPILED_HOOKS = ("gravity", "force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")
 SIGNATURES = {
+    "gravity": "p, k",
     "force": "s, h, v, u, p, k",
     "dry_friction": "h, speed, direction, p, k",
     "takeoff_threshold": "dwell_s, p, k",
@@ -113,6 +115,8 @@ class Parameter:
         data are squares.
     is_shape
         True for a number that only shapes the effect (a frequency, a length): a fit needs the others to be non-zero.
+    plate_only
+        True for a number that changes plate data and never a flight, in an effect that changes both.
     drifts
         True where its trend alone is a candidate from the first round on.
     carries_term
@@ -139,6 +143,7 @@ class Parameter:
     stated_by: Stated = ""
     calibrated_by: Mapping[str, float] = field(default_factory=dict)
     is_shape: bool = False
+    plate_only: bool = False
     power: float = 1.0
     drifts: bool = False
     carries_term: Term = ""

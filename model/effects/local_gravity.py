@@ -33,6 +33,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
-    """Acceleration of the ball, m/s^2."""
-    return float(-p[k])
+def gravity(p: Row, k: int) -> float:
+    """Constant downward acceleration of the ball beside the local g, m/s^2."""
+    return float(p[k])

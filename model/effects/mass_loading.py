@@ -20,7 +20,14 @@ EFFECT = Effect(
             "relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, meaning="amplitude in flight over contact, minus 1"
         ),
         Parameter(
-            "bare", "1", 0.0, 1.0, 0.3, start_grid=(1.0,), meaning="1 where the drive was scaled without the ball"
+            "bare",
+            "1",
+            0.0,
+            1.0,
+            0.3,
+            start_grid=(1.0,),
+            plate_only=True,
+            meaning="1 where the drive was scaled without the ball",
         ),
     ),
     variants=(("relative",), ("relative", "bare")),

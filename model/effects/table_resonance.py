@@ -54,6 +54,7 @@ EFFECT = Effect(
             0.3,
             start_grid=(1.0,),
             is_shape=True,
+            plate_only=True,
             meaning="1 where the drive was scaled with the ball at rest on the plate",
         ),
     ),

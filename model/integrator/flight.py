@@ -7,7 +7,7 @@ forces and friction add. Impacts and standstills are found on Hermite polynomial
 from __future__ import annotations
 
 from model.integrator.hermite import crossing, first_standstill, first_touch, hermite5
-from model.integrator.hooks import dry_friction, force, takeoff_threshold
+from model.integrator.hooks import dry_friction, force, gravity, takeoff_threshold
 from model.integrator.plate import STEPS_PER_PERIOD, mode_at, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Floats, Law, Mode, Plate, Start, StepEnds, compiled, inlined
 
@@ -32,7 +32,7 @@ def pull(t: float, s: float, h: float, tones: Floats, mode: Mode, p: Floats, for
 @compiled
 def pull_of(v: float, a: float, h: float, p: Floats, forced: bool) -> float:
     """`pull` where the plate has the velocity ``v`` and the acceleration ``a``."""
-    return float(-p[-1] - a + (force(0.0, h, 0.0, v, p) if forced else 0.0))
+    return float(-gravity(p) - a + (force(0.0, h, 0.0, v, p) if forced else 0.0))
 
 
 @compiled
@@ -184,7 +184,7 @@ def segment(
     ended 1 impact, 2 standstill, 0 never; ``opened`` the time since take-off at which the height passed ``gap``, or -1.
     """
     p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
-    g = p[-1]
+    g = gravity(p)
     x0, xd0, xdd0 = tones_at(t0, tones)
     q0, qd0, qdd0 = mode_at(s0, mode)
     start = Start(h0, v0, x0 + q0, xd0 + qd0)

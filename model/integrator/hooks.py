@@ -11,6 +11,8 @@ from collections.abc import Callable
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import registry
 
+gravity: Callable[..., float]
+"""Constant downward acceleration of the ball, m/s^2, of ``(p)``: the local g and what effects add to it."""
 force: Callable[..., float]
 """Sum of the effects' accelerations, m/s^2, of ``(s, h, v, u, p)``."""
 dry_friction: Callable[..., float]
@@ -22,13 +24,16 @@ rebound: Callable[..., float]
 plate_mode: Callable[..., tuple[float, float, float]]
 """Plate mode struck by impacts: angular frequency, damping ratio, mass ratio, of ``(p)``."""
 
+gravity_of: Callable[..., float]
+"""What the one effect that owns the ``place`` in the row adds to gravity, m/s^2, of ``(place, p)``."""
 force_of: Callable[..., float]
-"""Acceleration by the one effect that owns the ``place`` in the row, m/s^2, of ``(place, s, h, v, u, p)``."""
+"""Acceleration by that one effect, m/s^2, of ``(place, s, h, v, u, p)``."""
 dry_friction_of: Callable[..., float]
 """Dry friction by that one effect, m/s^2, of ``(place, h, speed, direction, p)``."""
-OF_ONE = ("force", "dry_friction")
+OF_ONE = ("gravity", "force", "dry_friction")
 
 _SIGNATURES = {
+    "gravity": ("p", "p[-1]"),
     "force": ("s, h, v, u, p", "0.0"),
     "dry_friction": ("h, speed, direction, p", "0.0"),
     "takeoff_threshold": ("dwell_s, p", "0.0"),
@@ -38,7 +43,7 @@ _SIGNATURES = {
 
 
 def _source() -> str:
-    """The five functions, each the sum of its hooks."""
+    """One function a hook, each the sum of the effects' own; that of gravity begins with the local g."""
     entries = registry()
     lines = ["from kernels import njit"]
     for entry in entries:
@@ -49,7 +54,7 @@ def _source() -> str:
         terms = [f"{hook}_{e.effect.name}({arguments}, {e.offset})" for e in entries if hook in e.hooks]
         if hook == "plate_mode" and len(terms) > 1:
             raise ValueError("only one effect may bring a plate mode")
-        total = " + ".join(terms) or nothing
+        total = " + ".join([nothing, *terms] if hook == "gravity" else terms) or nothing
         lines += ["", "@njit(error_model='numpy')", f"def {hook}({arguments}):", f"    return {total}"]
     for hook in OF_ONE:
         arguments, _ = _SIGNATURES[hook]

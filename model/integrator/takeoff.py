@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, narrowed, pull, pull_of, wait
-from model.integrator.hooks import dry_friction, rebound, takeoff_threshold
+from model.integrator.hooks import dry_friction, gravity, rebound, takeoff_threshold
 from model.integrator.plate import (
     STEPS_PER_PERIOD,
     loaded,
@@ -147,9 +147,10 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
     Secant on the landing time from the drag-free answer, or from a launch velocity ``v_near`` known to land at
-    ``t_near`` (-1: none); the drag-free answer itself where no flight lands at t1.
+    ``t_near`` (-1: none); the drag-free answer itself where no flight lands at all. Without forces and friction that
+    answer is exact, and only flown: a ball cannot leave downwards, nor pass through the plate on its way.
     """
-    g, (tones, mode) = law.p[-1], plate
+    g, (tones, mode) = gravity(law.p), plate
     x0, vp0, _ = tones_at(t0, tones)
     x1, vp1, _ = tones_at(t1, tones)
     rx0, rv0 = mode.q, mode.qd
@@ -157,10 +158,8 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
     lasts = t1 - t0
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
-    if not (law.forced or law.rubbed):
-        return v0, hit
     va, fa, va_hit = v_near, t_near - t1, hit
-    first = 0 if v_near < 0.0 else 1
+    first = 0 if v_near < 0.0 or not (law.forced or law.rubbed) else 1
     vb = max(v0, 0.0) if first == 0 else max(v_near - 0.5 * g * fa, 0.0)
     for i in range(first, 7):
         s, v_hit, _ = flight(t0, vb, plate, law, 0.0)

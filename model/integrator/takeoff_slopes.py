@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from model.integrator.flight import pull
-from model.integrator.hooks import dry_friction, force, rebound, takeoff_threshold
+from model.integrator.hooks import dry_friction, force, gravity, rebound, takeoff_threshold
 from model.integrator.plate import tones_at
 from model.integrator.records import Floats, Law, Plate, clear, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
@@ -113,6 +113,12 @@ def _plate_at(off: float, tones: Floats, work: Work) -> None:
 
 
 @compiled
+def _pull_at_rest(u: float, dwell: float, p: Floats) -> float:
+    """What parameters contribute to `_throws` where the plate moves at ``u``: all but the plate's acceleration."""
+    return float(force(0.0, 0.0, 0.0, u, p) - gravity(p) - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell, p))
+
+
+@compiled
 def _when_thrown(
     off: float, dwell: float, rate: float, plate: Plate, law: Law, columns: Columns | None, work: Work, out: Leaving
 ) -> None:
@@ -127,12 +133,12 @@ def _when_thrown(
     out.off[LANDING] -= grows / rate
     if columns is not None:
         c = len(columns.place)
-        base = force(0.0, 0.0, 0.0, u, p) - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell, p)
+        base = _pull_at_rest(u, dwell, p)
         for i in range(c):
             k = columns.place[i]
             kept = p[k]
             p[k] = kept + columns.change[i]
-            there = force(0.0, 0.0, 0.0, u, p) - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell, p)
+            there = _pull_at_rest(u, dwell, p)
             p[k] = kept
             out.off[d - c + i] = -(there - base) / columns.change[i] / rate
 

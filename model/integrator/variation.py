@@ -19,7 +19,7 @@ import numpy as np
 
 from model.integrator.flight import _effects
 from model.integrator.hermite import hermite5, standstill
-from model.integrator.hooks import dry_friction_of, force_of
+from model.integrator.hooks import dry_friction_of, force_of, gravity, gravity_of
 from model.integrator.records import Floats, Integers, Law, StepEnds, clear, clear_rows, compiled
 
 TAKEOFF, LAUNCH, TONES = 0, 1, 2
@@ -174,7 +174,8 @@ def _carry(tau: float, weight: float, by: tuple[float, float, float, float], wal
 @compiled
 def _push(k: int, s: float, h: float, v: float, u: float, direction: float, p: Floats) -> float:
     """Acceleration by the one effect that owns the parameter ``k``."""
-    return float(force_of(k, s, h, v, u, p) - direction * dry_friction_of(k, h, abs(v), direction, p))
+    moving = force_of(k, s, h, v, u, p) - direction * dry_friction_of(k, h, abs(v), direction, p)
+    return float(moving - gravity_of(k, p))
 
 
 @compiled
@@ -268,7 +269,7 @@ def _end(row: Floats, began: float, walk: Walk, height: Floats, speed: Floats) -
     _coasting_variations(s - began, walk.room, height, speed)
     _add_carried(walk.phi, walk.room, height, speed)
     h, v = hermite5(row[10], StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7]))
-    net = -law.p[-1] - acceleration
+    net = -gravity(law.p) - acceleration
     if law.forced or law.rubbed:
         net += _effects(s, h, v, v + velocity, row[8], law.p, (law.forced, law.rubbed))
     return s, v, net

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -32,12 +35,48 @@ def test_a_result_is_made_once_until_too_many_are_kept() -> None:
     assert len(made) == 4
 
 
+def test_what_one_thread_makes_the_others_wait_for() -> None:
+    """Four threads that ask at once get one object, made once; where making it fails, each of them tries for itself."""
+    memory, made, together = Memory(2), list[int](), threading.Barrier(4)
+
+    def make() -> list[int]:
+        made.append(0)
+        time.sleep(0.05)
+        return made
+
+    def fail() -> list[int]:
+        made.append(0)
+        raise ValueError("not to be made")
+
+    def asked(key: str, maker: Callable[[], list[int]]) -> list[int]:
+        together.wait()
+        return memory.recall(key, maker)
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: asked("a", make), range(4)))
+        assert len(made) == 1
+        assert all(x is made for x in found)
+        tries = [pool.submit(asked, "b", fail) for _ in range(4)]
+    assert [type(t.exception()) for t in tries] == [ValueError] * 4
+    assert len(made) == 5
+
+
 def test_no_flight_is_flown_for_what_touches_the_plate_alone(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A drive's gain or lag leaves prediction and uncertainty the very objects they were, a friction does not."""
     world = fly_ramp(FRICTION, 1)
     assert world.predicted({**FRICTION, **PLATE}) is world.predicted(FRICTION)
     assert world.uncertainty({**FRICTION, **PLATE}) is world.uncertainty(FRICTION)
     assert world.predicted({}) is not world.predicted(FRICTION)
+
+
+def test_no_flight_is_flown_for_how_a_light_table_was_driven(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Whether the drive's scale is that of the loaded plate shows in plate data alone; a new frequency is flown."""
+    world = fly_ramp(FRICTION, 1)
+    mode = {("table_resonance", "mass_ratio"): 0.02, ("table_resonance", "frequency_hz"): 9.0}
+    loaded = {**mode, ("table_resonance", "loaded"): 1.0}
+    assert world.predicted(loaded) is world.predicted(mode)
+    assert np.any(world.residuals(loaded).plate != world.residuals(mode).plate)
+    assert world.predicted({**mode, ("table_resonance", "frequency_hz"): 11.0}) is not world.predicted(mode)
 
 
 def test_shares_of_the_effects_add_up_to_the_expected_data(fly_ramp: Callable[..., ForwardModel]) -> None:
