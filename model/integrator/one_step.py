@@ -300,10 +300,21 @@ def simulate(
     ValueError
         For unknown effects or parameters, or values out of bounds.
     """
-    rows = row(effects, g_mps2)
-    out = np.empty((flights, 6))
     tones = tones_for_kernel(plate.omega_radps, plate.acceleration)
+    return flown(law_of(effects, g_mps2), tones, period_s, flights, start, unseen_s)
+
+
+def law_of(effects: Mapping[str, Mapping[str, float]], g_mps2: float) -> Law:
+    """What acts on a ball with ``effects`` by name and parameter, for `flown`; raises as `simulate` does."""
+    rows = row(effects, g_mps2)
     acting = active(rows, "force"), active(rows, "dry_friction")
-    law = Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)), np.empty((0, 12)))
+    return Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)), np.empty((0, 12)))
+
+
+def flown(
+    law: Law, tones: Array, period_s: float, flights: int, start: tuple[float, float], unseen_s: float = 0.0
+) -> Orbit:
+    """`simulate` under a ``law`` made once, over a plate with ``tones`` (k, 3): see `problem.tones_for_kernel`."""
+    out = np.empty((flights, 6))
     out = out[: predict.simulate(float(start[0]), float(start[1]), period_s, tones, law, unseen_s, out)]
     return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))

@@ -9,12 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.flight.branches import TWO_PI
 from model.integrator import one_step
 from model.integrator.flight import LONGEST_PERIODS
+from model.integrator.problem import tones_for_kernel
+from model.integrator.records import Law
 from model.orbits.attractor import LockedCycle, Path, State
 from model.orbits.ideal_ball import resting
 from model.tones import Forcing, Plate
@@ -46,27 +50,34 @@ class IntegratedBall:
 
     def _check(self, gamma: float) -> None:
         """Refuse a gamma at which a flight may be longer than the integration follows it."""
-        n, b, _ = self.forcing.tones.T
-        most = 0.5 * TWO_PI * LONGEST_PERIODS / float(np.sum(n * b))
-        if not gamma <= most:
+        if not gamma <= self._most_gamma:
             raise ValueError(
                 f"gamma = {gamma:g}: with these effects a flight is followed for {LONGEST_PERIODS:g} periods of the "
-                f"forcing, which is enough up to gamma = {most:.4g} on this plate"
+                f"forcing, which is enough up to gamma = {self._most_gamma:.4g} on this plate"
             )
 
     def _simulate(self, gamma: float, phase: float, launch: float, flights: int) -> one_step.Orbit:
-        n, b, p = self.forcing.tones.T
         self._check(gamma)
         w = self.omega_radps
-        plate = Plate(n * w, 1j * gamma * self.g_mps2 * n**2 * b * np.exp(1j * p))
-        return one_step.simulate(
-            self.effects,
-            plate,
-            g_mps2=self.g_mps2,
-            period_s=1.0 / self.frequency_hz,
-            flights=flights,
-            start=(phase / w, self._impact_for(launch) * self.g_mps2 / w),
-        )
+        tones = self._tones * (1.0, gamma, gamma)
+        start = (phase / w, self._impact_for(launch) * self.g_mps2 / w)
+        return one_step.flown(self._law, tones, 1.0 / self.frequency_hz, flights, start)
+
+    @cached_property
+    def _most_gamma(self) -> float:
+        n, b, _ = self.forcing.tones.T
+        return 0.5 * TWO_PI * LONGEST_PERIODS / float(np.sum(n * b))
+
+    @cached_property
+    def _law(self) -> Law:
+        return one_step.law_of(self.effects, self.g_mps2)
+
+    @cached_property
+    def _tones(self) -> NDArray[np.float64]:
+        """The plate's tones at gamma 1, as the integrator takes them."""
+        n, b, p = self.forcing.tones.T
+        plate = Plate(n * self.omega_radps, 1j * self.g_mps2 * n**2 * b * np.exp(1j * p))
+        return tones_for_kernel(plate.omega_radps, plate.acceleration)
 
     def _impact_for(self, launch: float) -> float:
         """The impact speed that rebounds at ``launch`` (both in g/w): the kernel is started at an impact."""

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from model.effects.harmonic_distortion import harmonics
 from model.effects.registry import effect, row
-from model.integrator.one_step import Measured, PlateSteps, one_ahead, simulate
+from model.integrator.one_step import Measured, PlateSteps, law_of, one_ahead, simulate
 from model.tones import Plate
 
 G_MPS2 = 9.80665
@@ -122,6 +122,19 @@ def test_a_short_rise_in_mid_air_feels_the_friction_of_a_rise():
     assert len(lasted) == 5
     assert lasted[-1] < 0.5 * PERIOD_S / 48.0
     assert orbit.landing_s[-1] == pytest.approx(landing_s, abs=2e-6)
+
+
+def test_a_gravity_that_differs_is_gravity_in_closed_form():
+    """Bounces under g and an excess are those under their sum to the last bit; no force has to be integrated."""
+    w = OMEGA_RADPS * np.array([1.0, 2.0])
+    plate, bounces = Plate(w, 1j * 1.2 * G_MPS2 * np.array([1.0, 4.0])), {"restitution": {"e0": 0.4}}
+    excess = {"local_gravity": {"excess_mps2": 0.4}}
+    found = simulate({**bounces, **excess}, plate, g_mps2=G_MPS2, period_s=PERIOD_S, flights=30)
+    same = simulate(bounces, plate, g_mps2=G_MPS2 + 0.4, period_s=PERIOD_S, flights=30)
+    assert len(found.landing_s) == 30
+    assert np.array_equal(found.landing_s, same.landing_s)
+    law = law_of({**bounces, **excess}, G_MPS2)
+    assert not (law.forced or law.rubbed)
 
 
 @njit
