@@ -95,9 +95,7 @@ class ForwardModel:
             self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
         self.memory, self.slope_memory = Memory(MOST_KEPT["flights"]), Memory(MOST_KEPT["slopes"])
         self._nothing = row({}, self.gravity)
-        self.from_rest = (
-            evidence.scored & ~evidence.measured.relaunched
-        )  # take-offs after a rest, seen by the contact circuit
+        self.from_rest = evidence.scored & ~evidence.measured.relaunched  # take-offs after a rest, as the circuit saw
         self.covariates: dict[str, Array] = {}  # computed where an effect follows one
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
@@ -279,8 +277,7 @@ class ForwardModel:
 
     def flying(self, values: Values) -> Own:
         """All parameters that touch a flight."""
-        left_out, names = plate_parameters(), plate_effects()
-        return tuple(sorted(i for i in self.start(values).items() if i[0][0] not in names and i[0] not in left_out))
+        return tuple(sorted(i for i in self.start(values).items() if not _in_plate_data_alone(i[0])))
 
     def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
@@ -317,9 +314,8 @@ class ForwardModel:
         """
         index, near = np.arange(len(self.evidence)), self.predicted(values)
         for colour in range(3):
-            moved = self.predict(
-                values, landing_shift_s=np.where(index % 3 == colour, shift_s, 0.0), near=near, wanted=wanted
-            )
+            own = np.where(index % 3 == colour, shift_s, 0.0)
+            moved = self.predict(values, landing_shift_s=own, near=near, wanted=wanted)
             yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
@@ -328,20 +324,20 @@ class ForwardModel:
         p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
-        if np.any(p.mode_amplitudes):
-            plate = self._plate_residuals(values, p)
+        if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):
+            added = functools.partial(ringing.added, ev.plate, ev.steps.plate, p)
+            of_flights = ("mode in plate data", self.flying(values))
+            mode = self.memory.recall(of_flights, added) if rows is None else added()
+            plate = self._plate_residuals(values, *mode)
         else:
             key = ("plate residuals", self._of_effects(values, driving_effects()))
-            plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values, p))
+            plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values))
         return Residuals(opening, landing, plate, p)
 
-    def _plate_residuals(self, values: Values, p: Predicted) -> Array:
+    def _plate_residuals(self, values: Values, mode: Array | float = 0.0, mode_sigma: Array | float = 0.0) -> Array:
         """Measured minus expected plate data at ``values``, (r,), scaled where what is expected is uncertain."""
         ev = self.evidence
-        predicted, inexact = self._expected(values), np.zeros(len(ev.plate))
-        if self.ringing is not None:
-            mode, inexact = self.ringing.added(ev.plate, ev.steps.plate, p)
-            predicted = predicted + mode
+        predicted, inexact = self._expected(values) + mode, np.zeros(len(ev.plate)) + mode_sigma
         if self.loading is not None:
             predicted = predicted + self.loading.added(self.per_step(values, "flight_gain")[ev.plate.step])
         if (swings := self.modulation_at(values)) is not None:
@@ -388,9 +384,10 @@ def plate_effects() -> frozenset[str]:
 
 
 @functools.cache
-def plate_parameters() -> frozenset[ParameterId]:
-    """Parameters that touch plate data only, of effects that touch flights as well."""
-    return frozenset((r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.plate_only)
+def _in_plate_data_alone(key: ParameterId) -> bool:
+    """Whether a parameter touches plate data only, never a flight."""
+    name, q = key[0], key[1].removesuffix(TREND)
+    return name in plate_effects() or effect(name).effect.parameter(q).plate_only
 
 
 @functools.cache
