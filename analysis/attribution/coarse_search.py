@@ -79,11 +79,12 @@ class CoarseSearch:
     def __init__(self, world: ForwardModel, values: Mapping[ParameterId, float], train: NDArray[np.bool_]) -> None:
         self.world, self.values, self.train = world, dict(values), train
         self.whitener = Whitener.of(world, values)
+        self.plate_noise = world.evidence.plate.noise(train)
 
     def loss(self, point: Mapping[ParameterId, float]) -> float:
         """Loss at the common values overridden by ``point``."""
         r = self.world.residuals({**self.values, **point})
-        return self.whitener.profile_loss(r, self.world.evidence.plate, self.train)
+        return self.whitener.profile_loss(r, self.train, self.plate_noise)
 
     def best_of(self, points: Sequence[Point]) -> tuple[float, Point]:
         """The lowest loss of several points, and its point."""

@@ -91,10 +91,11 @@ class Refits:
 
     def __init__(self, fitter: Fitter) -> None:
         self.fitter, self.world, self.train = fitter, fitter.world, fitter.train
+        self.plate_noise = self.world.evidence.plate.noise(self.train)
 
     def profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
         """Loss at ``values`` on the training steps, each channel's excess noise at its best."""
-        return whitener.profile_loss(self.world.residuals(values), self.world.evidence.plate, self.train)
+        return whitener.profile_loss(self.world.residuals(values), self.train, self.plate_noise)
 
     def scored(self, candidates: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
         """The hypothesis with its held-out loss, at the weights of its own fit."""

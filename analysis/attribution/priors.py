@@ -86,7 +86,15 @@ def coordinate_of(key: ParameterId, value: float) -> float:
     return math.copysign(abs(value) ** (1.0 / parameter_of(key).power), value) / scale_of(key)
 
 
+@functools.cache
+def _axis(key: ParameterId) -> tuple[float, float, float, float]:
+    """Size of a unit of the coordinate, power, and bounds of the parameter."""
+    q = parameter_of(key)
+    return scale_of(key), q.power, q.low, q.high
+
+
 def value_at(key: ParameterId, x: float) -> float:
     """Value at a coordinate, within the parameter's bounds."""
-    q, y = parameter_of(key), x * scale_of(key)
-    return float(min(max(math.copysign(abs(y) ** q.power, y), q.low), q.high))
+    scale, power, low, high = _axis(key)
+    y = x * scale
+    return min(max(y if power == 1.0 else math.copysign(abs(y) ** power, y), low), high)

@@ -97,13 +97,17 @@ class FitIntervals:
         _overlaps(self.step, self.span_s, e, others, out)
         return out
 
-    def projected(self, e: Array, fitted: NDArray[np.bool_], others: Array, w: float = 0.0) -> Complex:
-        """Least-squares projections of exponentials ``others + w`` (n, b) on those of ``e`` (n, a) that are ``fitted``.
+    def gram(self, e: Array, fitted: NDArray[np.bool_]) -> Complex:
+        """Normal equations (n, a, a) of a fit of those exponentials ``e`` (n, a) that are ``fitted``."""
+        return self.overlaps(e, e) * (fitted[:, :, None] & fitted[:, None, :])
+
+    def projected(self, gram: Complex, e: Array, others: Array) -> Complex:
+        """Least-squares projections of exponentials ``others`` (n, b) on those of ``e`` (n, a) that ``gram`` fits.
 
         Angular frequencies in rad/s. Shape (n, a, b), zero for what is not fitted.
         """
-        gram = self.overlaps(e, e) * (fitted[:, :, None] & fitted[:, None, :])
-        return solved(gram, self.overlaps(e, others + w) * fitted[:, :, None])
+        fitted = np.diagonal(gram, axis1=1, axis2=2) != 0.0
+        return solved(gram, self.overlaps(e, others) * fitted[:, :, None])
 
 
 def solved(gram: Complex, side: Complex) -> Complex:

@@ -23,6 +23,14 @@ def modulated_projection(up: Complex, down: Complex, phase: Array) -> Complex:
     return np.asarray((rotation * up - np.conj(rotation) * down) / 2j)
 
 
+def shifted_down(up: Complex) -> Complex:
+    """Projections (n, 2 a, 2 b) of both signs of tones, shifted down by as much as they are shifted ``up``.
+
+    Every frequency changes its sign: the signs change places, and projections are conjugate.
+    """
+    return np.conj(np.roll(up, (up.shape[1] // 2, up.shape[2] // 2), axis=(1, 2)))
+
+
 def two_sided(z: Complex) -> Complex:
     """Amplitudes of real tones (n, 2) at both signs of their frequencies, (n, 4)."""
     return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)

@@ -18,7 +18,7 @@ from analysis.residuals.memory import Memory
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import Ringing
-from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty
+from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import Registered, effect, offsets, registry, row
@@ -56,6 +56,30 @@ class Residuals:
     landing_s: Array
     plate: Array
     predicted: Predicted
+
+
+class Point(dict[ParameterId, float]):
+    """All parameters that are set; sorted out, once, by what they touch."""
+
+    @functools.cached_property
+    def ordered(self) -> Own:
+        """All of them, in one order whatever they were set in."""
+        return tuple(sorted(self.items()))
+
+    @functools.cached_property
+    def own(self) -> dict[str, Own]:
+        """Those of each effect."""
+        names = dict.fromkeys(name for name, _ in self)
+        return {name: tuple(item for item in self.ordered if item[0][0] == name) for name in names}
+
+    @functools.cached_property
+    def flying(self) -> Own:
+        """Those that touch a flight."""
+        return tuple(item for item in self.ordered if not _in_plate_data_alone(item[0]))
+
+    def of(self, names: frozenset[str]) -> Own:
+        """Those of some effects."""
+        return tuple(item for item in self.ordered if item[0][0] in names)
 
 
 class ForwardModel:
@@ -99,9 +123,9 @@ class ForwardModel:
         self.covariates: dict[str, Array] = {}  # computed where an effect follows one
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
-    def start(self, values: Values) -> dict[ParameterId, float]:
+    def start(self, values: Values) -> Point:
         """All parameters that are set: the base, overridden by ``values``."""
-        return {**self.base, **values}
+        return values if isinstance(values, Point) else Point({**self.base, **values})
 
     def rows(self, values: Values) -> Array:
         """Parameters of each event, (P + 1,) or with drifting parameters (n, P + 1)."""
@@ -133,7 +157,7 @@ class ForwardModel:
     def by_step(self, values: Values) -> dict[str, dict[str, Array]]:
         """Parameters in each step, by effect and parameter, for the plate data."""
         point = self.start(values)
-        return {name: self._in_steps(name, _own(name, point)) for name in {k[0] for k in point}}
+        return {name: self._in_steps(name, own) for name, own in point.own.items()}
 
     def _in_steps(self, name: str, own: Own) -> dict[str, Array]:
         """Parameters of one effect in each step."""
@@ -162,7 +186,7 @@ class ForwardModel:
         """Effects at work that have a hook, with their own parameters."""
         point = self.start(values)
         for entry in _having(hook):
-            if own := _own(entry.effect.name, point):
+            if own := point.own.get(entry.effect.name):
                 yield entry, own
 
     def per_step(self, values: Values, hook: str) -> Array:
@@ -191,29 +215,29 @@ class ForwardModel:
 
     def _expected(self, values: Values) -> Array:
         """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""
-        point, total = self.start(values), np.zeros(len(self.evidence.plate))
-        for name in dict.fromkeys(name for name, _ in point):
+        total = np.zeros(len(self.evidence.plate))
+        for name, own in self.start(values).own.items():
             if PLATE_HOOKS & effect(name).hooks.keys():
-                total = total + self._expected_of(name, _own(name, point))
+                total = total + self._expected_of(name, own)
         return total
 
     def _expected_of(self, name: str, own: Own) -> Array:
-        return self._plate_memory.recall(
-            (name, own), lambda: expected(self.evidence.plate, {name: self._in_steps(name, own)})
-        )
+        def made() -> Array:
+            if any(key.endswith(TREND) for (_, key), _ in own):
+                return expected(self.evidence.plate, {name: self._in_steps(name, own)})
+            return share(self.evidence.plate, name, effect(name).effect.null_values | {q: v for (_, q), v in own})
+
+        return self._plate_memory.recall((name, own), made)
 
     def inputs(self, values: Values, tones: NDArray[np.complex128] | None = None, rows: Array | None = None) -> Inputs:
         """What a prediction at ``values`` is made from, with other ``tones`` (m, k) or ``rows`` where given."""
+        values = self.start(values)
         if tones is None:
-            key = ("inputs", self._of_effects(values, calibrating_effects()))
+            key = ("inputs", values.of(calibrating_effects()))
             plate, gap, delay = self._plate_memory.recall(key, lambda: self._calibrated(values, None))
         else:
             plate, gap, delay = self._calibrated(values, tones)
         return Inputs(self.rows(values) if rows is None else rows, plate, gap, delay)
-
-    def _of_effects(self, values: Values, names: frozenset[str]) -> Own:
-        """Parameters of some effects among those that are set."""
-        return tuple(sorted(i for i in self.start(values).items() if i[0][0] in names))
 
     def _calibrated(self, values: Values, tones: NDArray[np.complex128] | None) -> tuple[PlateSteps, Array, Array]:
         """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
@@ -273,11 +297,8 @@ class ForwardModel:
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, kept: what touches plate data only needs no new flight."""
-        return self.memory.recall(("predicted", self.flying(values)), lambda: self.predict(values))
-
-    def flying(self, values: Values) -> Own:
-        """All parameters that touch a flight."""
-        return tuple(sorted(i for i in self.start(values).items() if not _in_plate_data_alone(i[0])))
+        values = self.start(values)
+        return self.memory.recall(("predicted", values.flying), lambda: self.predict(values))
 
     def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
@@ -320,17 +341,17 @@ class ForwardModel:
 
     def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
         """Measured minus predicted at ``values``."""
-        ev = self.evidence
+        ev, values = self.evidence, self.start(values)
         p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
         if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):
             added = functools.partial(ringing.added, ev.plate, ev.steps.plate, p)
-            of_flights = ("mode in plate data", self.flying(values))
+            of_flights = ("mode in plate data", values.flying)
             mode = self.memory.recall(of_flights, added) if rows is None else added()
             plate = self._plate_residuals(values, *mode)
         else:
-            key = ("plate residuals", self._of_effects(values, driving_effects()))
+            key = ("plate residuals", values.of(driving_effects()))
             plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values))
         return Residuals(opening, landing, plate, p)
 
@@ -349,12 +370,8 @@ class ForwardModel:
 
     def uncertainty(self, values: Values) -> Uncertainty:
         """Uncertainty of the residuals at ``values``: that of edges and plate, carried through the prediction."""
-        return self.memory.recall(("uncertainty", self.flying(values)), lambda: uncertainty_at(self, values))
-
-
-def _own(name: str, point: Values) -> Own:
-    """Parameters of one effect among those of a point."""
-    return tuple(item for item in point.items() if item[0][0] == name)
+        values = self.start(values)
+        return self.memory.recall(("uncertainty", values.flying), lambda: uncertainty_at(self, values))
 
 
 @functools.cache

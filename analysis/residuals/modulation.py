@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
-from analysis.plate.phasors import mean_phasor, modulated_projection, signed_frequencies, two_sided
+from analysis.plate.phasors import mean_phasor, modulated_projection, shifted_down, signed_frequencies, two_sided
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from analysis.statistics import mad_sigma
 from model.integrator.one_step import PlateSteps
@@ -194,6 +194,22 @@ class AmplitudeModulation:
     def _fits(self) -> dict[float, ModulationFit]:
         return {}
 
+    @cached_property
+    def _signed(self) -> tuple[Array, Array]:
+        """Both signs of every fitted tone, (m, 1 + 2 k), and of the forcing's, (m, 5)."""
+        return signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, :2])
+
+    @cached_property
+    def _gram(self) -> Complex:
+        """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
+        return self.kept.gram(self._signed[0], _in_both_senses(self.seen_mps2 != 0.0))
+
+    @cached_property
+    def _window_gram(self) -> Complex:
+        """Normal equations of the windows' fits, (w, 5, 5)."""
+        of = self.window_step
+        return self.kept.in_windows.gram(self._signed[1][of], _in_both_senses(self._forced)[of])
+
     def _fit_at(self, hz: float) -> ModulationFit:
         """Projections at a frequency and the modulation of each recording that fits windows and gains best."""
         found = self._fits.get(hz)
@@ -201,11 +217,10 @@ class AmplitudeModulation:
             if len(self._fits) >= KEPT:
                 self._fits.clear()
             w, of = 2.0 * np.pi * hz, self.window_step
-            e, own = signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, :2])
-            windows = self.kept.in_windows
-            every, forced = _in_both_senses(self.seen_mps2 != 0.0), _in_both_senses(self._forced)
-            up, down = (self.kept.projected(e, every, own[:, 1:], x)[:, 1:] for x in (w, -w))
-            in_up, in_down = (windows.projected(own[of], forced[of], own[of, 1:], x)[:, 1:] for x in (w, -w))
+            every, own = self._signed
+            up = self.kept.projected(self._gram, every, own[:, 1:] + w)[:, 1:]
+            in_up = self.kept.in_windows.projected(self._window_gram, own[of], own[of, 1:] + w)[:, 1:]
+            down, in_down = shifted_down(up), shifted_down(in_up)
             fit = ModulationFit(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
             found = self._fits[hz] = replace(fit, phasor=self._fitted(fit))
         return found
@@ -325,8 +340,7 @@ class AmplitudeModulation:
         own, others = (
             signed_frequencies(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None))
         )
-        forced = _in_both_senses(self._forced)[self.window_step]
-        return self.kept.in_windows.projected(own, forced, others[:, 1:])[:, 1:]
+        return self.kept.in_windows.projected(self._window_gram, own, others[:, 1:])[:, 1:]
 
     @property
     def _forced(self) -> NDArray[np.bool_]:

@@ -10,6 +10,10 @@ K. L. Lange, R. J. A. Little and J. M. G. Taylor, J. Am. Stat. Assoc. 84, 881 (1
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,33 +67,88 @@ def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[fl
     return float(EXCESSES_S[best]), float(loss[best])
 
 
-def plate_scale(kind: NDArray[np.int64], residual: Array, sigma: Array) -> tuple[Array, Array]:
-    """Uncertainty of plate data with each kind's likeliest excess noise, and its logarithm relative to the bare one."""
-    out = sigma.copy()
-    for k in np.unique(kind):
-        rows = np.flatnonzero(kind == k)
-        own = sigma[rows]
-        grid = EXCESSES_OF_PLATE * np.median(own)
-        best = grid[np.argmin(_losses(grid, residual[rows], own, np.zeros(len(own))))]
-        out[rows] = np.sqrt(own * own + best * best)
-    return out, np.log(out / sigma)
+@dataclass(frozen=True)
+class PlateNoise:
+    """Noise of plate data: their uncertainty, and an excess that is common to each kind.
+
+    Attributes
+    ----------
+    rows
+        Data in the order of their kinds, (n,).
+    bounds
+        Where each kind begins in ``rows``, and where the last ends.
+    sigma
+        Uncertainty of ``rows``.
+    grids
+        Excesses that are tried, of each kind, (kinds, g).
+    """
+
+    rows: NDArray[np.int64]
+    bounds: NDArray[np.int64]
+    sigma: Array
+    grids: Array
+
+    @classmethod
+    def of(cls, kind: NDArray[np.int64], sigma: Array, among: NDArray[np.bool_] | None = None) -> Self:
+        """Of data with a ``kind`` and an uncertainty each, (r,); only those ``among`` (r,) where given."""
+        rows = np.argsort(kind, kind="stable")
+        if among is not None:
+            rows = rows[among[rows]]
+        bounds = np.flatnonzero(np.diff(kind[rows], prepend=-1, append=-1)).astype(np.int64)
+        own = [sigma[rows[a:b]] for a, b in itertools.pairwise(bounds)]
+        grids = np.array([EXCESSES_OF_PLATE * np.median(x) for x in own]).reshape(len(own), -1)
+        return cls(rows, bounds, sigma[rows], grids)
+
+    def scaled(self, residual: Array) -> tuple[Array, Array]:
+        """Uncertainty of ``rows`` with the excess of each kind that is likeliest for these residuals (r,) of all data.
+
+        Beside it its logarithm, relative to the bare uncertainty; (n,) each.
+        """
+        out = np.empty_like(self.sigma)
+        _widen(residual[self.rows], self.sigma, self.bounds, self.grids, out)
+        return out, np.log(out / self.sigma)
+
+    def loss(self, residual: Array) -> float:
+        """Loss of ``rows`` with the likeliest excess of each kind, from residuals (r,) of all data."""
+        sigma, log = self.scaled(residual)
+        return float(np.sum(robust_loss(residual[self.rows] / sigma) + log))
+
+
+@njit(error_model="numpy", nogil=True)
+def _loss(excess: float, residual: Array, sigma: Array, outlier: Array, first: int, last: int) -> float:
+    """Loss of residuals from ``first`` to ``last`` at an excess, `robust_loss` and the logarithm of the width in one.
+
+    The cube is that of five degrees of freedom; logarithms are taken of products of a few densities.
+    """
+    wide, product, total = excess * excess, 1.0, 0.0
+    for i in range(first, last):
+        variance = sigma[i] * sigma[i] + wide
+        far = 1.0 + residual[i] * residual[i] / FREEDOM / variance
+        product *= 1.0 / (far * far * far * np.sqrt(variance)) + outlier[i]
+        if (i - first) % FEW == FEW - 1:
+            total -= np.log(product)
+            product = 1.0
+    return total - np.log(product)
 
 
 @njit(error_model="numpy", nogil=True)
 def _losses(excess: Array, residual: Array, sigma: Array, outlier: Array) -> Array:
-    """Loss of residuals (n,) at each excess, `robust_loss` and the logarithm of the width in one.
-
-    The cube is that of five degrees of freedom; logarithms are taken of products of a few densities.
-    """
-    out = np.zeros(len(excess))
+    """Loss of residuals (n,) at each excess."""
+    out = np.empty(len(excess))
     for g in range(len(excess)):
-        wide, product = excess[g] * excess[g], 1.0
-        for i in range(len(residual)):
-            variance = sigma[i] * sigma[i] + wide
-            far = 1.0 + residual[i] * residual[i] / FREEDOM / variance
-            product *= 1.0 / (far * far * far * np.sqrt(variance)) + outlier[i]
-            if i % FEW == FEW - 1:
-                out[g] -= np.log(product)
-                product = 1.0
-        out[g] -= np.log(product)
+        out[g] = _loss(excess[g], residual, sigma, outlier, 0, len(residual))
     return out
+
+
+@njit(error_model="numpy", nogil=True)
+def _widen(residual: Array, sigma: Array, bounds: NDArray[np.int64], grids: Array, out: Array) -> None:
+    """Uncertainties (n,) with the excess of each kind, between its ``bounds``, that has the lowest loss."""
+    never = np.zeros(len(residual))
+    for k in range(len(bounds) - 1):
+        lowest, wide = np.inf, 0.0
+        for g in range(grids.shape[1]):
+            loss = _loss(grids[k, g], residual, sigma, never, bounds[k], bounds[k + 1])
+            if loss < lowest:
+                lowest, wide = loss, grids[k, g]
+        for i in range(bounds[k], bounds[k + 1]):
+            out[i] = np.sqrt(sigma[i] * sigma[i] + wide * wide)

@@ -59,6 +59,52 @@ class Loading:
 
 
 @dataclass(frozen=True)
+class IntervalSums:
+    """Sums over the intervals of each of n fits.
+
+    Attributes
+    ----------
+    rows
+        The intervals, in the order of their fits.
+    first
+        Where each fit begins in ``rows``, (n,).
+    some
+        Whether a fit has any, (n,).
+    seconds
+        Their length together, (n,).
+    """
+
+    rows: Ints
+    first: Ints
+    some: NDArray[np.bool_]
+    seconds: Array
+
+    @classmethod
+    def of(cls, rows: Ints, fit: Ints, n: int, seconds: Array) -> Self:
+        """Of intervals ``rows`` in the order of their ``fit``; ``seconds`` are those of all intervals."""
+        first = np.searchsorted(fit, np.arange(n))
+        some = np.diff(np.append(first, len(fit))) > 0
+        lengths = np.bincount(fit, seconds[rows], minlength=n)
+        return cls(rows, np.minimum(first, max(len(rows) - 1, 0)), some, lengths)
+
+    def total(self, x: NDArray[np.complex128] | Array) -> NDArray[np.complex128] | Array:
+        """Sum of ``x`` (intervals, ...) in each fit, (n, ...)."""
+        if not len(self.rows):
+            return np.zeros((len(self.some), *x.shape[1:]), dtype=x.dtype)
+        summed = np.add.reduceat(x[self.rows], self.first, axis=0)
+        return np.asarray(summed * self.some.reshape(-1, *([1] * (x.ndim - 1))))
+
+    def sides(self, projection: Complex, observed_s: Array) -> tuple[Complex, Array]:
+        """Right sides of the fits, (n, 1 + 2 k), from projections (intervals, 1 + k); the part of the time known.
+
+        Where the mode was not followed for all of the time, its mean over the rest is taken to be the same.
+        """
+        part = np.divide(self.total(observed_s), self.seconds, out=np.zeros(len(self.some)), where=self.seconds > 0.0)
+        sums = self.total(projection) / np.where(part > 0.0, part, 1.0)[:, None]
+        return np.concatenate([sums, np.conj(sums[:, 1:])], axis=1), part
+
+
+@dataclass(frozen=True)
 class Ringing:
     """Projection of a plate mode on the fitted tones; an `model.integrator.one_step.ToneProbe`.
 
@@ -102,9 +148,9 @@ class Ringing:
 
     def of_tones(self, projection: Complex, observed_s: Array) -> Complex:
         """Contribution of the mode to the fitted tones of the plate, (m, j), m/s^2."""
-        return np.take_along_axis(
-            2.0 * self._of_steps(projection, observed_s)[:, 1 : self.omega_radps.shape[1]], self.place, 1
-        )
+        contact, rest = self._of_places(projection, observed_s)
+        found = self._solved(contact + rest)[:, 1 : self.omega_radps.shape[1]]
+        return np.take_along_axis(2.0 * found, self.place, 1)
 
     # -- plate data ---------------------------------------------------------------------------------
     def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Array, Array]:
@@ -117,7 +163,8 @@ class Ringing:
         self, data: PlateData, plate: PlateSteps, mode_amplitudes: Complex, projection: Complex, observed_s: Array
     ) -> tuple[Array, Array]:
         out = np.zeros(len(data))
-        found, step = self._of_steps(projection, observed_s), data.step
+        contact_side, rest_side = self._of_places(projection, observed_s)
+        found, step = self._solved(contact_side + rest_side), data.step
         out += np.where(data.kind == OFFSET, found[step, 0].real, 0.0)
         k = np.argmin(np.abs(self.omega_radps[step] - data.omega_radps[:, None]), axis=1)
         size = 2.0 * np.abs(found[step, k])
@@ -131,7 +178,7 @@ class Ringing:
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
         sigma[rows] = INEXACT * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
-        contact, flight = self._apart(projection, observed_s)
+        contact, flight = self._apart(contact_side, rest_side)
         z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
@@ -193,35 +240,21 @@ class Ringing:
     def _inverse(self) -> Complex:
         return solved(self._gram, np.broadcast_to(np.eye(self._gram.shape[1], dtype=np.complex128), self._gram.shape))
 
-    def _sides(self, projection: Complex, observed_s: Array, rows: Ints, of: Ints, n: int) -> tuple[Complex, Array]:
-        """Right sides of ``n`` fits, (n, 1 + 2 k), of intervals ``rows`` in order of their fit ``of``; the part known.
-
-        Where the mode was not followed for all of the time, its mean over the rest is taken to be the same.
-        """
-        bounds = np.searchsorted(of, np.arange(n))
-        some = np.diff(np.append(bounds, len(of))) > 0
-
-        def total(x: NDArray[np.complex128] | Array) -> Complex:
-            nothing = np.zeros((1, *x.shape[1:]), dtype=x.dtype)
-            summed = np.add.reduceat(np.concatenate([x[rows], nothing]), bounds, axis=0)
-            return np.asarray(summed * some.reshape(-1, *([1] * (x.ndim - 1))))
-
-        known, kept_s = total(observed_s), total(self.kept.seconds)
-        part = np.where(kept_s > 0.0, known / np.where(kept_s > 0.0, kept_s, 1.0), 0.0).real
-        sums = total(projection) / np.where(part > 0.0, part, 1.0)[:, None]
-        return np.concatenate([sums, np.conj(sums[:, 1:])], axis=1), part
-
-    def _of_steps(self, projection: Complex, observed_s: Array) -> Complex:
-        """Amplitudes of all turns in the steps' fits, (m, 1 + 2 k)."""
-        contact, rest = self._of_places(projection, observed_s)
-        sides = contact + rest
-        return np.asarray((self._inverse @ sides[..., None])[..., 0])
+    @cached_property
+    def _places(self) -> tuple[IntervalSums, IntervalSums]:
+        """Sums over each step's intervals in contact, and over the rest."""
+        both = (np.flatnonzero(self.kept.contact == place) for place in (True, False))
+        contact, rest = (IntervalSums.of(rows, self.kept.step[rows], len(self._turns), self.kept.seconds) for rows in both)
+        return contact, rest
 
     def _of_places(self, projection: Complex, observed_s: Array) -> tuple[Complex, Complex]:
         """Right sides of the steps' fits from intervals in contact and from the rest, (m, 1 + 2 k) each."""
-        both = (np.flatnonzero(self.kept.contact == place) for place in (True, False))
-        contact, rest = (self._sides(projection, observed_s, r, self.kept.step[r], len(self._turns))[0] for r in both)
+        contact, rest = (place.sides(projection, observed_s)[0] for place in self._places)
         return contact, rest
+
+    def _solved(self, sides: Complex) -> Complex:
+        """Amplitudes of all turns in the steps' fits, (m, 1 + 2 k), from their right sides."""
+        return np.asarray((self._inverse @ sides[..., None])[..., 0])
 
     # -- contact and flight -----------------------------------------------------------------------------------------
     @cached_property
@@ -233,17 +266,22 @@ class Ringing:
         own = extra * (self._own[:, :, None] & self._own[:, None, :])
         return np.block([[self._gram, beside], [np.conj(beside.transpose(0, 2, 1)), own]])
 
-    def _apart(self, projection: Complex, observed_s: Array) -> tuple[Complex, Complex]:
-        """The first tone in contact and in flight, (m,) each."""
-        p = self._turns.shape[1]
-        contact, rest = self._of_places(projection, observed_s)
-        found = solved(self._gates, np.concatenate([contact + rest, contact * self._own], axis=1)[..., None])[..., 0]
-        return 2.0 * (found[:, 1] + found[:, p + 1]), 2.0 * found[:, 1]
+    @cached_property
+    def _first_tone(self) -> tuple[Complex, Complex]:
+        """Rows of the inverse of `_gates` that give the first tone in contact and in flight, (m, 2 p) each."""
+        every = solved(self._gates, np.broadcast_to(np.eye(self._gates.shape[1]), self._gates.shape).astype(complex))
+        return 2.0 * (every[:, 1] + every[:, self._turns.shape[1] + 1]), 2.0 * every[:, 1]
+
+    def _apart(self, contact: Complex, rest: Complex) -> tuple[Complex, Complex]:
+        """The first tone in contact and in flight, (m,) each, from the right sides of the two."""
+        sides = np.concatenate([contact + rest, contact * self._own], axis=1)
+        there, here = (np.sum(row * sides, axis=1) for row in self._first_tone)
+        return there, here
 
     # -- windows ----------------------------------------------------------------------------------------------------
     @cached_property
-    def _windows(self) -> tuple[Ints, Ints, Ints, Complex, Complex]:
-        """Intervals, their windows, the windows' steps; inverse normal matrices, alone and times the Gram matrix."""
+    def _windows(self) -> tuple[IntervalSums, Ints, Complex, Complex]:
+        """Sums over each window; the windows' steps; inverse normal matrices, alone and times the Gram matrix."""
         rows = np.flatnonzero(self.kept.window >= 0)
         of = self.kept.window[rows]
         step = self.kept.step[rows[np.searchsorted(of, np.arange(int(of.max(initial=-1)) + 1))]]
@@ -253,12 +291,12 @@ class Ringing:
         gram = windows.overlaps(every, every)
         one = np.eye(every.shape[1], dtype=np.complex128) * own[:, :, None]
         inverse = solved(gram * (own[:, :, None] & own[:, None, :]), one)
-        return rows, of, step, inverse, inverse @ gram
+        return IntervalSums.of(rows, of, len(step), self.kept.seconds), step, inverse, inverse @ gram
 
     def _in_windows(self, found: Complex, projection: Complex, observed_s: Array) -> tuple[Array, Array]:
         """Relative deviation of the forcing's amplitude in each window and its standard deviation, (w,) each."""
-        rows, of, step, inverse, of_steps = self._windows
-        sides, part = self._sides(projection, observed_s, rows, of, len(step))
+        sums, step, inverse, of_steps = self._windows
+        sides, part = sums.sides(projection, observed_s)
         left = (inverse @ sides[..., None] - of_steps @ found[step, :, None])[..., 0]
         own = np.where(self._own[step, 1 : self.omega_radps.shape[1]], self.seen_mps2[step], 0.0)
         power = np.sum(np.abs(own) ** 2, axis=1)

@@ -6,16 +6,19 @@ hooks of the effects' own files.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.plate.motion import StepPlate
+from analysis.residuals.noise_model import PlateNoise
 from daq.setup.setup import Setup
-from model.effects.registry import registry
+from model.effects.registry import effect
 from model.tones import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
@@ -66,11 +69,36 @@ class PlateData:
     def __len__(self) -> int:
         return len(self.kind)
 
-    @property
+    @cached_property
     def level_g(self) -> Array:
         """Amplitude of one tone with the mean square of all that the drive asks for, in units of g, (r,)."""
         second = np.where(self.ratio > 1, np.abs(self.share), 0.0)
         return np.asarray(self.accel_g * np.hypot(1.0, second))
+
+    def rows_of(self, *kinds: int) -> NDArray[np.intp]:
+        """Rows of some kinds."""
+        found = self._rows.get(kinds)
+        if found is None:
+            found = self._rows[kinds] = np.flatnonzero(np.isin(self.kind, kinds))
+        return found
+
+    @cached_property
+    def _rows(self) -> dict[tuple[int, ...], NDArray[np.intp]]:
+        return {}
+
+    @cached_property
+    def quadrature_noise(self) -> Array:
+        """Noise of one quadrature of each squared amplitude, squared: `_square_sigma` undone; in their order."""
+        rows = self.rows_of(*SQUARED)
+        return np.asarray((np.sqrt(self.value[rows] ** 2 + 3.0 * self.sigma[rows] ** 2) - self.value[rows]) / 6.0)
+
+    def among(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """Some of the data."""
+        return type(self)(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def noise(self, steps: NDArray[np.bool_] | None = None) -> PlateNoise:
+        """Noise of all data, or of those of some ``steps`` (m,)."""
+        return PlateNoise.of(self.kind, self.sigma, None if steps is None else steps[self.step])
 
     @classmethod
     def join(cls, parts: Sequence[Self], shift: NDArray[np.int64]) -> Self:
@@ -229,10 +257,9 @@ def power_uncertainty(data: PlateData, predicted: Array) -> Array:
 
     The error of a square is noise times the amplitude, and chance may have made the measured amplitude small.
     """
-    squared = np.isin(data.kind, SQUARED)
-    value, sigma = (np.where(squared, x, 0.0) for x in (data.value, data.sigma))
-    noise = (np.sqrt(value**2 + 3.0 * sigma**2) - value) / 6.0  # of a quadrature, squared: `_square_sigma` undone
-    return np.asarray(np.where(squared, 2.0 * np.sqrt(noise * np.maximum(predicted - value - 2.0 * noise, 0.0)), 0.0))
+    rows, noise, out = data.rows_of(*SQUARED), data.quadrature_noise, np.zeros(len(data))
+    out[rows] = 2.0 * np.sqrt(noise * np.maximum(predicted[rows] - data.value[rows] - 2.0 * noise, 0.0))
+    return out
 
 
 def _wander(sample: NDArray[np.int64], offset: Array, sigma: Array) -> float:
@@ -281,29 +308,42 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
         By effect and parameter, the value in each step, arrays of shape (m,).
     """
     out = np.zeros(len(data))
-    for entry in registry():
-        table = values.get(entry.effect.name)
-        if table is None or not entry.hooks.keys() & PLATE_HOOKS:
+    for name, table in values.items():
+        if not table or not effect(name).hooks.keys() & PLATE_HOOKS:
             continue
         points = np.array(list(table.values()))
-        same = bool(np.all(points == points[:, :1]))
-        for point in points[:, :1].T if same else np.unique(points, axis=1).T:
-            p = dict(zip(table, map(float, point), strict=True))
-            if p != entry.effect.null_values:
-                rows = np.all(points == point[:, None], axis=0)[data.step]
-                _add(out, data, rows, entry.hooks, p)
+        for point in np.unique(points, axis=1).T:
+            rows = np.flatnonzero(np.all(points == point[:, None], axis=0)[data.step])
+            out[rows] += share(data.among(rows), name, dict(zip(table, map(float, point), strict=True)))
     return out
 
 
-def _logarithm_of_transfer(
-    out: Array, data: PlateData, rows: NDArray[np.bool_], factor: NDArray[np.complex128]
-) -> None:
-    gain, phase = data.kind[rows] == GAIN, data.kind[rows] == PHASE
-    out[rows] += np.where(gain, np.log(np.abs(factor)), 0.0) + np.where(phase, np.angle(factor), 0.0)
+def share(data: PlateData, name: str, p: Mapping[str, float]) -> Array:
+    """Contribution of one effect to the expected value of each datum, (r,); its parameters are the same in all steps."""
+    out, hooks = np.zeros(len(data)), effect(name).hooks
+    if p == effect(name).effect.null_values:
+        return out
+    for hook in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
+        kind, of_value = PLAIN_HOOKS_OF_KIND[hook]
+        out[data.rows_of(kind)] += of_value(hooks[hook](p))
+    if "transfer" in hooks:
+        _add_transfer(out, data, lambda rows: hooks["transfer"](p, data.omega_radps[rows], data.level_g[rows]))
+    if "accelerometer_response" in hooks:
+        _add_transfer(out, data, lambda rows: hooks["accelerometer_response"](p, data.omega_radps[rows]))
+    if "harmonics" in hooks:
+        _add_harmonics(out, data, functools.partial(hooks["harmonics"], p))
+    return out
+
+
+def _add_transfer(out: Array, data: PlateData, factor: Callable[[NDArray[np.intp]], Any]) -> None:
+    """Add the logarithm of a complex ``factor`` of the tones in some rows to gains and phases."""
+    for kind, part in ((GAIN, np.abs), (PHASE, np.angle)):
+        rows = data.rows_of(kind)
+        found = part(np.asarray(factor(rows), dtype=np.complex128))
+        out[rows] += np.log(found) if kind == GAIN else found
 
 
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
-    "transfer": (GAIN, float),
     "hum_mps2": (HUM, lambda size: size**2),
     "pickup_mps2": (HUM, lambda size: size**2),
     "flight_gain": (GATE, lambda change: float(np.log1p(change))),
@@ -311,35 +351,22 @@ PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
 }
 """Hooks with one number for one kind of datum."""
-PLATE_HOOKS = frozenset({"harmonics", "accelerometer_response", *PLAIN_HOOKS_OF_KIND})
+PLATE_HOOKS = frozenset({"harmonics", "transfer", "accelerometer_response", *PLAIN_HOOKS_OF_KIND})
 """Hooks that change the expected value of plate data."""
 
 
-def _add(out: Array, data: PlateData, rows: NDArray[np.bool_], hooks: Mapping[str, Any], p: dict[str, float]) -> None:
-    """Add one effect's share to the data of the steps in ``rows``."""
-    for name in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
-        if name == "transfer":
-            _logarithm_of_transfer(out, data, rows, hooks[name](p, data.omega_radps[rows], data.level_g[rows]))
-            continue
-        kind, share = PLAIN_HOOKS_OF_KIND[name]
-        out[rows & (data.kind == kind)] += share(hooks[name](p))
-    if "accelerometer_response" in hooks:
-        factor = hooks["accelerometer_response"](p, data.omega_radps[rows])
-        _logarithm_of_transfer(out, data, rows, np.asarray(factor, dtype=np.complex128))
-    if "harmonics" in hooks:
-        _add_harmonics(out, data, rows, hooks["harmonics"], p)
-
-
-def _add_harmonics(out: Array, data: PlateData, among: NDArray[np.bool_], hook: Any, p: dict[str, float]) -> None:
+def _add_harmonics(out: Array, data: PlateData, hook: Callable[..., Any]) -> None:
     """Harmonics on a forcing tone change its gain and phase; the others are squares relative to the first tone."""
 
-    def added(rows: NDArray[np.bool_], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
-        accel_g = np.where(data.accel_g > 0.0, data.accel_g, data.scale / STANDARD_GRAVITY_MPS2)[rows]
-        return np.asarray(hook(p, multiple[rows], data.ratio[rows], data.share[rows], accel_g))
+    def added(rows: NDArray[np.intp], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
+        accel_g = np.where(data.accel_g[rows] > 0.0, data.accel_g[rows], data.scale[rows] / STANDARD_GRAVITY_MPS2)
+        return np.asarray(hook(multiple, data.ratio[rows], data.share[rows], accel_g))
 
-    forced = among & np.isin(data.kind, (GAIN, PHASE))
-    asked = np.where(data.multiple[forced] == 1, 1.0, data.share[forced])
-    _logarithm_of_transfer(out, data, forced, 1.0 + added(forced, data.multiple) / asked)
-    alone = among & np.isin(data.kind, (SECOND, THIRD))
-    first = 1.0 + added(alone, np.ones_like(data.multiple))  # the datum is a part of the tone as it is, bent as well
-    out[alone] += np.abs(added(alone, data.multiple) / first) ** 2
+    def on_forcing(rows: NDArray[np.intp]) -> NDArray[np.complex128]:
+        asked = np.where(data.multiple[rows] == 1, 1.0, data.share[rows])
+        return np.asarray(1.0 + added(rows, data.multiple[rows]) / asked)
+
+    _add_transfer(out, data, on_forcing)
+    alone = data.rows_of(SECOND, THIRD)
+    first = 1.0 + added(alone, np.ones_like(data.multiple[alone]))  # the datum is a part of the tone as it is, bent
+    out[alone] += np.abs(added(alone, data.multiple[alone]) / first) ** 2

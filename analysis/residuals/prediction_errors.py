@@ -76,7 +76,7 @@ def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> ND
     Either the uncertainty is `GRAZING_RATIO` times the median one, or the prediction jumps by `GRAZING_SIGMAS` of that
     when an earlier landing or a tone of the plate is off by `GRAZING_SIGMAS`: the graze is met or missed.
     """
-    return world.memory.recall(("grazing", world.flying(values)), lambda: _grazing(world, values))
+    return world.memory.recall(("grazing", world.start(values).flying), lambda: _grazing(world, values))
 
 
 def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:

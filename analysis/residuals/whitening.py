@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from analysis.residuals.forward_model import ForwardModel, Residuals, Values
-from analysis.residuals.noise_model import NEVER, excess_noise, log_odds, plate_scale, robust_loss
-from analysis.residuals.plate_observables import PlateData
+from analysis.residuals.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
 from analysis.statistics import mad_sigma
 from analysis.thresholds import (
     COMMON_MODE_SIGMAS,
@@ -33,6 +32,7 @@ Array = NDArray[np.float64]
 
 NONLINEAR = 0.1  # part of the error that a step shares which counts as an event's own: grazes are not linear in it
 RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds that raise an excess, least scatter and number of events
+UNSEEN = 1e-8  # common error over an event's own that changes nothing: it counts by its square
 REACH, COARSE, FINE = 1.4, 0.7, 0.05  # search of the excess, in its logarithm: range, steps, precision
 
 
@@ -70,8 +70,8 @@ class Whitener:
     @classmethod
     def of(cls, world: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
         """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
-        key = ("whitener", lean, tuple(sorted(world.start(values).items())))
-        return world.memory.recall(key, lambda: cls._made(world, values, lean))
+        point = world.start(values)
+        return world.memory.recall(("whitener", lean, point.ordered), lambda: cls._made(world, point, lean))
 
     @classmethod
     def _made(cls, world: ForwardModel, values: Values, lean: bool) -> Whitener:
@@ -100,7 +100,9 @@ class Whitener:
         if not lean:
             excess = blocks.likeliest(excess, tuple(x > UNSHARED_RATIO * float(np.median(total)) for x in excess))
         sd, shared, shrink, cap, logs = blocks.parts(excess)
-        sigma, log = plate_scale(ev.plate.kind, r.plate, ev.plate.sigma)
+        noise = ev.plate.noise()
+        sigma, log = np.empty((2, len(ev.plate)))
+        sigma[noise.rows], log[noise.rows] = noise.scaled(r.plate)
         odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
         return cls(
             opening,
@@ -128,8 +130,11 @@ class Whitener:
         plate = np.max(np.abs(np.log(self.plate_sigma / other.plate_sigma)), initial=0.0)
         return bool(0.8 < shrunk < 1.25 and np.median(np.abs(self.log_sigma - other.log_sigma)) < 0.1 and plate < 0.2)
 
-    def profile_loss(self, r: Residuals, plate: PlateData, train: NDArray[np.bool_]) -> float:
-        """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals."""
+    def profile_loss(self, r: Residuals, train: NDArray[np.bool_], noise: PlateNoise) -> float:
+        """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals.
+
+        ``noise`` is that of the plate data of these steps.
+        """
         step = np.empty_like(self.step)
         step[self.order] = self.step
         events = self._events(r)
@@ -137,9 +142,7 @@ class Whitener:
         total = 0.0
         for rows in (channel & train[step], ~channel & train[step]):
             total += excess_noise(events[rows], self.total_s[rows], self.period_s[rows])[1]
-        rows = train[plate.step]
-        sigma, log = plate_scale(plate.kind[rows], r.plate[rows], plate.sigma[rows])
-        return total + float(np.sum(robust_loss(r.plate[rows] / sigma) + log))
+        return total + noise.loss(r.plate)
 
     def _events(self, r: Residuals) -> Array:
         both = np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]])
@@ -252,7 +255,7 @@ def _lowest(loss: Callable[[float], float], guess: float) -> float:
 
 def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Orthonormal directions of each block's common errors, their shrinkage, and their share of each log sigma."""
-    counts = np.diff(bounds)
+    counts, tones = np.diff(bounds), tones[:, np.max(np.abs(tones), axis=0, initial=0.0) > UNSEEN]
     place = np.arange(len(tones)) - np.repeat(bounds[:-1], counts)
     block = np.repeat(np.arange(len(counts)), counts)
     padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from model.integrator.hermite import crossing, first_standstill, first_touch, hermite5
 from model.integrator.hooks import dry_friction, force, gravity, takeoff_threshold
-from model.integrator.plate import STEPS_PER_PERIOD, mode_at, start_turning, tones_at, turn_twice_as_far, turned
+from model.integrator.plate import STEPS_PER_PERIOD, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Floats, Law, Mode, Plate, Start, StepEnds, compiled, inlined
 
 FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
@@ -174,7 +174,7 @@ def note_end(nodes: Floats, z: float, ended: int) -> None:
         nodes[k, 10], nodes[k, 11] = z, ended
 
 
-@compiled
+@inlined
 def segment(
     t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
 ) -> tuple[int, float, float, float, float]:
@@ -185,9 +185,11 @@ def segment(
     """
     p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
     g = gravity(p)
-    x0, xd0, xdd0 = tones_at(t0, tones)
-    q0, qd0, qdd0 = mode_at(s0, mode)
-    start = Start(h0, v0, x0 + q0, xd0 + qd0)
+    step = law.step_s * FIRST_STEP_PART
+    turning = law.turning
+    moving = start_turning(t0, s0, 0.5 * step, tones, mode, turning)
+    x0, xd0, xdd0 = motion(moving, turning)
+    start = Start(h0, v0, x0, xd0)
     dev, devd = 0.0, 0.0
     h, v = h0, v0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
@@ -197,13 +199,12 @@ def segment(
         and fr == -direction * dry_friction(1.0, 1.0, direction, p)
         and fr == -direction * dry_friction(0.0, 0.1, direction, p)
     )
-    f0 = _effects(s0, h, v, xd0 + qd0, direction, p, acting)
-    a = -g - xdd0 - qdd0 + f0
+    f0 = _effects(s0, h, v, xd0, direction, p, acting)
+    a = -g - xdd0 + f0
     opened = -1.0
-    step = law.step_s * FIRST_STEP_PART
     halved = (law.forced or law.rubbed) and not constant
-    turning = law.turning
-    moving = start_turning(t0, s0, 0.5 * step if halved else step, tones, mode, turning)
+    if not halved:
+        turn_twice_as_far(moving, turning)
     s = 0.0
     limit = LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s
     noted = law.nodes.shape[0] > 0

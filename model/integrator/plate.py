@@ -11,6 +11,7 @@ from model.integrator.records import Floats, Mode, Plate, Probe, compiled, inlin
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
 SAME_TONE = 1e-6  # relative difference of two frequencies that are one
+SHORT_TURN = 0.3  # rad: the next terms of the series in `_short_turn` are below 1e-16
 MINOR = 1e-3  # part of the largest displacement below which a tone needs no finer steps
 
 
@@ -27,6 +28,17 @@ def tones_at(t: float, tones: Floats) -> tuple[float, float, float]:
         v += (tones[k, 2] * c + tones[k, 1] * s) / tones[k, 0]
         x -= acc / (tones[k, 0] * tones[k, 0])
     return x, v, a
+
+
+@inlined
+def _short_turn(angle: float) -> tuple[float, float]:
+    """Cosine and sine; of an angle as small as a step's from their series, to the last bit but one."""
+    y = angle * angle
+    if y > SHORT_TURN * SHORT_TURN:
+        return math.cos(angle), math.sin(angle)
+    c = 1.0 - y * (1 / 2 - y * (1 / 24 - y * (1 / 720 - y * (1 / 40320 - y * (1 / 3628800 - y / 479001600)))))
+    s = 1.0 - y * (1 / 6 - y * (1 / 120 - y * (1 / 5040 - y * (1 / 362880 - y / 39916800))))
+    return c, s * angle
 
 
 @compiled
@@ -52,35 +64,44 @@ def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turni
             continue
         c, sn = math.cos(om * t), math.sin(om * t)
         turning[n, 0], turning[n, 1] = re * c - im * sn, im * c + re * sn
-        turning[n, 2], turning[n, 3] = math.cos(om * d), math.sin(om * d)
+        turning[n, 2], turning[n, 3] = _short_turn(om * d)
         turning[n, 4] = 1.0 / om
         n += 1
     return n
 
 
 @inlined
-def turned(n: int, turning: Floats) -> tuple[float, float, float]:
-    """Displacement, velocity and acceleration of tones and mode after one more turn of ``turning``."""
+def _turn(k: int, turning: Floats) -> None:
+    """One more turn of a phasor."""
+    re, im, c, s = turning[k, 0], turning[k, 1], turning[k, 2], turning[k, 3]
+    turning[k, 0], turning[k, 1] = re * c - im * s, im * c + re * s
+
+
+@inlined
+def motion(n: int, turning: Floats) -> tuple[float, float, float]:
+    """Displacement, velocity and acceleration of tones and mode where the phasors of ``turning`` stand."""
     x, v, a = 0.0, 0.0, 0.0
     for k in range(1, n):
-        re, im, c, s = turning[k, 0], turning[k, 1], turning[k, 2], turning[k, 3]
-        re, im = re * c - im * s, im * c + re * s
-        turning[k, 0], turning[k, 1] = re, im
-        slow = turning[k, 4]
+        re, im, slow = turning[k, 0], turning[k, 1], turning[k, 4]
         a += re
         v += im * slow
         x -= re * (slow * slow)
     re, im = turning[0, 0], turning[0, 1]
     if re != 0.0 or im != 0.0:
-        c, s = turning[0, 2], turning[0, 3]
-        re, im = re * c - im * s, im * c + re * s
-        turning[0, 0], turning[0, 1] = re, im
         fades, od = turning[0, 4], turning[0, 5]
         rate = fades * re - od * im
         x += re
         v += rate
         a += 2.0 * fades * rate - (fades * fades + od * od) * re
     return x, v, a
+
+
+@inlined
+def turned(n: int, turning: Floats) -> tuple[float, float, float]:
+    """`motion` after one more turn of ``turning``."""
+    for k in range(1 if turning[0, 0] == 0.0 and turning[0, 1] == 0.0 else 0, n):
+        _turn(k, turning)
+    return motion(n, turning)
 
 
 @inlined
@@ -229,12 +250,13 @@ def _first_ending_after(t: float, span_s: Floats, first: int, last: int) -> int:
     return first
 
 
-@compiled
+@inlined
 def _integral(rate: complex, before: complex, after: complex, length: float) -> complex:
     """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
-    if abs(rate) * length < 1e-6:
+    size = rate.real * rate.real + rate.imag * rate.imag  # no quotient of complex numbers: it takes longer than all else
+    if size * length * length < 1e-12:
         return 0.5 * length * (before + after)
-    return (after - before) / rate
+    return (after - before) * _conjugate(rate) * (1.0 / size)
 
 
 @compiled

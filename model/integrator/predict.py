@@ -19,6 +19,7 @@ from model.integrator.plate import (
 from model.integrator.records import (
     Bools,
     Chain,
+    Event,
     Events,
     Floats,
     Law,
@@ -28,6 +29,7 @@ from model.integrator.records import (
     Steps,
     Visibility,
     compiled,
+    inlined,
 )
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
@@ -52,56 +54,72 @@ def _rested(s: float, pressed: tuple[float, float], last: Chain, bare: Plate, p:
 
 
 @compiled
-def begin_chain(i: int, events: Events, period: float, last: Chain, plate: Plate, p: Floats) -> Chain:
-    """A chain that begins at the opening of event i: the plate goes on ringing from step to step."""
-    opening = events.opening[i]
+def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Floats) -> Chain:
+    """A chain that begins at the opening of an event: the plate goes on ringing from step to step."""
+    opening = event.opening
     rested = opening - last.t
     if 0.0 <= rested < LONGEST_PERIODS * period:
-        q, qd = _rested(rested, (events.pressed_mps[i], events.pressed_at[i]), last, plate, p)
+        q, qd = _rested(rested, (event.pressed_mps, event.pressed_at), last, plate, p)
     else:
         q, qd, _ = mode_at_rest(opening, plate.tones, p)
     return Chain(opening, last.impact, q, qd, False, 0)
 
 
-@compiled
-def _predict(i: int, events: Events, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Floats) -> int:
-    """Write the prediction of event i from the landing before; return the weak impacts passed."""
-    shortest = min(seen.unseen_s, 0.5 * (events.landing[i] - events.opening[i]))
-    own = Visibility(events.gap_m[i], shortest, seen.passable_s, seen.closure_s)
+@inlined
+def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Floats) -> int:
+    """Write the prediction of an event from the landing before; return the weak impacts passed."""
+    shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
+    own = Visibility(event.gap_m, shortest, seen.passable_s, seen.closure_s)
     plate = with_state(bare, last.q, last.qd)
-    found = next_flight(last.t, last.impact, plate, law, own, events.opening[i])
+    found = next_flight(last.t, last.impact, plate, law, own, event.opening)
     land, hit, passed = found.landing, found.impact, 0
-    if found.kind >= 0 and (hit < events.weak_mps[i] or (events.bounces[i] and seen.closure_s == 0.0)):
+    if found.kind >= 0 and (hit < event.weak_mps or (event.bounces and seen.closure_s == 0.0)):
         q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
         struck = with_state(bare, q, qd)
-        land, hit, passed, out[9] = weak_rebounds((land, hit), events.landing[i], events.weak_mps[i], seen, struck, law)
+        land, hit, passed, out[9] = weak_rebounds((land, hit), event.landing, event.weak_mps, seen, struck, law)
     out[0], out[1], out[2], out[3] = found.takeoff, found.launch, land, hit
     out[4], out[5], out[6] = found.opening, found.hidden, found.kind
     return passed
 
 
-@compiled
+@inlined
 def _measured(
-    i: int, events: Events, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
+    event: Event, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
 ) -> tuple[float, float, float, float, float]:
-    """Start, launch velocity and impact speed of the measured flight i itself, and the mode's state at the start."""
+    """Start, launch velocity and impact speed of a measured flight itself, and the mode's state at the start."""
     out[11] = FROM_REST
-    opening, landing, bounces, p = events.opening[i], events.landing[i], events.bounces[i], law.p
-    pressed = (events.pressed_mps[i] if events.linked[i] else np.nan, events.pressed_at[i])  # else it has acted
-    direct, start, lasts, v0, hit = events.relaunched[i] and events.linked[i], last.t, -1.0, 0.0, 0.0
+    opening, landing, bounces, p = event.opening, event.landing, event.bounces, law.p
+    pressed = (event.pressed_mps if event.linked else np.nan, event.pressed_at)  # else it has acted
+    direct, start, lasts, v0, hit = event.relaunched and event.linked, last.t, -1.0, 0.0, 0.0
     if not (direct and bounces):  # without a bounce the ball leaves as if from rest, at once or soon after
         q, qd = _rested(opening - last.t, pressed, last, bare, p)
         start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
     q, qd = _rested(start - last.t, pressed, last, bare, p)
-    if not (events.relaunched[i] and bounces):
+    if not (event.relaunched and bounces):
         lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
     if lasts < 0.0 or abs(start + lasts - landing) > OFF_PERIODS * period:
         if direct:
             start, q, qd = last.t, last.q, last.qd
-        near = out[1] if passed == 0 and out[6] == 1.0 and events.relaunched[i] else -1.0
+        near = out[1] if passed == 0 and out[6] == 1.0 and event.relaunched else -1.0
         out[11] = TWO_POINTS
         v0, hit = launch_of(start, landing, near, out[2], with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
+
+
+@inlined
+def _event(i: int, events: Events) -> Event:
+    return Event(
+        events.opening[i],
+        events.landing[i],
+        events.relaunched[i],
+        events.linked[i],
+        events.bounces[i],
+        events.gap_m[i],
+        events.weak_mps[i],
+        events.gained_mps[i],
+        events.pressed_mps[i],
+        events.pressed_at[i],
+    )
 
 
 @compiled
@@ -153,19 +171,20 @@ def one_ahead(
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
         law = Law(p, length, forced, rubbed, turning, nodes)
         out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
+        event = _event(i, events)
         passed, chained = 0, last.chained + 1
-        if not events.linked[i]:
+        if not event.linked:
             chained = 0
-            last = begin_chain(i, events, steps.period[m], last, bare, p)
+            last = begin_chain(event, steps.period[m], last, bare, p)
             loose = 1.0 if np.isnan(events.pressed_mps[i]) else FOLLOWED
             last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
-            passed = _predict(i, events, last, bare, law, seen, out[i])
+            passed = _predict(event, last, bare, law, seen, out[i])
         out[i, 12] = passed
         if not (needed or (bounces and events.wanted[i])):
             last = Chain(landing, last.impact, last.q, last.qd, True, 0)
             continue
-        start, v0, hit, q, qd = _measured(i, events, steps.period[m], last, bare, law, passed, out[i])
+        start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
         if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
             hit, out[i, 11] = out[i, 3], AS_PREDICTED  # the flight as measured is several: only that knows its end
         if ratio != 0.0 and not np.isnan(events.gained_mps[i]):

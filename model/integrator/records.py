@@ -151,6 +151,21 @@ class Events(NamedTuple):
     pressed_at: Floats
 
 
+class Event(NamedTuple):
+    """One of `Events`: its numbers alone, as calls copy every array of a record, its shape and strides included."""
+
+    opening: float
+    landing: float
+    relaunched: bool
+    linked: bool
+    bounces: bool
+    gap_m: float
+    weak_mps: float
+    gained_mps: float
+    pressed_mps: float
+    pressed_at: float
+
+
 class Steps(NamedTuple):
     """The plate in each step: period of the forcing (m,), and its tones (m, k, 3) as in `Plate`."""
 

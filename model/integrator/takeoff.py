@@ -17,7 +17,7 @@ from model.integrator.plate import (
     turned,
     with_state,
 )
-from model.integrator.records import Flight, Law, Plate, Visibility, compiled
+from model.integrator.records import Flight, Law, Plate, Visibility, compiled, inlined
 
 TAIL_PART = 2e-4  # part of a period: a shorter bounce begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
@@ -98,7 +98,7 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
     return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.mode.q, plate.mode.qd)
 
 
-@compiled
+@inlined
 def weak_rebounds(
     landing: tuple[float, float], target: float, weak_mps: float, seen: Visibility, plate: Plate, law: Law
 ) -> tuple[float, float, int, float]:
@@ -142,7 +142,7 @@ def weak_rebounds(
     return near, near_hit, near_passed, ambiguity
 
 
-@compiled
+@inlined
 def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, law: Law) -> tuple[float, float]:
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
@@ -184,7 +184,7 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
     return vb, va_hit
 
 
-@compiled
+@inlined
 def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
     """The last moment before an opening at which the plate throws a ball at rest; the opening where there is none."""
     p = law.p
