@@ -17,6 +17,7 @@ from daq.files.column_file import ColumnWriter
 from daq.importers.formats.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
 from daq.importers.scratch import Scratch
 from daq.importers.timebase import quantum_of
+from daq.importers.timebase_kernel import to_nanoseconds
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE, Setup
 
@@ -150,6 +151,19 @@ def _times_ns(source: Source, piece: Piece, column: Column, intake: Intake) -> N
     intake.quantum_s = min(intake.quantum_s, quantum_of(raw.astype(np.float64)) * factor)
     coarsest = np.spacing(piece.columns[column.name][-1]) if raw.dtype.kind == "f" else 0.0
     intake.spacing_s = max(intake.spacing_s, float(coarsest) * factor)
+    stamps = np.empty(len(raw), np.int64)
+    raw = np.ascontiguousarray(raw)
+    far, falls, same, last_s = to_nanoseconds(raw, intake.origin, factor, intake.last_s, LONGEST_S, stamps)
+    if far or falls or (same and not intake.repeated):
+        _look_at_times(source, piece, column, raw, factor, unit, intake)
+    intake.last_s = float(last_s)
+    return stamps
+
+
+def _look_at_times(
+    source: Source, piece: Piece, column: Column, raw: NDArray[Any], factor: float, unit: str, intake: Intake
+) -> None:
+    """Refuse times that are too far off, or fall; note the first that stands still."""
     with np.errstate(over="ignore", invalid="ignore"):
         seconds = (raw - intake.origin) * factor
     change = np.diff(seconds, prepend=intake.last_s)
@@ -169,9 +183,6 @@ def _times_ns(source: Source, piece: Piece, column: Column, intake: Intake) -> N
     if not intake.repeated and (change == 0).any():
         i = int(np.argmax(change == 0))
         intake.repeated = f"{piece.place(i)}, column {column.name}: {seconds[i] + intake.origin_s:.9g} s"
-    intake.last_s = float(seconds[-1])
-    stamps: NDArray[np.int64] = np.rint(seconds * 1e9).astype(np.int64)
-    return stamps
 
 
 def _note_changes(values: NDArray[Any], first_row: int, changes: list[tuple[int, float]]) -> None:
