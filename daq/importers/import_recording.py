@@ -114,7 +114,7 @@ def import_recording(
     try:
         with _scratch(source, columns, out) as scratch:
             intake = take_in(source, columns, scales, setup, writer, scratch, progress)
-            with Digest(source.path) as digest:
+            with Digest(source.path, getattr(source, "sha256", "")) as digest:
                 volts = _Volts(scratch, scales)
                 base = _timebase(source, writer, scratch, intake, columns.get("time"), setup, rate_hz)
                 steps, from_drive = _find(volts, writer.n_samples, setup, base, intake, progress)
@@ -249,7 +249,14 @@ class _Volts:
     def of(self, role: str) -> Read:
         """Gives volts of samples ``a .. b`` of a channel."""
         factor, offset = self.scales[role]
-        return lambda a, b: np.asarray(self.scratch.read(role, a, b) * factor + offset, np.float64)
+
+        def volts(a: int, b: int) -> Floats:
+            values = self.scratch.read(role, a, b)
+            if (factor, offset) == (1.0, 0.0):  # text holds the volts themselves
+                return values.astype(np.float64, copy=False)
+            return np.asarray(values * factor + offset, np.float64)
+
+        return volts
 
 
 def _find(
