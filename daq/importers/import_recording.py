@@ -21,7 +21,15 @@ from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.background import Digest
 from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
-from daq.importers.formats.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
+from daq.importers.formats.columns import (
+    ACCELERATION_UNITS,
+    CHANNEL_ROLES,
+    VOLT_UNITS,
+    Column,
+    Source,
+    assign,
+    left_out_remarks,
+)
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.scratch import Scratch
@@ -130,7 +138,7 @@ def import_recording(
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    found = remarks(base, steps, channels, from_drive) + warnings
+    found = left_out_remarks(source) + remarks(base, steps, channels, from_drive) + warnings
     return ImportSummary(out, writer.n_samples, base, steps, named, found)
 
 

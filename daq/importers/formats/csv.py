@@ -6,6 +6,7 @@ read piece by piece.
 
 from __future__ import annotations
 
+import csv
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,6 +25,7 @@ from daq.setup.errors import InputError
 _DELIMITERS = (",", ";", "\t")
 _SNIFFED_LINES = 200
 _LISTED = 64
+_QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')
 
 
 class CsvSource:
@@ -41,7 +43,7 @@ class CsvSource:
     """
 
     rate_hz: float | None = None
-    left_out: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = {}
     sha256 = ""  # of the file, once all of it was read
 
     def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
@@ -101,7 +103,8 @@ class CsvSource:
         head = [line.rstrip("\r\n") for line in head]
         lines = [(i, line) for i, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")]
         for delimiter, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, ".")):
-            first = next((k for k, (_, line) in enumerate(lines) if _is_numbers(line, delimiter, decimal)), None)
+            bare = [_unquoted(line.encode(), delimiter).decode() for _, line in lines]
+            first = next((k for k, line in enumerate(bare) if _is_numbers(line, delimiter, decimal)), None)
             if first is not None:
                 break
         else:
@@ -110,13 +113,12 @@ class CsvSource:
                 "semicolon or tab under a header."
             )
         self._delimiter = delimiter
-        self._decimal = (
-            "." if delimiter in (",", None) else _decimal_of("\n".join(line for _, line in lines[first:]), delimiter)
-        )
+        self._decimal = "." if delimiter in (",", None) else _decimal_of("\n".join(bare[first:]), delimiter)
         self._first_line = lines[first][0]
-        self._width = len(_fields(lines[first][1], delimiter))
+        self._is_quoted = any('"' in line for _, line in lines[first:])
+        self._width = len(_fields(bare[first], delimiter))
         comments = [line.lstrip().lstrip("#") for line in head[: self._first_line] if line.lstrip().startswith("#")]
-        headers = [_fields(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
+        headers = [_titles(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
         headers = [h for h in headers if len(h) == self._width]
         named = next((h for h in headers if any(split_name(n)[0] for n in h)), None)
         names = [n.strip().strip('"') for n in named] if named else [str(i + 1) for i in range(self._width)]
@@ -159,6 +161,8 @@ class CsvSource:
             first = self._first_line + 1
             try:
                 for block in file.blocks():
+                    if self._is_quoted:
+                        block = memoryview(_unquoted(bytes(block), self._delimiter))
                     n = int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
                     if not self._decimal and self._delimiter:
                         self._decimal = _decimal_of(str(block, errors="replace"), self._delimiter)
@@ -282,6 +286,20 @@ class CsvSource:
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
     return line.rstrip("\r\n").split(delimiter)
+
+
+def _titles(line: str, delimiter: str | None) -> list[str]:
+    """Fields of a header, in which what is quoted may hold the delimiter."""
+    if delimiter is None or '"' not in line:
+        return _fields(line, delimiter)
+    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+
+
+def _unquoted(text: bytes, delimiter: str | None) -> bytes:
+    """Lines of numbers without quotes; where commas separate columns, one within a quoted number is its point."""
+    if delimiter == ",":
+        text = _QUOTED_COMMA.sub(rb"\1.\2", text)
+    return text.replace(b'"', b" ")
 
 
 def _is_number(text: str) -> bool:
