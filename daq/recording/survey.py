@@ -146,7 +146,7 @@ def _cut_short(path: Path) -> str:
     if size >= wanted:
         return ""
     return (
-        f"cut off after {size} of {wanted} bytes: what is left holds samples, but set-up, scales and the tables "
+        f"cut off after {size} of {wanted} bytes: what is left may hold samples, but set-up, scales and the tables "
         "that say where each sample stands were in the part that is missing; copy the whole file again"
     )
 
