@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from daq.lock_in_kernel import accumulate, add_sorts, invert
+from daq.lock_in_kernel import accumulate, add_sorts, add_stretches, invert
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -198,6 +198,23 @@ class LockIn:
             self._counts,
         )
 
+    def add_stretches(self, x: npt.ArrayLike, edges: npt.NDArray[np.int64]) -> None:
+        """Accumulate values ``edges[0] .. edges[-1] - 1`` of the only channel, those between two edges as a sort."""
+        values = np.ascontiguousarray(x, dtype=np.float64)
+        if values.shape != (int(edges[-1] - edges[0]),):
+            raise ValueError(f"expected {edges[-1] - edges[0]} values of one channel, got shape {values.shape}")
+        self.forget()
+        add_stretches(
+            values,
+            np.ascontiguousarray(edges, dtype=np.int64),
+            self.frequencies_hz / self.rate_hz,
+            self._response,
+            self._grams,
+            self._sides,
+            self._squares,
+            self._counts,
+        )
+
     def part(self, sorts: npt.ArrayLike) -> LockIn:
         """The fit of some sorts alone: one object for each choice until values are added, not to be added to."""
         chosen = np.asarray(sorts, dtype=np.int64)
@@ -347,14 +364,18 @@ def fit_tones(
         Too few samples, or tones too close to be told apart.
     """
     lock_in = LockIn(rate_hz, frequencies_hz)
-    lock_in.add(x, first_sample, mask)
+    if mask is None:
+        values = np.ravel(np.asarray(x, dtype=np.float64))
+        lock_in.add_stretches(values, np.array([first_sample, first_sample + len(values)], dtype=np.int64))
+    else:
+        lock_in.add(x, first_sample, mask)
     return lock_in.solve()
 
 
 def fit_tones_each(
     x: npt.ArrayLike, edges: npt.NDArray[np.int64], rate_hz: float, frequencies_hz: npt.ArrayLike
 ) -> ToneFits:
-    """`fit_tones` of each of at most 127 successive stretches of the recording.
+    """`fit_tones` of each of successive stretches of the recording.
 
     Parameters
     ----------
@@ -370,7 +391,6 @@ def fit_tones_each(
     ValueError
         Too few samples in a stretch, or tones too close to be told apart.
     """
-    lengths = np.diff(edges)
-    lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(lengths))
-    lock_in.add(x, int(edges[0]), np.repeat(np.arange(len(lengths), dtype=np.int8), lengths))
+    lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(edges) - 1)
+    lock_in.add_stretches(x, edges)
     return lock_in.solve_each()

@@ -109,6 +109,79 @@ def _add_product(a, b, total, gram, side, square):  # type: ignore[no-untyped-de
         square[a - p] += total
 
 
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def add_stretches(x, edges, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
+    """Add the normal equations of successive whole stretches of one channel, each to a sort of its own.
+
+    What tones have in common over an unbroken stretch is known in closed form: only sums with ``x`` are left.
+    """
+    k = cycles.shape[0]
+    longest = min(RESYNC, x.shape[0])
+    cosine, sine = np.empty((k, longest)), np.empty((k, longest))
+    turns(cycles, cosine, sine)
+    at = np.empty(k, dtype=np.complex128)
+    for s in range(edges.shape[0] - 1):
+        start, stop = edges[s], edges[s + 1]
+        counts[s] += stop - start
+        for begin in range(start, stop, RESYNC):
+            values = x[begin - edges[0] : min(begin + RESYNC, stop) - edges[0]]
+            _phases(cycles, begin, response, at)
+            total, square = 0.0, 0.0
+            for i in range(values.size):
+                total += values[i]
+                square += values[i] * values[i]
+            sides[s, 0, 0] += total
+            squares[s, 0] += square
+            for j in range(k):
+                c, d = cosine[j, : values.size], sine[j, : values.size]
+                along, across = 0.0, 0.0
+                for i in range(values.size):
+                    along += values[i] * c[i]
+                    across += values[i] * d[i]
+                sides[s, 2 * j + 1, 0] += at[j].real * along - at[j].imag * across
+                sides[s, 2 * j + 2, 0] -= at[j].real * across + at[j].imag * along
+        _phases(cycles, start, response, at)
+        _add_common(at, cycles, stop - start, grams[s])
+
+
+@njit(error_model="numpy")
+def _phases(cycles, sample, response, at):  # type: ignore[no-untyped-def]
+    """Each tone at a sample, as what the boxcar makes of it."""
+    for j in range(cycles.shape[0]):
+        phase = cycles[j] * sample
+        at[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
+
+
+@njit(error_model="numpy")
+def _sum_of_turns(cycles, n):  # type: ignore[no-untyped-def]
+    """Sum of ``exp(2 pi i cycles m)`` over m from 0 to n - 1."""
+    half = np.pi * (cycles - np.rint(cycles))
+    if half == 0.0:
+        return n + 0j
+    return np.exp(1j * half * (n - 1)) * (np.sin(half * n) / np.sin(half))
+
+
+@njit(error_model="numpy")
+def _add_common(at, cycles, n, gram):  # type: ignore[no-untyped-def]
+    """Add the normal matrix of ``n`` values in a row, at the first of which the tones are ``at`` (k,)."""
+    gram[0, 0] += n
+    for j in range(at.shape[0]):
+        row = 2 * j + 1
+        mean = at[j] * _sum_of_turns(cycles[j], n)
+        gram[row, 0] += mean.real
+        gram[0, row] += mean.real
+        gram[row + 1, 0] -= mean.imag
+        gram[0, row + 1] -= mean.imag
+        for m in range(at.shape[0]):
+            column = 2 * m + 1
+            above = 0.5 * at[j] * at[m] * _sum_of_turns(cycles[j] + cycles[m], n)
+            below = 0.5 * at[j] * np.conj(at[m]) * _sum_of_turns(cycles[j] - cycles[m], n)
+            gram[row, column] += below.real + above.real
+            gram[row, column + 1] += below.imag - above.imag
+            gram[row + 1, column] -= below.imag + above.imag
+            gram[row + 1, column + 1] += below.real - above.real
+
+
 @njit()
 def add_sorts(chosen, grams, sides, squares, counts, gram, side, square, count):  # type: ignore[no-untyped-def]
     """Add the sums of the ``chosen`` sorts, one after the other, to those of the only sort of the last four."""

@@ -58,9 +58,14 @@ def is_cut_short(path: Path) -> bool:
 
     HDF5 file format, superblock versions 2 and 3: bytes 28 to 35 are the address of the end of the file.
     """
+    return path.stat().st_size < stated_bytes(path)
+
+
+def stated_bytes(path: Path) -> int:
+    """Where the file says that HDF5's part of it ends; 0 where it does not say."""
     head = _superblock(path)
     end = int.from_bytes(head[28:36], "little")
-    return len(head) == _SUPERBLOCK_BYTES and head[8] >= 2 and path.stat().st_size < end < _UNDEFINED_ADDRESS
+    return end if len(head) == _SUPERBLOCK_BYTES and head[8] >= 2 and end < _UNDEFINED_ADDRESS else 0
 
 
 def _superblock(path: Path) -> bytes:

@@ -28,12 +28,12 @@ def ahead(items: Iterator[Item]) -> Iterator[Item]:
 
 
 class Digest(Closing):
-    """SHA-256 of a file, made in a thread; `close` gives it up where nobody asked."""
+    """SHA-256 of a file, made in a thread unless it is ``known``; `close` gives it up where nobody asked."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, known: str = "") -> None:
         self._path, self._stop = path, Event()
         self._worker = ThreadPoolExecutor(1, "hash of the file")
-        self._made = self._worker.submit(self._digest)
+        self._made = self._worker.submit(lambda: known or self._digest())
 
     def _digest(self) -> str:
         digest = hashlib.sha256()

@@ -6,10 +6,13 @@ remark (`daq.importers.diagnostics`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.importers.formats.columns import TIME_UNITS_S, Column
 from daq.importers.timebase import Times
@@ -68,7 +71,11 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
     if parts < 2:
         return
     edges = np.linspace(0, n, parts + 1).astype(np.int64)
-    steps = np.array([_step(times, a, b, quantum_s) for a, b in pairwise(edges.tolist())])
+    # a median lies between the extremes: where these are alike everywhere, none need be found
+    spans = np.array([_step(times, a, b, quantum_s, _extremes) for a, b in pairwise(edges.tolist())])
+    if 0.0 < spans.max() < MIXED * spans.min():
+        return
+    steps = np.array([_step(times, a, b, quantum_s, np.median) for a, b in pairwise(edges.tolist())])
     slowest, fastest = float(steps.max()), float(steps.min())
     if fastest <= 0.0 or slowest < MIXED * fastest:
         return
@@ -80,10 +87,15 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
     )
 
 
-def _step(times: Times, start: int, stop: int, quantum_s: float) -> float:
-    """Median time between samples; over strides long enough that rounding does not bias it, seconds."""
+def _step(times: Times, start: int, stop: int, quantum_s: float, of: Callable[[NDArray[Any]], Any]) -> Any:
+    """Seconds between samples, by strides long enough that rounding does not bias them: ``of`` (median, ...) them."""
     own = times(start, min(stop, start + (1 << 16)))
     mean = float(own[-1] - own[0]) / (len(own) - 1)
     stride = int(min(np.ceil(50.0 * quantum_s / max(mean, 1e-12)), len(own) // 4))
     stride = max(stride, 1)
-    return float(np.median(own[stride:] - own[:-stride])) / stride
+    return of(own[stride:] - own[:-stride]) / stride
+
+
+def _extremes(values: NDArray[Any]) -> NDArray[Any]:
+    """Smallest and largest."""
+    return np.array([values.min(), values.max()])

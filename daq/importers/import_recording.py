@@ -21,7 +21,15 @@ from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.background import Digest
 from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
-from daq.importers.formats.columns import ACCELERATION_UNITS, CHANNEL_ROLES, VOLT_UNITS, Column, Source, assign
+from daq.importers.formats.columns import (
+    ACCELERATION_UNITS,
+    CHANNEL_ROLES,
+    VOLT_UNITS,
+    Column,
+    Source,
+    assign,
+    left_out_remarks,
+)
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.scratch import Scratch
@@ -114,7 +122,7 @@ def import_recording(
     try:
         with _scratch(source, columns, out) as scratch:
             intake = take_in(source, columns, scales, setup, writer, scratch, progress)
-            with Digest(source.path) as digest:
+            with Digest(source.path, getattr(source, "sha256", "")) as digest:
                 volts = _Volts(scratch, scales)
                 base = _timebase(source, writer, scratch, intake, columns.get("time"), setup, rate_hz)
                 steps, from_drive = _find(volts, writer.n_samples, setup, base, intake, progress)
@@ -130,7 +138,7 @@ def import_recording(
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    found = remarks(base, steps, channels, from_drive) + warnings
+    found = left_out_remarks(source) + remarks(base, steps, channels, from_drive) + warnings
     return ImportSummary(out, writer.n_samples, base, steps, named, found)
 
 
@@ -249,7 +257,14 @@ class _Volts:
     def of(self, role: str) -> Read:
         """Gives volts of samples ``a .. b`` of a channel."""
         factor, offset = self.scales[role]
-        return lambda a, b: np.asarray(self.scratch.read(role, a, b) * factor + offset, np.float64)
+
+        def volts(a: int, b: int) -> Floats:
+            values = self.scratch.read(role, a, b)
+            if (factor, offset) == (1.0, 0.0):  # text holds the volts themselves
+                return values.astype(np.float64, copy=False)
+            return np.asarray(values * factor + offset, np.float64)
+
+        return volts
 
 
 def _find(

@@ -17,9 +17,11 @@ from daq.files.column_file import ColumnWriter
 from daq.importers.formats.columns import SET_ROLES, TIME_UNITS_S, Column, Piece, Source
 from daq.importers.scratch import Scratch
 from daq.importers.timebase import quantum_of
+from daq.importers.timebase_kernel import to_nanoseconds
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE, Setup
 
+Floats = NDArray[np.float64]
 Progress = Callable[[str, int], None]
 LONGEST_S = 9e9  # longest span that 64 bits of nanoseconds hold
 
@@ -78,15 +80,14 @@ def take_in(
     intake = Intake(set_values={role: [] for role in SET_ROLES if role in columns})
     wanted = list(dict.fromkeys(column.name for column in columns.values()))
     for piece in source.pieces(wanted):
-        for column in columns.values():
-            _refuse_not_finite(source, piece, column.name)
+        ends = {name: _ends(source, piece, name) for name in wanted}
         n = len(piece.rows)
         if "time" in columns:
             scratch.append("timestamp", _times_ns(source, piece, columns["time"], intake))
         for role, changes in intake.set_values.items():
             _note_changes(piece.columns[columns[role].name], intake.n_rows, changes)
         for role, scale in scales.items():
-            _refuse_far_outside(source, piece, role, columns[role], scale, setup, intake)
+            _refuse_far_outside(source, piece, role, columns[role], scale, setup, intake, ends[columns[role].name])
         channels = {role: piece.columns[columns[role].name] for role in scales}
         writer.append(None, channels)
         for role, values in channels.items():
@@ -106,18 +107,30 @@ def take_in(
     return intake
 
 
-def _refuse_not_finite(source: Source, piece: Piece, name: str) -> None:
+def _ends(source: Source, piece: Piece, name: str) -> Floats:
+    """Smallest and largest value of a column; refuses what is not finite, which one of the two then is."""
     values = piece.columns[name]
-    if values.dtype.kind == "f" and not np.isfinite(values).all():
+    if not len(values):
+        return np.zeros(2)
+    ends = np.array([values.min(), values.max()], np.float64)
+    if values.dtype.kind == "f" and not np.isfinite(ends).all():
         index = int(np.argmin(np.isfinite(values)))
         raise InputError(
             f"{source.path}: {piece.place(index)}, column {name}: wanted a finite number, got {values[index]}; cut the "
             "file there, or repair the value."
         )
+    return ends
 
 
 def _refuse_far_outside(
-    source: Source, piece: Piece, role: str, column: Column, scale: tuple[float, float], setup: Setup, intake: Intake
+    source: Source,
+    piece: Piece,
+    role: str,
+    column: Column,
+    scale: tuple[float, float],
+    setup: Setup,
+    intake: Intake,
+    ends: Floats,
 ) -> None:
     """Refuse volts that the channel cannot have read; keep its largest."""
     described = getattr(setup.channels, role)
@@ -125,7 +138,6 @@ def _refuse_far_outside(
     if described is None or not len(values):
         return
     factor, offset = scale
-    ends = np.array([values.min(), values.max()], np.float64)
     with np.errstate(over="ignore"):
         peak_v = float(np.abs(ends * factor + offset).max())
     intake.peak_v[role] = max(intake.peak_v.get(role, 0.0), peak_v)
@@ -150,6 +162,19 @@ def _times_ns(source: Source, piece: Piece, column: Column, intake: Intake) -> N
     intake.quantum_s = min(intake.quantum_s, quantum_of(raw.astype(np.float64)) * factor)
     coarsest = np.spacing(piece.columns[column.name][-1]) if raw.dtype.kind == "f" else 0.0
     intake.spacing_s = max(intake.spacing_s, float(coarsest) * factor)
+    stamps = np.empty(len(raw), np.int64)
+    raw = np.ascontiguousarray(raw)
+    far, falls, same, last_s = to_nanoseconds(raw, intake.origin, factor, intake.last_s, LONGEST_S, stamps)
+    if far or falls or (same and not intake.repeated):
+        _look_at_times(source, piece, column, raw, factor, unit, intake)
+    intake.last_s = float(last_s)
+    return stamps
+
+
+def _look_at_times(
+    source: Source, piece: Piece, column: Column, raw: NDArray[Any], factor: float, unit: str, intake: Intake
+) -> None:
+    """Refuse times that are too far off, or fall; note the first that stands still."""
     with np.errstate(over="ignore", invalid="ignore"):
         seconds = (raw - intake.origin) * factor
     change = np.diff(seconds, prepend=intake.last_s)
@@ -169,9 +194,6 @@ def _times_ns(source: Source, piece: Piece, column: Column, intake: Intake) -> N
     if not intake.repeated and (change == 0).any():
         i = int(np.argmax(change == 0))
         intake.repeated = f"{piece.place(i)}, column {column.name}: {seconds[i] + intake.origin_s:.9g} s"
-    intake.last_s = float(seconds[-1])
-    stamps: NDArray[np.int64] = np.rint(seconds * 1e9).astype(np.int64)
-    return stamps
 
 
 def _note_changes(values: NDArray[Any], first_row: int, changes: list[tuple[int, float]]) -> None:

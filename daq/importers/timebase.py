@@ -9,17 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.importers.timebase_kernel import are_whole, distances, line_sums, longest_step
 
 Floats = NDArray[np.float64]
 
 PAUSE_SAMPLES = 1.6  # a longer step in time is a pause: samples are missing
 JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
 _STRIDE = 1000
-_GLANCE = 64  # values that rule most rounding steps out
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,9 @@ def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) ->
 def quantum_of(values: Floats) -> float:
     """Rounding step of a column: the coarsest power of ten that all its values are multiples of; inf if none is."""
     for exponent in range(10):
-        if _whole(values[:_GLANCE] * 10.0**exponent) and _whole(values * 10.0**exponent):
+        if are_whole(values, 10.0**exponent):
             return float(10.0**-exponent)
     return float("inf")
-
-
-def _whole(scaled: Floats) -> bool:
-    """Whether all are whole numbers, but for rounding."""
-    return bool(np.all(np.abs(scaled - np.rint(scaled)) <= 1e-4 + 4e-16 * np.abs(scaled)))
 
 
 def _pieces(n: int, piece: int) -> Iterator[tuple[int, int]]:
@@ -104,11 +100,12 @@ def _typical_step(times: Times, n: int) -> float:
 
 def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) -> NDArray[np.int64]:
     """First samples after each pause."""
-    found = [
-        start + 1 + np.flatnonzero(np.diff(times(start, stop)) > PAUSE_SAMPLES * typical + quantum_s)
-        for start, stop in _pieces(n, piece)
-    ]
-    return np.concatenate(found).astype(np.int64) if found else np.zeros(0, np.int64)
+    limit, found = PAUSE_SAMPLES * typical + quantum_s, [np.zeros(0, np.int64)]
+    for start, stop in _pieces(n, piece):
+        own = times(start, stop)
+        if longest_step(own) > limit:
+            found.append(start + 1 + np.flatnonzero(np.diff(own) > limit))
+    return np.concatenate(found).astype(np.int64)
 
 
 def _runs(n: int, gaps: NDArray[np.int64]) -> list[tuple[int, int]]:
@@ -124,9 +121,7 @@ def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[f
         centre, middle = (stop - start - 1) / 2.0, float(np.mean([times(start, start + 1), times(stop - 1, stop)]))
         sums = np.zeros(5)
         for a in range(start, stop, piece):
-            b = min(a + piece, stop)
-            x, y = np.arange(a - start, b - start) - centre, times(a, b) - middle
-            sums += [len(x), y.sum(), _dot(x, y), _dot(x, x), _dot(y, y)]
+            line_sums(times(a, min(a + piece, stop)), a - start, centre, middle, sums)
         sxy, sxx = sxy + sums[2], sxx + sums[3]
         own.append((sums[2], sums[3]))
         ss += sums[4] - sums[1] ** 2 / sums[0]
@@ -135,11 +130,6 @@ def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[f
     # a clock that wanders from run to run shows in the runs' own slopes, not in the residuals
     wander = sum(w * (xy / w - slope) ** 2 for xy, w in own if w > 0) / sxx
     return slope, float(np.sqrt(variance / sxx + wander))
-
-
-def _dot(x: NDArray[Any], y: NDArray[Any]) -> float:
-    """Scalar product in this thread: BLAS's own threads cost more than so short a sum."""
-    return float(np.einsum("i,i->", x, y))
 
 
 def _nice(step: float, n: int, quantum_s: float) -> float:
@@ -169,10 +159,8 @@ def _distance(times: Times, n: int, gaps: NDArray[np.int64], step: float, piece:
         low, high, total, square = np.inf, -np.inf, 0.0, 0.0
         origin = float(times(start, start + 1)[0])
         for a in range(start, stop, piece):
-            b = min(a + piece, stop)
-            off = times(a, b) - origin - np.arange(a - start, b - start) * step
-            low, high = min(low, float(off.min())), max(high, float(off.max()))
-            total, square = total + float(off.sum()), square + _dot(off, off)
+            least, most, own, squared = distances(times(a, min(a + piece, stop)), a - start, origin, step)
+            low, high, total, square = min(low, least), max(high, most), total + own, square + squared
         worst = max(worst, (high - low) / 2.0)
         squares += max(square - total**2 / (stop - start), 0.0)
     return worst, float(np.sqrt(squares / n))

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from daq.files.column_file import FORMAT, FORMAT_VERSION
-from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short
+from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short, stated_bytes
 from daq.files.seal import Checked, Patched, check, check_tables
 from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording
@@ -56,12 +56,15 @@ def unsealed(recording: Recording, found: Checked | None, *, intact: bool) -> tu
     if not intact:
         lines.append("the root attributes differ from what was written")
     if found is None:
-        lines.append(
-            "its checksums are gone: another program has written to it since"
-            if recording.stored.get("sealed")
-            else UNCHECKED
-        )
+        lines.append(_without_seal(recording.path) if recording.stored.get("sealed") else UNCHECKED)
     return tuple(lines)
+
+
+def _without_seal(path: Path) -> str:
+    """Why a recording that was sealed has no seal; a file that HDF5 has written to ends where HDF5's part does."""
+    if path.stat().st_size > stated_bytes(path) > 0:
+        return "its checksums are gone: the file was cut off behind its samples and tables, of which nothing is missing"
+    return "its checksums are gone: another program has written to it since"
 
 
 def differing_blocks(recording: Recording) -> list[str]:

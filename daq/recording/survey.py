@@ -14,7 +14,7 @@ from typing import Any
 
 from daq.files.claims import refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
-from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, table_of
+from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, stated_bytes, table_of
 from daq.files.seal import Checked, check
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32
 from daq.recording.opening import differing_blocks, open_checked, open_file, require_hdf5, unsealed
@@ -126,7 +126,7 @@ def _survey(path: Path, *, ended: bool, tries: int = MOST_TRIES) -> Survey:
         except InputError as error:
             if "damaged" not in str(error) and "cannot be read as HDF5" not in str(error):
                 raise
-            return Survey(where=[str(error)], opens=False)
+            return Survey(where=[_cut_short(path) or str(error)], opens=False)
         except OSError as error:
             return Survey(where=[f"does not read back ({error})"], opens=False)
         if not answer.died:
@@ -138,6 +138,17 @@ def _survey(path: Path, *, ended: bool, tries: int = MOST_TRIES) -> Survey:
             break
         skip.append(answer.at)
     return Survey(where=why, opens=False)
+
+
+def _cut_short(path: Path) -> str:
+    """What is left and what is missing of a file whose end is gone; nothing where it is whole."""
+    size, wanted = path.stat().st_size, stated_bytes(path)
+    if size >= wanted:
+        return ""
+    return (
+        f"cut off after {size} of {wanted} bytes: what is left may hold samples, but set-up, scales and the tables "
+        "that say where each sample stands were in the part that is missing; copy the whole file again"
+    )
 
 
 def look(path: str, ended: bool, skip: list[str], tell: Tell) -> dict[str, Any]:

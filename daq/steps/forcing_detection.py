@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.setup import Forcing
+from kernels import njit
 
 Floats = NDArray[np.float64]
 Read = Callable[[int, int], Floats]
@@ -80,8 +81,20 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
 def _windows(read: Read, starts: NDArray[np.int64], window: int, reduce: int) -> Floats:
     """Windows from ``starts`` on, averaged over ``reduce`` samples, shape (m, window // reduce)."""
     x = read(int(starts[0]), int(starts[-1]) + window)
-    n = window // reduce
-    return np.array([x[a : a + n * reduce].reshape(n, reduce).mean(axis=1) for a in (starts - starts[0]).tolist()])
+    means = np.empty((len(starts), window // reduce))
+    _average(np.ascontiguousarray(x, np.float64), starts - starts[0], reduce, means)
+    return means
+
+
+@njit(error_model="numpy")
+def _average(x, starts, reduce, means):  # type: ignore[no-untyped-def]
+    """Fill in means of ``reduce`` values each, a row of them from each start on."""
+    for row in range(means.shape[0]):
+        for i in range(means.shape[1]):
+            total = 0.0
+            for k in range(reduce):
+                total += x[starts[row] + i * reduce + k]
+            means[row, i] = total / reduce
 
 
 def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_hz: float) -> Floats:
@@ -89,11 +102,12 @@ def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_
     x = x - x.mean(axis=1, keepdims=True)
     hann = np.hanning(x.shape[1] + 2)[1:-1]
     n_fft = 1 << int(np.ceil(np.log2(x.shape[1] * _PAD)))
-    spectrum = np.abs(np.fft.rfft(x * hann, n_fft, axis=1)) * (2.0 / hann.sum())
     step = rate_hz / n_fft
     top = max(m for m, _ in tones)
     low = max(int(hint_hz / SPAN / step), 2 * _PAD)
-    high = min(int(hint_hz * SPAN / step), (spectrum.shape[1] - 2) // top)
+    high = min(int(hint_hz * SPAN / step), (n_fft // 2 - 1) // top)
+    looked_at = top * (high + 1) + 3  # bins: the highest tone's, and those about it that tell where its peak is
+    spectrum = np.abs(np.fft.rfft(x * hann, n_fft, axis=1)[:, :looked_at]) * (2.0 / hann.sum())
     found = np.zeros((3, len(x)))
     power = np.mean(x**2, axis=1)
     if high <= low:

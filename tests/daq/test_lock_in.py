@@ -179,3 +179,16 @@ def test_some_tones_alone_are_those_of_a_fit_without_the_others() -> None:
     np.testing.assert_allclose(found.amplitudes, wanted.amplitudes, rtol=1e-12)
     np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-12, atol=1e-18)
     assert (found.n, found.rms) == (wanted.n, pytest.approx(wanted.rms, rel=1e-12))
+
+
+@pytest.mark.parametrize("frequencies", [[25.37], [25.37, 76.11, 50.0], [25.37, RATE - 25.0, RATE / 2.0]])
+def test_whole_stretches_need_no_sums_of_the_tones(frequencies: list[float]) -> None:
+    """Normal equations in closed form are those of sums over samples, for tones beyond half the sample rate too."""
+    edges = 10**6 + np.array([0, 788, 1900, 2000, 5000])
+    x = tones(np.arange(edges[0], edges[-1])) + 0.1 * np.random.default_rng(8).standard_normal(5000)
+    summed, closed = (LockIn(RATE, frequencies, boxcar=3, sorts=4) for _ in range(2))
+    summed.add(x, int(edges[0]), np.repeat(np.arange(4, dtype=np.int8), np.diff(edges)))
+    closed.add_stretches(x, edges)
+    np.testing.assert_allclose(closed.gram, summed.gram, atol=1e-8)
+    np.testing.assert_allclose(closed.rhs, summed.rhs, atol=1e-8)
+    np.testing.assert_array_equal(closed.counts, summed.counts)

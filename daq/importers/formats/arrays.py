@@ -23,6 +23,7 @@ _MOST_COLUMNS = 64  # widest matrix that is read as columns
 MOST_OBJECTS = 10_000  # most datasets and groups of one file
 MOST_PACKED = 2000  # largest credible compression factor of a measurement
 SMALL_BYTES = 1 << 24  # content below this size is read whatever its compression
+_KINDS = {"c": "complex numbers", "S": "text", "U": "text", "O": "text or lists", "M": "dates", "m": "durations"}
 READ_ERRORS = (
     OSError,
     ValueError,
@@ -45,12 +46,7 @@ class ArraySource:
         self._lengths: dict[str, int] = {}
         self._types: dict[str, np.dtype[Any]] = {}
         self._scales: dict[str, tuple[float, float]] = {}
-        self._left_out: list[str] = []
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """Arrays of something else than real numbers."""
-        return tuple(self._left_out)
+        self.left_out: dict[str, str] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -62,7 +58,7 @@ class ArraySource:
         if not shape or max(shape) < 2:
             return
         if dtype.kind not in "iufb":
-            self._left_out.append(name)
+            self.left_out[name] = _KINDS.get(dtype.kind, f"type {dtype}")
             return
         if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             self._lengths[name], self._types[name] = max(shape), dtype

@@ -6,9 +6,7 @@ read piece by piece.
 
 from __future__ import annotations
 
-import codecs
-import gzip
-import io
+import csv
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,35 +19,13 @@ from numpy.typing import NDArray
 from daq.importers.background import ahead
 from daq.importers.formats.columns import Piece, listed, split_name
 from daq.importers.formats.csv_kernel import parse_rows
+from daq.importers.formats.text_file import LONGEST_LINE, LongLineError, TextFile
 from daq.setup.errors import InputError
 
 _DELIMITERS = (",", ";", "\t")
 _SNIFFED_LINES = 200
-_BLOCK_BYTES = 1 << 22
-_LONGEST_LINE = 1 << 16
-_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _LISTED = 64
-
-
-class _Recoded(io.RawIOBase):
-    """A text in another encoding, or with other line ends, as UTF-8 with newlines."""
-
-    def __init__(self, raw: Any, encoding: str) -> None:
-        super().__init__()
-        self._text = io.TextIOWrapper(raw, encoding=encoding, errors="replace")
-
-    def read(self, size: int = -1) -> bytes:
-        """The next ``size`` characters, in as many bytes as they need."""
-        return self._text.read(size).encode()
-
-    def readline(self, size: int | None = -1) -> bytes:
-        """The rest of the line, at most ``size`` characters of it."""
-        return self._text.readline(-1 if size is None else size).encode()
-
-    def close(self) -> None:
-        """Close the file beneath."""
-        self._text.close()
-        super().close()
+_QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')
 
 
 class CsvSource:
@@ -67,7 +43,8 @@ class CsvSource:
     """
 
     rate_hz: float | None = None
-    left_out: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = {}
+    sha256 = ""  # of the file, once all of it was read
 
     def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
         self.path = path
@@ -114,21 +91,10 @@ class CsvSource:
             if len(rows):
                 yield Piece(columns, rows, "line")
 
-    def _open(self) -> Any:
-        """The text as UTF-8 without byte-order mark, its lines ending in a newline."""
-        raw: Any = (gzip.open if self.path.suffix.lower() == ".gz" else open)(self.path, "rb")
-        head = raw.read(_LONGEST_LINE)
-        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "")
-        raw.seek(0)
-        if encoding or (b"\r" in head and b"\n" not in head):
-            return _Recoded(raw, encoding or "utf-8")
-        raw.read(3 if head.startswith(codecs.BOM_UTF8) else 0)
-        return raw
-
     def _sniff(self) -> None:
         """Find delimiter, decimal sign, header and the first line of numbers."""
         try:
-            with self._open() as file:
+            with TextFile(self.path) as file:
                 head = [self._line(file, i + 1).decode(errors="replace") for i in range(_SNIFFED_LINES)]
         except (OSError, EOFError, zlib.error) as error:
             raise InputError(f"{self.path}: cannot be read as text ({error}).") from error
@@ -137,7 +103,8 @@ class CsvSource:
         head = [line.rstrip("\r\n") for line in head]
         lines = [(i, line) for i, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")]
         for delimiter, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, ".")):
-            first = next((k for k, (_, line) in enumerate(lines) if _is_numbers(line, delimiter, decimal)), None)
+            bare = [_unquoted(line.encode(), delimiter).decode() for _, line in lines]
+            first = next((k for k, line in enumerate(bare) if _is_numbers(line, delimiter, decimal)), None)
             if first is not None:
                 break
         else:
@@ -146,13 +113,12 @@ class CsvSource:
                 "semicolon or tab under a header."
             )
         self._delimiter = delimiter
-        self._decimal = (
-            "." if delimiter in (",", None) else _decimal_of("\n".join(line for _, line in lines[first:]), delimiter)
-        )
+        self._decimal = "." if delimiter in (",", None) else _decimal_of("\n".join(bare[first:]), delimiter)
         self._first_line = lines[first][0]
-        self._width = len(_fields(lines[first][1], delimiter))
+        self._is_quoted = any('"' in line for _, line in lines[first:])
+        self._width = len(_fields(bare[first], delimiter))
         comments = [line.lstrip().lstrip("#") for line in head[: self._first_line] if line.lstrip().startswith("#")]
-        headers = [_fields(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
+        headers = [_titles(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
         headers = [h for h in headers if len(h) == self._width]
         named = next((h for h in headers if any(split_name(n)[0] for n in h)), None)
         names = [n.strip().strip('"') for n in named] if named else [str(i + 1) for i in range(self._width)]
@@ -161,15 +127,19 @@ class CsvSource:
             raise InputError(f"{self.path}: the header names {twice!r} twice; give each column its own name.")
         self.names = self._base = tuple(names)
 
-    def _line(self, file: Any, number: int) -> bytes:
+    def _line(self, file: TextFile, number: int) -> bytes:
         """The next line, or what is left of one."""
-        line: bytes = file.readline(_LONGEST_LINE)
-        if len(line) >= _LONGEST_LINE:
-            raise InputError(
-                f"{self.path}: line {number} or one near it is longer than {_LONGEST_LINE} characters; wanted a table "
-                "of numbers, a line for each sample."
-            )
+        line = file.readline(LONGEST_LINE)
+        if len(line) >= LONGEST_LINE:
+            raise self._too_long(number)
         return line
+
+    def _too_long(self, number: int) -> InputError:
+        """What to say of a line that is no row of a table."""
+        return InputError(
+            f"{self.path}: line {number} or one near it is longer than {LONGEST_LINE} characters; wanted a table "
+            "of numbers, a line for each sample."
+        )
 
     def _find_selector(self, name: str | None) -> int:
         wanted = [name.lower()] if name else ["channel", "sensor"]
@@ -180,37 +150,39 @@ class CsvSource:
             f"{self.path}: --channel needs a column called {' or '.join(wanted)}; it has {listed(self.names)}."
         )
 
-    def _blocks(self) -> Iterator[tuple[int, int, bytes]]:
-        """Whole lines of text, some at a time, each with the number (from 1) of its first line, and how many."""
-        with self._open() as file:
+    def _blocks(self) -> Iterator[tuple[int, int, memoryview]]:
+        """Whole lines of text, some at a time, each with the number (from 1) of its first line, and how many.
+
+        A block lasts until the next is asked for.
+        """
+        with TextFile(self.path) as file:
             for i in range(self._first_line):
                 self._line(file, i + 1)
             first = self._first_line + 1
-            while True:
-                try:
-                    block = file.read(_BLOCK_BYTES)
+            try:
+                for block in file.blocks():
+                    if self._is_quoted:
+                        block = memoryview(_unquoted(bytes(block), self._delimiter))
                     n = int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
-                    rest = self._line(file, first + n)
-                except (OSError, EOFError, zlib.error) as error:
-                    raise InputError(f"{self.path}: breaks off: {error}.") from error
-                if not block:
-                    return
-                if rest or not block.endswith(b"\n"):
-                    block, n = b"".join((block, rest.removesuffix(b"\n"), b"\n")), n + 1  # one copy
-                if not self._decimal and self._delimiter:
-                    self._decimal = _decimal_of(block.decode(errors="replace"), self._delimiter)
-                yield first, n, block
-                first += n
+                    if not self._decimal and self._delimiter:
+                        self._decimal = _decimal_of(str(block, errors="replace"), self._delimiter)
+                    yield first, n, block
+                    first += n
+            except (OSError, EOFError, zlib.error) as error:
+                raise InputError(f"{self.path}: breaks off: {error}.") from error
+            except LongLineError as error:
+                raise self._too_long(first) from error
+            self.sha256 = file.sha256
 
     def _lines(self) -> Iterator[tuple[list[int], list[str]]]:
         """Numbers and text of the lines that are neither blank nor a comment, some at a time."""
         for first, _, block in self._blocks():
-            lines = block.decode(errors="replace").split("\n")
+            lines = str(block, errors="replace").split("\n")
             kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
             yield [first + i for i in kept], [lines[i].rstrip("\r") for i in kept]
 
     def _parsed(
-        self, block: bytes, names: Sequence[str], numbers: Sequence[int]
+        self, block: bytes | memoryview, names: Sequence[str], numbers: Sequence[int]
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
         """Columns by name, and the number of each row's line; ``numbers`` are those of the block's lines."""
         columns = list(dict.fromkeys(names))
@@ -221,7 +193,7 @@ class CsvSource:
             text, self._delimiter, self._decimal or ".", self._width, place, (len(columns), len(numbers))
         )
         for row, column, start, stop in left.tolist():
-            field = block[start:stop].decode(errors="replace")
+            field = str(block[start:stop], errors="replace")
             value = _number(field, self._decimal)
             if value is None:
                 raise InputError(
@@ -230,7 +202,7 @@ class CsvSource:
                 )
             table[column, row] = value
         if wrong >= 0:
-            self._explain(block.split(b"\n")[wrong].decode(errors="replace"), numbers[wrong])
+            self._explain(bytes(block).split(b"\n")[wrong].decode(errors="replace"), numbers[wrong])
         where = lines + numbers.start if isinstance(numbers, range) else np.asarray(numbers, np.int64)[lines]
         return {name: table[i] for i, name in enumerate(columns)}, where
 
@@ -314,6 +286,20 @@ class CsvSource:
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
     return line.rstrip("\r\n").split(delimiter)
+
+
+def _titles(line: str, delimiter: str | None) -> list[str]:
+    """Fields of a header, in which what is quoted may hold the delimiter."""
+    if delimiter is None or '"' not in line:
+        return _fields(line, delimiter)
+    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+
+
+def _unquoted(text: bytes, delimiter: str | None) -> bytes:
+    """Lines of numbers without quotes; where commas separate columns, one within a quoted number is its point."""
+    if delimiter == ",":
+        text = _QUOTED_COMMA.sub(rb"\1.\2", text)
+    return text.replace(b'"', b" ")
 
 
 def _is_number(text: str) -> bool:

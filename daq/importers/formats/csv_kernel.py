@@ -185,6 +185,12 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _parse(block, limit, decimal, width, role_of, powers, table, lines, left):  # type: ignore[no-untyped-def]
+    """See `_rows`: what Python calls counts references to arrays, at each number; what a kernel calls does not."""
+    return _rows(block, limit, decimal, width, role_of, powers, table, lines, left)
+
+
+@njit()
+def _rows(block, limit, decimal, width, role_of, powers, table, lines, left):  # type: ignore[no-untyped-def]
     n = m = line = 0
     at, size = np.uint64(0), np.uint64(block.shape[0])
     while at < size:

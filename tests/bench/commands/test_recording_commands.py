@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from click.testing import Result
@@ -134,3 +135,18 @@ def test_one_run_given_twice(raw: Path, tmp_path: Path) -> None:
     result = bench("close-loop", tmp_path / "r.h5", tmp_path / "r.h5")
     assert result.exit_code == 2
     assert "are one file" in result.output
+
+
+def test_columns_that_are_not_imported_are_told_in_one_line(raw: Path, tmp_path: Path) -> None:
+    """Complex numbers and text of an HDF5 file beside sound columns: a note says which, and why."""
+    table = np.loadtxt(raw, delimiter=",", skiprows=1)
+    with h5py.File(tmp_path / "raw.h5", "w") as file:
+        for name, values in zip(("time_s", "continuity_v", "accelerometer_v", "drive_v"), table.T, strict=True):
+            file[name] = values
+        file["spectrum"], file["remarks"] = table[:, 3] + 1j, ["warm", "cold"]
+        file["log"] = np.zeros(9, [("place", "S8"), ("level", "f8")])
+    result = bench("import", tmp_path / "raw.h5", "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in result.output.split("\n") if "not imported" in line]
+    why = "log/place (text), remarks (text or lists), spectrum (complex numbers)"
+    assert line == f"note: not imported, since they hold no real numbers: {why}"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from daq.recording import CHANNELS, Block, RecordingWriter, verify
+from daq.recording.recover import recover
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -112,6 +113,22 @@ def test_a_shortened_file_is_damage(tmp_path: Path, setup: Setup) -> None:
         cut = tmp_path / "cut.h5"
         cut.write_bytes(whole[: int(len(whole) * share)])
         assert verify(cut).state == "damaged"
+
+
+def test_what_is_left_of_a_file_that_was_cut_off_is_said(tmp_path: Path, setup: Setup) -> None:
+    """At a seventh, what is missing and what to do; with the checksums alone cut off, that nothing else is missing."""
+    path = tmp_path / "a.h5"
+    record(path, setup).close()
+    whole, cut = path.read_bytes(), tmp_path / "cut.h5"
+    cut.write_bytes(whole[: len(whole) // 7])
+    said = rf"cut off after {len(whole) // 7} of \d+ bytes: .* were in the part that is missing; copy the whole file"
+    with pytest.raises(InputError, match=said):
+        recover(cut)
+    assert len(verify(cut).where) == 1
+    cut.write_bytes(whole[:-100])
+    found = recover(cut)
+    assert (found.n_samples, found.is_less) == (200_000, False)
+    assert "cut off behind its samples and tables, of which nothing is missing" in found.damage[0]
 
 
 def test_every_byte_of_a_small_file_counts_or_is_idle(tmp_path: Path, setup: Setup) -> None:

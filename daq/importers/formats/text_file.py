@@ -1,0 +1,113 @@
+"""Files of text, read once from beginning to end: whatever they are kept as, they come as UTF-8 with newlines."""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import hashlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from daq.files.closing import Closing
+
+LONGEST_LINE = 1 << 16
+_BLOCK_BYTES = 1 << 22
+_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+class LongLineError(ValueError):
+    """A line that no block of a table holds."""
+
+
+class TextFile(Closing):
+    """A text as UTF-8 without byte-order mark, its lines ending in a newline; ``.gz`` is unpacked on the way.
+
+    Attributes
+    ----------
+    sha256
+        Of the file, in hexadecimal, once all of it was read as it is; empty where it was unpacked or recoded.
+    """
+
+    def __init__(self, path: Path) -> None:
+        packed = path.suffix.lower() == ".gz"
+        self._file: Any = (gzip.open if packed else open)(path, "rb")
+        self.sha256 = ""
+        head = self._file.read(LONGEST_LINE)
+        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "")
+        self._file.seek(0)
+        is_recoded = bool(encoding) or (b"\r" in head and b"\n" not in head)
+        self._digest = None if packed or is_recoded else hashlib.sha256()
+        if is_recoded:
+            self._file = _Recoded(self._file, encoding or "utf-8")
+        elif head.startswith(codecs.BOM_UTF8):
+            self._noted(self._file.read(3))
+
+    def _noted(self, data: Any) -> None:
+        """Take what was read into the hash."""
+        if self._digest is not None:
+            self._digest.update(data)
+
+    def readline(self, size: int) -> bytes:
+        """The rest of the line, at most ``size`` bytes of it."""
+        line: bytes = self._file.readline(size)
+        self._noted(line)
+        return line
+
+    def blocks(self) -> Iterator[memoryview]:
+        """What is left, in blocks of whole lines that end in a newline; each lasts until the next is asked for.
+
+        Raises
+        ------
+        LongLineError
+            For a line longer than `LONGEST_LINE` where one block ends.
+        OSError, EOFError, zlib.error
+            Where the file breaks off.
+        """
+        memory = bytearray(_BLOCK_BYTES + 1)  # one more: for a last newline that is missing
+        held, left = memoryview(memory), 0
+        while True:
+            n = self._file.readinto(held[left:-1])
+            self._noted(held[left : left + n])
+            end = left + n
+            if n == 0:
+                break
+            whole = memory.rfind(b"\n", 0, end) + 1
+            if whole:
+                yield held[:whole].toreadonly()
+            left = end - whole
+            if left >= LONGEST_LINE:
+                raise LongLineError
+            held[:left] = held[whole:end]
+        self.sha256 = self._digest.hexdigest() if self._digest is not None else ""
+        if left:
+            held[left] = ord("\n")
+            yield held[: left + 1].toreadonly()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class _Recoded(io.RawIOBase):
+    """A text in another encoding, or with other line ends, as UTF-8 with newlines."""
+
+    def __init__(self, raw: Any, encoding: str) -> None:
+        super().__init__()
+        self._text = io.TextIOWrapper(raw, encoding=encoding, errors="replace")
+
+    def readinto(self, buffer: Any) -> int:
+        """As many whole characters as surely fit."""
+        data = self._text.read(len(buffer) // 4).encode()
+        buffer[: len(data)] = data
+        return len(data)
+
+    def readline(self, size: int | None = -1) -> bytes:
+        """The rest of the line, at most ``size`` characters of it."""
+        return self._text.readline(-1 if size is None else size).encode()
+
+    def close(self) -> None:
+        """Close the file beneath."""
+        self._text.close()
+        super().close()
