@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from analysis.attribution.priors import null_value_of, parameter_of
-from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations
+from analysis.residuals.point import TREND, ParameterId
 from model.effects.registry import Effect, effect, registry, trend_name
 
 DISTINCT = 0.3  # relative difference of a shape parameter beyond which a start begins a fit of its own

@@ -33,8 +33,9 @@ from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Curve, Term, event_terms, ranges_of
 from analysis.parallel import THREADS
-from analysis.residuals.forward_model import ForwardModel, ParameterId, Values
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss
+from analysis.residuals.point import ParameterId, Values
 from analysis.residuals.whitening import Whitener
 from model.effects.registry import effect
 

@@ -23,7 +23,8 @@ from analysis.attribution.fit import LEAP_S, Fitter
 from analysis.attribution.second_order import slopes_of
 from analysis.explore.explanations import Explanation, Weighed
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
-from analysis.residuals.forward_model import ForwardModel, ParameterId
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.point import ParameterId
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
 

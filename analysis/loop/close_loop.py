@@ -26,9 +26,10 @@ from analysis.loop.parameters import added_effects, fitted_calibrations, fitted_
 from analysis.loop.result import ClosedLoop, TestedCandidate
 from analysis.loop.tables import first_bifurcations, flight_table, plate_table, source_of, step_table
 from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
-from analysis.residuals.forward_model import TREND, ForwardModel
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, observations_from
+from analysis.residuals.point import TREND
 from analysis.residuals.prediction_errors import (
     given_openings,
     held_out_errors,

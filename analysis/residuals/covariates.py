@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from model.integrator.one_step import PlateSteps
 
 if TYPE_CHECKING:
-    from analysis.residuals.forward_model import ForwardModel, Values
+    from analysis.residuals.forward_model import ForwardModel
+    from analysis.residuals.point import Values
 
 Array = NDArray[np.float64]
 

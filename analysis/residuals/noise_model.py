@@ -96,7 +96,7 @@ class PlateNoise:
             rows = rows[among[rows]]
         bounds = np.flatnonzero(np.diff(kind[rows], prepend=-1, append=-1)).astype(np.int64)
         own = [sigma[rows[a:b]] for a, b in itertools.pairwise(bounds)]
-        grids = np.array([EXCESSES_OF_PLATE * np.median(x) for x in own]).reshape(len(own), -1)
+        grids = np.array([EXCESSES_OF_PLATE * np.median(x) for x in own]).reshape(len(own), len(EXCESSES_OF_PLATE))
         return cls(rows, bounds, sigma[rows], grids)
 
     def scaled(self, residual: Array) -> tuple[Array, Array]:
@@ -128,7 +128,7 @@ def _loss(excess: float, residual: Array, sigma: Array, outlier: Array, first: i
         if (i - first) % FEW == FEW - 1:
             total -= np.log(product)
             product = 1.0
-    return total - np.log(product)
+    return float(total - np.log(product))
 
 
 @njit(error_model="numpy", nogil=True)

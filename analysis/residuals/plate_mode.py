@@ -84,7 +84,7 @@ class IntervalSums:
         """Of intervals ``rows`` in the order of their ``fit``; ``seconds`` are those of all intervals."""
         first = np.searchsorted(fit, np.arange(n))
         some = np.diff(np.append(first, len(fit))) > 0
-        lengths = np.bincount(fit, seconds[rows], minlength=n)
+        lengths = np.asarray(np.bincount(fit, seconds[rows], minlength=n), dtype=np.float64)
         return cls(rows, np.minimum(first, max(len(rows) - 1, 0)), some, lengths)
 
     def total(self, x: NDArray[np.complex128] | Array) -> NDArray[np.complex128] | Array:
@@ -244,7 +244,8 @@ class Ringing:
     def _places(self) -> tuple[IntervalSums, IntervalSums]:
         """Sums over each step's intervals in contact, and over the rest."""
         both = (np.flatnonzero(self.kept.contact == place) for place in (True, False))
-        contact, rest = (IntervalSums.of(rows, self.kept.step[rows], len(self._turns), self.kept.seconds) for rows in both)
+        step, m = self.kept.step, len(self._turns)
+        contact, rest = (IntervalSums.of(rows, step[rows], m, self.kept.seconds) for rows in both)
         return contact, rest
 
     def _of_places(self, projection: Complex, observed_s: Array) -> tuple[Complex, Complex]:

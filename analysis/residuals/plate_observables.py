@@ -319,7 +319,7 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
 
 
 def share(data: PlateData, name: str, p: Mapping[str, float]) -> Array:
-    """Contribution of one effect to the expected value of each datum, (r,); its parameters are the same in all steps."""
+    """Contribution of one effect, its parameters the same in all steps, to the expected value of each datum, (r,)."""
     out, hooks = np.zeros(len(data)), effect(name).hooks
     if p == effect(name).effect.null_values:
         return out

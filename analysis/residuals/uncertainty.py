@@ -20,7 +20,8 @@ from model.integrator.event_slopes import Slopes
 from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
 
 if TYPE_CHECKING:
-    from analysis.residuals.forward_model import ForwardModel, Inputs, Values
+    from analysis.residuals.forward_model import ForwardModel, Inputs
+    from analysis.residuals.point import Values
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from analysis.explore.explanations import Weighed
     from analysis.loop.close_loop import FittedLoop
     from analysis.loop.result import ClosedLoop
-    from analysis.residuals.forward_model import ForwardModel, ParameterId
+    from analysis.residuals.forward_model import ForwardModel
     from analysis.residuals.observations import Observations
+    from analysis.residuals.point import ParameterId
 
 LONGER_HOLD = 2  # times as long where it is unexplained: tones as near as mains and a harmonic part
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time

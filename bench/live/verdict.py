@@ -19,9 +19,10 @@ from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Refits
 from analysis.attribution.priors import null_value_of, parameter_of, priors_of
 from analysis.report.gamma import gamma_scale
-from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, join
+from analysis.residuals.point import TREND, ParameterId
 from analysis.residuals.prediction_errors import near_grazing, noise_quantiles_us
 from analysis.residuals.whitening import Whitener
 from analysis.statistics import MAD_TO_SIGMA

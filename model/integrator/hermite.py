@@ -33,33 +33,35 @@ def hermite5(z: float, ends: StepEnds) -> tuple[float, float]:
 def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
     """Where in [lo, hi] the quintic crosses ``level``; its value minus level must differ in sign at the ends.
 
-    Newton's method, by bisection wherever it would leave the bracket.
+    Newton's method from where the chord crosses it, by bisection wherever it would leave the bracket.
     """
     c0, c1, c2, c3, c4, c5 = _coefficients(ends)
     c0 -= level
-    positive = c0 + lo * (c1 + lo * (c2 + lo * (c3 + lo * (c4 + lo * c5)))) > 0.0
-    return _root((c0, c1, c2, c3, c4, c5), lo, hi, positive)
+    below = c0 + lo * (c1 + lo * (c2 + lo * (c3 + lo * (c4 + lo * c5))))
+    above = c0 + hi * (c1 + hi * (c2 + hi * (c3 + hi * (c4 + hi * c5))))
+    at = lo + (hi - lo) * below / (below - above) if below != above else lo
+    return _root((c0, c1, c2, c3, c4, c5), lo, hi, at, below > 0.0)
 
 
 @compiled
 def standstill(ends: StepEnds, hi: float) -> float:
     """Where in [0, hi] the quintic's velocity vanishes; the velocities at 0 and hi differ in sign."""
     _, c1, c2, c3, c4, c5 = _coefficients(ends)
-    return _root((c1, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 0.0), 0.0, hi, ends.v0 > 0.0)
+    return _root((c1, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 0.0), 0.0, hi, 0.5 * hi, ends.v0 > 0.0)
 
 
 @compiled
 def slowest(ends: StepEnds) -> float:
     """Where in [0, 1] the quintic's acceleration vanishes; the accelerations at the ends differ in sign."""
     _, _, c2, c3, c4, c5 = _coefficients(ends)
-    return _root((2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5, 0.0, 0.0), 0.0, 1.0, ends.a0 > 0.0)
+    return _root((2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5, 0.0, 0.0), 0.0, 1.0, 0.5, ends.a0 > 0.0)
 
 
 @compiled
-def _root(polynomial: Coefficients, lo: float, hi: float, positive: bool) -> float:
-    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton, or bisection."""
+def _root(polynomial: Coefficients, lo: float, hi: float, guess: float, positive: bool) -> float:
+    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton from a guess, or bisection."""
     c0, c1, c2, c3, c4, c5 = polynomial
-    z = 0.5 * (lo + hi)
+    z = guess if lo < guess < hi else 0.5 * (lo + hi)
     for _ in range(MOST_STEPS):
         f = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
         slope = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))

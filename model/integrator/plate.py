@@ -253,7 +253,7 @@ def _first_ending_after(t: float, span_s: Floats, first: int, last: int) -> int:
 @inlined
 def _integral(rate: complex, before: complex, after: complex, length: float) -> complex:
     """Integral of ``exp(rate t)`` over ``length`` from its values ``before`` and ``after``."""
-    size = rate.real * rate.real + rate.imag * rate.imag  # no quotient of complex numbers: it takes longer than all else
+    size = rate.real * rate.real + rate.imag * rate.imag  # a quotient of complex numbers takes longer
     if size * length * length < 1e-12:
         return 0.5 * length * (before + after)
     return (after - before) * _conjugate(rate) * (1.0 / size)

@@ -8,7 +8,8 @@ from dataclasses import replace
 from analysis.attribution.candidates import candidates_of, distinct_starts, trends_of
 from analysis.attribution.coarse_search import joint_points
 from analysis.attribution.pruning import contained_in
-from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.point import TREND, ParameterId
 
 RATIO, HZ, DAMPING = keys = tuple(("table_resonance", q) for q in ("mass_ratio", "frequency_hz", "damping"))
 

@@ -14,7 +14,8 @@ from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, SelectionResult
 from analysis.attribution.selection import StepwiseSelection, remaining_candidates
-from analysis.residuals.forward_model import TREND, ForwardModel, ParameterId
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.point import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS
 

@@ -7,9 +7,9 @@ import pytest
 
 from analysis.residuals.noise_model import (
     NEVER,
+    PlateNoise,
     excess_noise,
     log_odds,
-    plate_scale,
     robust_curvature,
     robust_loss,
     robust_weight,
@@ -64,7 +64,23 @@ def test_each_kind_of_plate_datum_has_an_excess_of_its_own() -> None:
     rng = np.random.default_rng(1)
     kind = np.repeat([0, 1], 60)
     residual = 1e-3 * rng.standard_normal(120) * np.where(kind == 0, 10.0, 1.0)
-    scaled, log = plate_scale(kind, residual, np.full(120, 1e-3))
+    scaled, log = PlateNoise.of(kind, np.full(120, 1e-3)).scaled(residual)
     assert scaled[0] == pytest.approx(1e-2, rel=0.3)
     assert scaled[-1] == pytest.approx(1e-3, rel=0.2)
     assert log == pytest.approx(np.log(scaled / 1e-3))
+
+
+def test_noise_of_some_plate_data_is_in_the_order_of_their_kinds() -> None:
+    """Mixed kinds, some of them left out: rows, widths and loss are those of each kind taken alone."""
+    rng = np.random.default_rng(2)
+    kind, sigma = rng.integers(0, 3, 90), rng.uniform(0.5, 2.0, 90)
+    residual, among = 3.0 * rng.standard_normal(90), rng.random(90) < 0.7
+    noise = PlateNoise.of(kind, sigma, among)
+    wide, _ = noise.scaled(residual)
+    apart = [PlateNoise.of(kind[rows], sigma[rows]) for k in range(3) if (rows := among & (kind == k)).any()]
+    alone = [x.scaled(residual[among & (kind == k)])[0] for k, x in enumerate(apart)]
+    assert np.array_equal(kind[noise.rows], np.sort(kind[among]))
+    assert wide == pytest.approx(np.concatenate(alone))
+    assert noise.loss(residual) == pytest.approx(
+        sum(x.loss(residual[among & (kind == k)]) for k, x in enumerate(apart))
+    )
