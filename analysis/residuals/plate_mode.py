@@ -66,17 +66,17 @@ class IntervalSums:
     ----------
     rows
         The intervals, in the order of their fits.
-    first
-        Where each fit begins in ``rows``, (n,).
     some
         Whether a fit has any, (n,).
+    first
+        Where each of those that have some begins in ``rows``.
     seconds
         Their length together, (n,).
     """
 
     rows: Ints
-    first: Ints
     some: NDArray[np.bool_]
+    first: Ints
     seconds: Array
 
     @classmethod
@@ -85,14 +85,14 @@ class IntervalSums:
         first = np.searchsorted(fit, np.arange(n))
         some = np.diff(np.append(first, len(fit))) > 0
         lengths = np.asarray(np.bincount(fit, seconds[rows], minlength=n), dtype=np.float64)
-        return cls(rows, np.minimum(first, max(len(rows) - 1, 0)), some, lengths)
+        return cls(rows, some, first[some], lengths)
 
     def total(self, x: NDArray[np.complex128] | Array) -> NDArray[np.complex128] | Array:
         """Sum of ``x`` (intervals, ...) in each fit, (n, ...)."""
-        if not len(self.rows):
-            return np.zeros((len(self.some), *x.shape[1:]), dtype=x.dtype)
-        summed = np.add.reduceat(x[self.rows], self.first, axis=0)
-        return np.asarray(summed * self.some.reshape(-1, *([1] * (x.ndim - 1))))
+        out = np.zeros((len(self.some), *x.shape[1:]), dtype=x.dtype)
+        if len(self.first):
+            out[self.some] = np.add.reduceat(x[self.rows], self.first, axis=0)
+        return out
 
     def sides(self, projection: Complex, observed_s: Array) -> tuple[Complex, Array]:
         """Right sides of the fits, (n, 1 + 2 k), from projections (intervals, 1 + k); the part of the time known.

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
-from analysis.residuals.plate_mode import Ringing, driven
+from analysis.residuals.plate_mode import IntervalSums, Ringing, driven
 from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from model.integrator.one_step import PlateSteps, Predicted
 
@@ -103,6 +103,20 @@ def test_windows_in_which_the_mode_was_lost_say_nothing() -> None:
     said = said_of([(MODULATION, 0.0)] * WINDOWS, part=0.5)
     assert np.all(said[5:] == 0.0)
     assert np.all(said[:4] != 0.0)
+
+
+def test_a_fit_without_intervals_sums_to_nothing() -> None:
+    """Sums over each fit's intervals, against a loop: without any they are zero, also of the last fit."""
+    rng = np.random.default_rng(5)
+    rows, fit, n = np.array([4, 0, 2, 7]), np.array([1, 1, 3, 3]), 5
+    seconds, projection = rng.uniform(0.1, 1.0, 8), rng.standard_normal((8, 3)) + 1j
+    sums = IntervalSums.of(rows, fit, n, seconds)
+    wanted = [sum((projection[r] for r, f in zip(rows, fit, strict=True) if f == k), np.zeros(3)) for k in range(n)]
+    np.testing.assert_allclose(sums.total(projection), wanted)
+    side, part = sums.sides(projection, 0.5 * seconds)
+    assert part == pytest.approx([0.0, 0.5, 0.0, 0.5, 0.0])
+    np.testing.assert_allclose(side[:, :3], np.array(wanted) / np.where(part > 0.0, part, 1.0)[:, None])
+    assert not IntervalSums.of(rows[:0], fit[:0], n, seconds).sides(projection, seconds)[0].any()
 
 
 def test_a_load_is_heard_as_a_masked_fit_of_what_the_plate_does_without_it() -> None:

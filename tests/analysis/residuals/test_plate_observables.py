@@ -10,6 +10,7 @@ import pytest
 from analysis.residuals.plate_observables import (
     CLOCK,
     GAIN,
+    HUM,
     PHASE,
     SECOND,
     THIRD,
@@ -17,6 +18,7 @@ from analysis.residuals.plate_observables import (
     _instrument_rows,
     _wander,
     expected,
+    share,
 )
 from model.effects.registry import effect
 
@@ -140,3 +142,21 @@ def test_a_zero_that_wanders_is_told_from_one_that_is_off_or_drifts() -> None:
     about = walk - np.polynomial.Polynomial.fit(sample, walk, 1)(sample)
     assert _wander(sample, walk + noise, sigma) == pytest.approx(np.sqrt(np.sum(about**2) / 20), rel=0.1)
     assert _wander(sample[:2], walk[:2], sigma[:2]) == 0.0
+
+
+@pytest.mark.parametrize("name, values", [
+    ("phase_lag", {"delay_s": 2e-5}), ("accelerometer_lag", {"delay_s": 3e-5}), ("gain_compression", {"per_g2": 1e-4}),
+    ("harmonic_distortion", {"quadratic_per_g": QUADRATIC, "cubic_per_g2": CUBIC}),
+    ("mains_hum", {"amplitude_mps2": 0.02}),
+])  # fmt: skip
+def test_an_effect_that_stays_the_same_is_its_share_of_every_step(name: str, values: dict[str, float]) -> None:
+    """What changes from step to step is, in each step, what it would be if it stayed as it is there."""
+    kinds = [GAIN, PHASE, SECOND, THIRD, HUM]
+    one = _data(kinds, [1, 1, 2, 3, 1], 1, 1.0, 4.0)
+    two = PlateData.join([one, one], np.array([0, 1]))
+    entry = effect(name).effect
+    sides = [entry.null_values | {q: v * by for q, v in values.items()} for by in (1.0, 2.5)]
+    table = {q: np.array([side[q] for side in sides]) for q in entry.null_values}
+    apart = np.concatenate([share(one, name, side) for side in sides])
+    assert np.any(apart)
+    assert expected(two, {name: table}) == pytest.approx(apart, rel=1e-12)

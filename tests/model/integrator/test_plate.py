@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.integrator.plate import mode_at, start_turning, tones_at, turn_twice_as_far, turned
+from model.integrator.plate import SHORT_TURN, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Mode
 
 TONES = np.array([[160.0, 8.0, -3.0], [200.0, 0.0, 0.0], [320.0, 1.0, 2.0], [314.0, -0.2, 0.1]])
@@ -28,3 +28,19 @@ def test_turned_phasors_are_the_closed_form(mode: Mode) -> None:
         wanted = np.add(tones_at(t + since, TONES), mode_at(s + since, mode))
         sizes = np.array([10.0 / 160.0**2, 10.0 / 160.0, 10.0])
         assert np.abs(np.array(found) - wanted) / sizes == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.01, -0.13, 0.999 * SHORT_TURN, 1.001 * SHORT_TURN, -2.0])
+def test_a_turn_is_cosine_and_sine_however_short(angle: float) -> None:
+    """Series below a third of a radian and library functions above agree to the last bits."""
+    tones, turning = np.array([[100.0, 1.0, 0.0]]), np.empty((2, 6))
+    start_turning(0.0, 0.0, angle / 100.0, tones, Mode(0.0, 0.0, 1.0, 0.0), turning)
+    assert turning[1, 2:4] == pytest.approx([np.cos(angle), np.sin(angle)], rel=4e-16, abs=1e-300)
+
+
+@pytest.mark.parametrize("mode", [MODE, Mode(0.0, 0.0, 60.0, 0.08)])
+def test_phasors_begin_where_the_plate_is(mode: Mode) -> None:
+    """Before the first turn they give the closed form's displacement, velocity and acceleration."""
+    turning = np.empty((len(TONES) + 1, 6))
+    n = start_turning(41.0, 0.2, 1e-4, TONES, mode, turning)
+    assert motion(n, turning) == pytest.approx(np.add(tones_at(41.0, TONES), mode_at(0.2, mode)), rel=1e-11)
