@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 LINE = 0.2  # inches for a line of text, while ticks are chosen
-PAD, GAP = 0.045, 0.1  # inches around all texts of a picture, and between those of neighbours
+PAD, GAP = 0.045, 0.07 # inches around all texts of a picture, and between those of neighbours
 POINT = 1.0 / 72.0  # inch
 OFFSET_PAD = 3.0 * POINT  # between an axis and its power of ten
 

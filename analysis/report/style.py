@@ -6,7 +6,9 @@ separates a simulated rig from a real one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,7 +90,7 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
 
     from analysis.report.placing import place
 
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE), _no_collecting():
         figure = Figure(layout="none")
         canvas = FigureCanvasAgg(figure)  # the PNG's: it keeps the extents of the texts between placing and drawing
         draw(figure)
@@ -104,6 +106,18 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
                         figure.savefig(part, format=form, **options)
         except OSError as error:
             raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
+
+
+@contextmanager
+def _no_collecting() -> Iterator[None]:
+    """No search for garbage in between: a picture is thousands of objects that all live until it is saved."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _add_badge(figure: Figure, badge: str) -> None:
