@@ -60,10 +60,6 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
 FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
-FORMATS: dict[str, dict[str, Any]] = {
-    "png": {"pil_kwargs": {"compress_level": 2}},  # a seventh larger than at level 6, and written in half the time
-    "svg": {"metadata": {"Date": None}},
-}
 
 
 def badge_text(name: str, *, simulated: bool) -> str:
@@ -85,25 +81,25 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
         When the folder cannot be written.
     """
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    from analysis.report.both_formats import BothFormats
     from analysis.report.placing import place
 
     with matplotlib.rc_context(STYLE), _no_collecting():
         figure = Figure(layout="none")
-        canvas = FigureCanvasAgg(figure)  # the PNG's: it keeps the extents of the texts between placing and drawing
         draw(figure)
         if not figure.axes:
             return
         _add_badge(figure, badge)
+        renderer = BothFormats(figure)
+        place(figure, renderer, BADGE_INCHES)
+        figure.draw(renderer)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-                place(figure, canvas.get_renderer(), BADGE_INCHES)
-                for form, options in FORMATS.items():
-                    with whole(folder / f"{name}.{form}") as part:
-                        figure.savefig(part, format=form, **options)
+            for form, content in (("png", renderer.png()), ("svg", renderer.svg())):
+                with whole(folder / f"{name}.{form}") as part:
+                    part.write_bytes(content)
         except OSError as error:
             raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
 
