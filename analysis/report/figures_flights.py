@@ -75,9 +75,8 @@ def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float
     unit = 1e3 / plate.omega_radps
     declared = setup.declared_values()
     ball, forcing, _ = ball_on(plate, setup, declared)
-    half = 0.5 * (high - low) / (ZONE_GAMMAS - 1)
     above = [zone[zone[:, 1] > 0.0] for zone in zones_over(forcing, np.linspace(low, high, ZONE_GAMMAS))]
-    draw_zones(ax, [_widened(zone, half) for zone in above if len(zone)], scale, unit, None)
+    draw_zones(ax, [zone for zone in above if len(zone)], scale, unit, None)
     ax.fill_between([], [], [], color=style.ZONE, label="forbidden to the ideal ball")
     rows = diagram(ball, np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else GAMMAS // 2))
     x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
@@ -86,11 +85,6 @@ def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float
     ax.plot(x, y, ".", ms=3.0, mew=0, color=style.MODEL, zorder=1, rasterized=True)
     ax.plot([], [], ".", ms=8, mew=0, color=style.MODEL, label=name)
     return float(np.nanmax(y)) if np.isfinite(y).any() else 0.0
-
-
-def _widened(zone: Floats, by: float) -> Floats:
-    """A zone (n, 3) that begins and ends ``by`` farther out: one seen at a single gamma has a width as well."""
-    return np.vstack([zone[:1] - [by, 0.0, 0.0], zone, zone[-1:] + [by, 0.0, 0.0]])
 
 
 def draw_return_maps(recording: Recording, flights: Flights, comparison: Comparison, figure: Figure) -> None:

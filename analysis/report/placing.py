@@ -93,8 +93,8 @@ def _edges(figure: Figure, renderer: Any, top: float) -> tuple[float, float, flo
 def _beyond(ax: Any, renderer: Any) -> Floats:
     """Draw the axes' ticks; pixels that texts and legend reach beyond the axes, left, below, right and above, (4,)."""
     ax.apply_aspect()
-    counted = {text: "y" for text in ax.get_children() if isinstance(text, Text)}  # titles: by their height
-    counted |= dict.fromkeys((text for text in ax.texts), "xy")
+    texts = [text for text in ax.get_children() if isinstance(text, Text) and text.get_text()]
+    counted = {text: "xy" if text in ax.texts else "y" for text in texts}  # titles: by their height
     for axis in (ax.xaxis, ax.yaxis) if ax.axison else ():
         counted |= _drawn(ax, axis, renderer)
         axis.set_visible(False)

@@ -80,33 +80,40 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
     InputError
         When the folder cannot be written.
     """
+    with _no_collecting():
+        files = _drawn(badge, draw)
+    try:
+        for form, content in files.items():
+            folder.mkdir(parents=True, exist_ok=True)
+            with whole(folder / f"{name}.{form}") as part:
+                part.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
+
+
+def _drawn(badge: str, draw: Callable[[Figure], None]) -> dict[str, bytes]:
+    """The files of a picture by their ending; none where no axes are drawn."""
     import matplotlib
     from matplotlib.figure import Figure
 
     from analysis.report.both_formats import BothFormats
     from analysis.report.placing import place
 
-    with matplotlib.rc_context(STYLE), _no_collecting():
+    with matplotlib.rc_context(STYLE):
         figure = Figure(layout="none")
         draw(figure)
         if not figure.axes:
-            return
+            return {}
         _add_badge(figure, badge)
         renderer = BothFormats(figure)
         place(figure, renderer, BADGE_INCHES)
         figure.draw(renderer)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for form, content in (("png", renderer.png()), ("svg", renderer.svg())):
-                with whole(folder / f"{name}.{form}") as part:
-                    part.write_bytes(content)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
+        return {"png": renderer.png(), "svg": renderer.svg()}
 
 
 @contextmanager
 def _no_collecting() -> Iterator[None]:
-    """No search for garbage in between: a picture is thousands of objects that all live until it is saved."""
+    """No search for garbage: a picture is ten thousand objects that all live until it is drawn."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -13,9 +13,14 @@ from model.tones import Forcing
 
 Floats = NDArray[np.float64]
 
+HALVINGS = 5  # of a step of gamma, for a zone's ends
+
 
 def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
-    """Zones between ascending ``gammas``: rows of gamma, lower and upper edge in radians, (n, 3) each."""
+    """Zones between ascending ``gammas``: rows of gamma, lower and upper edge in radians, (n, 3) each.
+
+    Between two gammas the place where a zone begins or ends is looked for.
+    """
     growing: list[list[tuple[float, float, float]]] = []
     done: list[list[tuple[float, float, float]]] = []
     for gamma in gammas:
@@ -30,7 +35,32 @@ def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
             still.append(mine)
         done += growing
         growing = still
-    return [np.array(zone) for zone in done + growing]
+    step = float(gammas[1] - gammas[0])
+    seen = [np.array(zone) for zone in done + growing]
+    return [
+        np.vstack(
+            [
+                *_onward(forcing, zone[0], max(zone[0, 0] - step, gammas[0]))[::-1],
+                zone,
+                *_onward(forcing, zone[-1], min(zone[-1, 0] + step, gammas[-1])),
+            ]
+        )
+        for zone in seen
+    ]
+
+
+def _onward(forcing: Forcing, last: Floats, beyond: float) -> list[Floats]:
+    """What comes of a zone after its ``last`` row towards the gamma ``beyond``, where it is not."""
+    rows: list[Floats] = []
+    for _ in range(HALVINGS if beyond != last[0] else 0):
+        gamma = 0.5 * (last[0] + beyond)
+        here = [(a, b) for a, b in forbidden_zones(forcing, gamma) if a < last[2] and last[1] < b]
+        if here:
+            last = np.array([gamma, *here[0]])
+            rows.append(last)
+        else:
+            beyond = gamma
+    return rows
 
 
 def draw_zones(ax: Any, zones: list[Floats], scale: float, unit: float, label: str | None) -> None:
