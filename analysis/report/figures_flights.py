@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 GAMMAS = 500  # points of the model's diagram
-ZONE_GAMMAS = 75  # points of the forbidden zones
+ZONE_GAMMAS = 60  # points of the forbidden zones
 MAPS = 6  # return maps in one figure
 CYCLES = 4.0  # of the forcing, in the trajectory
 
