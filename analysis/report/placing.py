@@ -22,7 +22,6 @@ Floats = NDArray[np.float64]
 LINE = 0.2  # inches for a line of text, while ticks are chosen
 PAD, GAP = 0.045, 0.07 # inches around all texts of a picture, and between those of neighbours
 POINT = 1.0 / 72.0  # inch
-OFFSET_PAD = 3.0 * POINT  # between an axis and its power of ten
 
 
 def place(figure: Figure, renderer: Any, top: float) -> None:
@@ -114,27 +113,30 @@ def _drawn(ax: Any, axis: Any, renderer: Any) -> dict[Any, str]:
     texts = [*_ticks(ax, axis, "minor", axis.get_minorticklocs()), *_ticks(ax, axis, "major", axis.get_majorticklocs())]
     boxes = [text.get_window_extent(renderer) for text in texts]
     labels = max((box.height if is_x else box.width for box in boxes), default=0.0) / ax.figure.dpi
-    away = POINT * matplotlib.rcParams[f"{axis.axis_name}tick.major.pad"] + labels
+    pad = POINT * matplotlib.rcParams[f"{axis.axis_name}tick.major.pad"]
+    away = pad + labels
     counted = dict.fromkeys(texts, "xy")
     power = axis.get_major_formatter().get_offset()
     if power and texts:
-        x, y, va, ha = (1.0, -away, "top", "right") if is_x else (0.0, OFFSET_PAD, "bottom", "left")
-        counted[_text(ax, x, 0.0 if is_x else 1.0, power, (0.0, y), va=va, ha=ha)] = "y"
+        shift = (0.0, -away) if is_x else (-pad, 0.5 * LINE)  # below the labels, or above them and beside titles
+        text = _text(ax, 1.0 if is_x else 0.0, 0.0 if is_x else 1.0, power, shift)
+        text.set(ha="right", va="top" if is_x else "bottom")
+        counted[text] = "xy"
     if axis.label.get_text():
         away += POINT * axis.labelpad
         at, shift = ((0.5, 0.0), (0.0, -away)) if is_x else ((0.0, 0.5), (-away, 0.0))
-        label = _text(ax, *at, axis.label.get_text(), shift)
-        label.update_from(axis.label)
-        label.set_rotation_mode("anchor")
-        label.set_transform(ax.transAxes + ScaledTranslation(*shift, ax.figure.dpi_scale_trans))
+        label = _text(ax, *at, axis.label.get_text(), shift, axis.label)
         counted[label] = "y" if is_x else "x"
     return counted
 
 
-def _text(ax: Any, x: float, y: float, words: str, shift: tuple[float, float], **style: Any) -> Text:
-    """A text at a place in the axes, shifted by inches."""
-    at = ax.transAxes + ScaledTranslation(*shift, ax.figure.dpi_scale_trans)
-    text: Text = ax.add_artist(Text(x, y, words, transform=at, clip_on=False, **style))
+def _text(ax: Any, x: float, y: float, words: str, shift: tuple[float, float], like: Text | None = None) -> Text:
+    """A text at a place in the axes, shifted by inches, in the style of another one."""
+    text: Text = ax.add_artist(Text(x, y, words, clip_on=False))
+    if like is not None:
+        text.update_from(like)
+        text.set_rotation_mode(like.get_rotation_mode())
+    text.set_transform(ax.transAxes + ScaledTranslation(*shift, ax.figure.dpi_scale_trans))
     return text
 
 
