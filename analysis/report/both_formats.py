@@ -6,7 +6,7 @@ import io
 import re
 import struct
 import zlib
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.backend_bases import RendererBase
@@ -22,8 +22,7 @@ SVG_DPI = 72.0  # of matplotlib's SVG
 class BothFormats(RendererBase):
     """Hands what is drawn to matplotlib's renderer of bitmaps and to that of SVG.
 
-    The SVG counts in the bitmap's pixels; its head says how large it is. Sizes that matplotlib hands over in points are
-    handed on in pixels.
+    The SVG counts in the bitmap's pixels; its head says how large it is in points.
     """
 
     def __init__(self, figure: Figure) -> None:
@@ -31,10 +30,11 @@ class BothFormats(RendererBase):
         width, height = (float(x) for x in figure.bbox.size)
         self._svg_text, self._scale = io.StringIO(), figure.dpi / SVG_DPI
         self._size = width, height
-        svg = RendererSVG(width, height, self._svg_text, image_dpi=72, metadata={"Date": None})
+        self._as_image = False
+        svg = cast(Any, RendererSVG)(width, height, self._svg_text, image_dpi=72, metadata={"Date": None})
         inches = figure.get_size_inches()
-        self._bitmap = RendererAgg(width, height, figure.dpi)
-        self._vector: Any = MixedModeRenderer(figure, *inches, figure.dpi, svg)
+        self._bitmap = cast(Any, RendererAgg)(width, height, figure.dpi)
+        self._vector = cast(Any, MixedModeRenderer)(figure, *inches, figure.dpi, svg)
 
     def png(self) -> bytes:
         """The bitmap as a PNG; after drawing."""
@@ -46,7 +46,7 @@ class BothFormats(RendererBase):
         chunks = (
             (b"IHDR", struct.pack(">2I5B", width, height, 8, 6, 0, 0, 0)),
             (b"pHYs", struct.pack(">2IB", dots_per_metre, dots_per_metre, 1)),
-            (b"IDAT", zlib.compress(rows, COMPRESSION)),
+            (b"IDAT", zlib.compress(rows.tobytes(), COMPRESSION)),
             (b"IEND", b""),
         )
         parts = [struct.pack(">I", len(x)) + name + x + struct.pack(">I", zlib.crc32(name + x)) for name, x in chunks]
@@ -60,31 +60,40 @@ class BothFormats(RendererBase):
         head = re.sub(r'\bwidth="[^"]*"', f'width="{width}"', re.sub(r'\bheight="[^"]*"', f'height="{height}"', head))
         return (head + rest).encode("utf-8")
 
-    def draw_path(self, gc: Any, path: Any, transform: Any, rgbFace: Any = None) -> None:  # noqa: N803
-        """A path; matplotlib's SVG hatches in points."""
+    def draw_path(self, gc: Any, path: Any, transform: Any, rgbFace: Any = None) -> None:
+        """A path; collections of paths come here one by one."""
         self._bitmap.draw_path(gc, path, transform, rgbFace)
-        hatch = gc.get_hatch()
-        if hatch:
-            gc.set_hatch(hatch[: max(1, round(len(hatch) / self._scale))])
-        self._vector.draw_path(gc, path, transform, rgbFace)
-        gc.set_hatch(hatch)
+        self._vector.draw_path(self._in_pixels(gc), path, transform, rgbFace)
+
+    def draw_markers(self, gc: Any, *drawn: Any, **named: Any) -> None:
+        """Marks."""
+        self._bitmap.draw_markers(gc, *drawn, **named)
+        self._vector.draw_markers(self._in_pixels(gc), *drawn, **named)
 
     def draw_text(self, gc: Any, x: float, y: float, s: str, prop: Any, angle: float, *more: Any, **named: Any) -> None:
         """A text."""
         self._bitmap.draw_text(gc, x, y, s, prop, angle, *more, **named)
-        scaled = prop.copy()
-        scaled.set_size(prop.get_size_in_points() * self._scale)
-        self._vector.draw_text(gc, x, y, s, scaled, angle, *more, **named)
+        if not self._as_image:
+            prop = prop.copy()
+            prop.set_size(prop.get_size_in_points() * self._scale)
+        self._vector.draw_text(gc, x, y, s, prop, angle, *more, **named)
 
-    def draw_markers(self, *drawn: Any, **named: Any) -> None:
-        """Marks."""
-        self._bitmap.draw_markers(*drawn, **named)
-        self._vector.draw_markers(*drawn, **named)
-
-    def draw_path_collection(self, *drawn: Any, **named: Any) -> None:
-        """Several paths."""
-        self._bitmap.draw_path_collection(*drawn, **named)
-        self._vector.draw_path_collection(*drawn, **named)
+    def _in_pixels(self, gc: Any) -> Any:
+        """A style for the SVG, which takes widths, dashes and hatches as they are; the bitmap's are in points."""
+        if self._as_image:
+            return gc
+        scaled = self.new_gc()
+        scaled.copy_properties(gc)
+        scaled.set_linewidth(gc.get_linewidth() * self._scale)
+        offset, dashes = gc.get_dashes()
+        if dashes is not None:
+            scaled.set_dashes(offset * self._scale, np.asarray(dashes) * self._scale)
+        hatch = gc.get_hatch()
+        if hatch:  # of a pattern of 72 units
+            scaled.set_hatch(hatch[: max(1, round(len(hatch) / self._scale))])
+            if hasattr(scaled, "set_hatch_linewidth"):  # matplotlib 3.10 and later
+                scaled.set_hatch_linewidth(gc.get_hatch_linewidth() * self._scale)
+        return scaled
 
     def draw_image(self, *drawn: Any, **named: Any) -> None:
         """An image."""
@@ -93,10 +102,12 @@ class BothFormats(RendererBase):
 
     def start_rasterizing(self) -> None:
         """What follows is an image in the SVG."""
+        self._as_image = True
         self._vector.start_rasterizing()
 
     def stop_rasterizing(self) -> None:
         """What follows is drawn as vectors again."""
+        self._as_image = False
         self._vector.stop_rasterizing()
 
     def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> tuple[float, float, float]:

@@ -12,7 +12,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import TICKRIGHT, TICKUP, Line2D
+from matplotlib.lines import Line2D
+from matplotlib.markers import TICKRIGHT, TICKUP
 from matplotlib.text import Text
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 LINE = 0.2  # inches for a line of text, while ticks are chosen
-PAD, GAP = 0.045, 0.07 # inches around all texts of a picture, and between those of neighbours
+PAD, GAP = 0.045, 0.07  # inches around all texts of a picture, and between those of neighbours
 POINT = 1.0 / 72.0  # inch
 
 
@@ -57,9 +58,7 @@ def _share_out(figure: Figure, needed: Floats, edges: tuple[float, float, float,
         ax.set_position((left / width, 1.0 - (above + high) / height, wide / width, high / height))
 
 
-def _cells(
-    ratios: list[float] | None, cell: NDArray[np.int64], needed: Floats, between: tuple[float, float]
-) -> Floats:
+def _cells(ratios: list[float] | None, cell: NDArray[np.int64], needed: Floats, between: tuple[float, float]) -> Floats:
     """Start and length, inches, of the axes in each cell along one direction, (m, 2)."""
     share = np.array(ratios or np.ones(int(cell.max()) + 1), np.float64)
     around = np.zeros((len(share), 2))
@@ -113,7 +112,7 @@ def _drawn(ax: Any, axis: Any, renderer: Any) -> dict[Any, str]:
     texts = [*_ticks(ax, axis, "minor", axis.get_minorticklocs()), *_ticks(ax, axis, "major", axis.get_majorticklocs())]
     boxes = [text.get_window_extent(renderer) for text in texts]
     labels = max((box.height if is_x else box.width for box in boxes), default=0.0) / ax.figure.dpi
-    pad = POINT * matplotlib.rcParams[f"{axis.axis_name}tick.major.pad"]
+    pad = POINT * _rc()[f"{axis.axis_name}tick.major.pad"]
     away = pad + labels
     counted = dict.fromkeys(texts, "xy")
     power = axis.get_major_formatter().get_offset()
@@ -141,28 +140,35 @@ def _text(ax: Any, x: float, y: float, words: str, shift: tuple[float, float], l
 
 
 def _ticks(ax: Any, axis: Any, which: str, at: Any) -> list[Text]:
-    """Draw the marks at ``at`` (n,) and their labels; the labels."""
-    way, is_x, told = axis.axis_name, axis.axis_name == "x", axis.get_tick_params(which)
+    """Draw the marks at ``at`` (n,), into the axes, and their labels; the labels."""
+    way, is_x, told, rc = axis.axis_name, axis.axis_name == "x", axis.get_tick_params(which), _rc()
     formatter = axis.get_major_formatter() if which == "major" else axis.get_minor_formatter()
-    words = np.array(formatter.format_ticks(at), object)
-    seen = _within(axis, np.asarray(at, np.float64))
-    at, words, zeros = np.asarray(at, np.float64)[seen], words[seen], np.zeros(int(seen.sum()))
-    size, width = (matplotlib.rcParams[f"{way}tick.{which}.{what}"] for what in ("size", "width"))
+    words, at = np.array(formatter.format_ticks(at), object), np.asarray(at, np.float64)
+    seen = _within(axis, at)
+    at, words = at[seen], words[seen]
     if told["bottom" if is_x else "left"]:
-        marks = Line2D(*((at, zeros) if is_x else (zeros, at)), ls="", marker=TICKUP if is_x else TICKRIGHT)
-        marks.set(markersize=size, markeredgewidth=width, color="black", clip_on=False, zorder=2.01)
+        mark: Any = TICKUP if is_x else TICKRIGHT
+        edge = np.zeros(len(at))
+        marks = Line2D(*((at, edge) if is_x else (edge, at)), ls="", marker=mark, zorder=2.01)
+        marks.set(markersize=rc[f"{way}tick.{which}.size"], markeredgewidth=rc[f"{way}tick.{which}.width"])
+        marks.set(color="black", clip_on=False)
         marks.set_transform(ax.get_xaxis_transform("tick1") if is_x else ax.get_yaxis_transform("tick1"))
         ax.add_artist(marks)
     if not told["labelbottom" if is_x else "labelleft"]:
         return []
-    pad = matplotlib.rcParams[f"{way}tick.major.pad"]
-    transform, va, ha = (ax.get_xaxis_text1_transform if is_x else ax.get_yaxis_text1_transform)(pad)
-    style = {"transform": transform, "va": va, "ha": ha, "clip_on": False}
-    return [
-        ax.add_artist(Text(*((x, 0.0) if is_x else (0.0, x)), word, **style))
-        for x, word in zip(at, words, strict=True)
-        if word
-    ]
+    pad = rc[f"{way}tick.major.pad"]
+    to, va, ha = (ax.get_xaxis_text1_transform if is_x else ax.get_yaxis_text1_transform)(pad)
+    labels = []
+    for where, word in zip(at, words, strict=True):
+        if word:
+            x, y = (where, 0.0) if is_x else (0.0, where)
+            labels.append(ax.add_artist(Text(x, y, word, transform=to, va=va, ha=ha, clip_on=False)))
+    return labels
+
+
+def _rc() -> Any:
+    """The style that is in force."""
+    return matplotlib.rcParams
 
 
 def _within(axis: Any, places: Floats) -> NDArray[np.bool_]:

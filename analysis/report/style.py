@@ -101,7 +101,8 @@ def _drawn(badge: str, draw: Callable[[Figure], None]) -> dict[str, bytes]:
     from analysis.report.placing import place
 
     with matplotlib.rc_context(STYLE):
-        figure = Figure(layout="none")
+        figure = Figure()
+        figure.set_layout_engine("none")
         draw(figure)
         if not figure.axes:
             return {}

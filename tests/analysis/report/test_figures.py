@@ -69,7 +69,8 @@ def test_harmonics_differ_in_more_than_colour() -> None:
 def placed(draw: Callable[[Figure], None]) -> tuple[Figure, BothFormats]:
     """A figure with its axes placed."""
     with matplotlib.rc_context(style.STYLE):
-        figure = Figure(layout="none")
+        figure = Figure()
+        figure.set_layout_engine("none")
         draw(figure)
         renderer = BothFormats(figure)
         place(figure, renderer, 0.3)
@@ -83,6 +84,7 @@ def four_scales(figure: Figure) -> None:
         ax.plot(np.linspace(0.1, 2.0, 9), scale * np.arange(1.0, 10.0), "o", color="k", rasterized=scale == 1.0)
         ax.set(ylabel="height, m", xlabel="time, s" if ax in axes[1] else "")
         ax.set_title("a title", loc="left")
+        ax.plot([0.5, 1.0], [2.0 * scale, 5.0 * scale], "--", lw=3.0, color="k")
     axes[1, 1].set_yscale("log")
     plain_decades(axes[1, 1].yaxis)
 
@@ -120,7 +122,7 @@ def test_no_text_is_cut_off_or_covered(closed_loop: ClosedLoop) -> None:
         boxes = [box for ax in figure.axes for box in boxes_beside(ax, renderer)]
         assert len(boxes) > 6
         for box in boxes:
-            assert 0.0 <= box.x0 and box.x1 <= figure.bbox.width and 0.0 <= box.y0 and box.y1 <= figure.bbox.height
+            assert min(box.x0, box.y0) >= 0.0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
         for one, other in itertools.combinations(boxes, 2):
             assert not (one.x0 < other.x1 and other.x0 < one.x1 and one.y0 < other.y1 and other.y0 < one.y1)
 
@@ -149,6 +151,9 @@ def test_png_and_svg_are_one_drawing() -> None:
     size = 10.0 * units
     texts = [x for x in root.iter("{http://www.w3.org/2000/svg}text") if x.text == "height, m"]
     assert len(texts) == 4 and all(f"font-size: {size:f}".rstrip("0") in str(x.get("style")) for x in texts)
+    dashed = [str(x.get("style")) for x in root.iter() if "stroke-dasharray" in str(x.get("style"))]
+    line = f"{3.0 * units:.3f}"
+    assert len(dashed) == 4 and all(f"{11.1 * units:.3f}" in x and f"stroke-width: {line}" in x for x in dashed)
     assert len(list(root.iter("{http://www.w3.org/2000/svg}image"))) == 1
 
 
