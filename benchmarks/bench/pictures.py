@@ -2,9 +2,9 @@
 
     python -m benchmarks.bench.pictures RECORDING [--against PATH] [--rounds 5]
 
-Processor seconds of the nine pictures of a `bench demo` and of its report page, each time in a new process, matplotlib's
-imports included: the first number. The second is the same again in that process. `--against` names another tree of this
-software, which takes turns.
+Processor seconds of the nine pictures of a `bench demo` and of its report page, each time in a new process, with
+the imports of matplotlib: the first number. The second is the same again in that process. `--against` names another
+tree of this software, which takes turns.
 """
 
 from __future__ import annotations

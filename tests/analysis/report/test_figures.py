@@ -152,8 +152,8 @@ def test_png_and_svg_are_one_drawing() -> None:
     texts = [x for x in root.iter("{http://www.w3.org/2000/svg}text") if x.text == "height, m"]
     assert len(texts) == 4 and all(f"font-size: {size:f}".rstrip("0") in str(x.get("style")) for x in texts)
     dashed = [str(x.get("style")) for x in root.iter() if "stroke-dasharray" in str(x.get("style"))]
-    line = f"{3.0 * units:.3f}"
-    assert len(dashed) == 4 and all(f"{11.1 * units:.3f}" in x and f"stroke-width: {line}" in x for x in dashed)
+    pattern, line = f"stroke-dasharray: {int(11.1 * units)}.", f"stroke-width: {int(3.0 * units)}."
+    assert len(dashed) == 4 and all(pattern in x and line in x for x in dashed)
     assert len(list(root.iter("{http://www.w3.org/2000/svg}image"))) == 1
 
 
