@@ -92,41 +92,39 @@ def _beyond(ax: Any, renderer: Any) -> Floats:
     """Draw the axes' ticks; pixels that texts and legend reach beyond the axes, left, below, right and above, (4,)."""
     ax.apply_aspect()
     texts = [text for text in ax.get_children() if isinstance(text, Text) and text.get_text()]
-    counted = {text: "xy" if text in ax.texts else "y" for text in texts}  # titles: by their height
-    for axis in (ax.xaxis, ax.yaxis) if ax.axison else ():
-        counted |= _drawn(ax, axis, renderer)
-        axis.set_visible(False)
+    boxes = [(text.get_window_extent(renderer), "xy" if text in ax.texts else "y") for text in texts]  # titles: height
     if ax.get_legend() is not None:
-        counted[ax.get_legend()] = "xy"
+        boxes.append((ax.get_legend().get_window_extent(renderer), "xy"))
+    for axis in (ax.xaxis, ax.yaxis) if ax.axison else ():
+        boxes += _drawn(ax, axis, renderer)
+        axis.set_visible(False)
     most, inner = np.zeros(4), ax.bbox
-    for artist, ways in counted.items():
-        box = artist.get_window_extent(renderer)
+    for box, ways in boxes:
         reach = (inner.x0 - box.x0, inner.y0 - box.y0, box.x1 - inner.x1, box.y1 - inner.y1)
         most = np.maximum(most, np.where(["x" in ways, "y" in ways] * 2, reach, 0.0))
     return most
 
 
-def _drawn(ax: Any, axis: Any, renderer: Any) -> dict[Any, str]:
-    """Draw an axis as marks and texts; the texts, each with the directions in which it takes room."""
+def _drawn(ax: Any, axis: Any, renderer: Any) -> list[tuple[Any, str]]:
+    """Draw an axis as marks and texts; the extents of the texts, each with the directions in which it takes room."""
     is_x = axis.axis_name == "x"
     texts = [*_ticks(ax, axis, "minor", axis.get_minorticklocs()), *_ticks(ax, axis, "major", axis.get_majorticklocs())]
-    boxes = [text.get_window_extent(renderer) for text in texts]
-    labels = max((box.height if is_x else box.width for box in boxes), default=0.0) / ax.figure.dpi
+    boxes = [(text.get_window_extent(renderer), "xy") for text in texts]
+    labels = max((box.height if is_x else box.width for box, _ in boxes), default=0.0) / ax.figure.dpi
     pad = POINT * _rc()[f"{axis.axis_name}tick.major.pad"]
     away = pad + labels
-    counted = dict.fromkeys(texts, "xy")
     power = axis.get_major_formatter().get_offset()
     if power and texts:
         shift = (0.0, -away) if is_x else (-pad, 0.5 * LINE)  # below the labels, or above them and beside titles
         text = _text(ax, 1.0 if is_x else 0.0, 0.0 if is_x else 1.0, power, shift)
         text.set(ha="right", va="top" if is_x else "bottom")
-        counted[text] = "xy"
+        boxes.append((text.get_window_extent(renderer), "xy"))
     if axis.label.get_text():
         away += POINT * axis.labelpad
         at, shift = ((0.5, 0.0), (0.0, -away)) if is_x else ((0.0, 0.5), (-away, 0.0))
         label = _text(ax, *at, axis.label.get_text(), shift, axis.label)
-        counted[label] = "y" if is_x else "x"
-    return counted
+        boxes.append((label.get_window_extent(renderer), "y" if is_x else "x"))
+    return boxes
 
 
 def _text(ax: Any, x: float, y: float, words: str, shift: tuple[float, float], like: Text | None = None) -> Text:
@@ -145,6 +143,8 @@ def _ticks(ax: Any, axis: Any, which: str, at: Any) -> list[Text]:
     formatter = axis.get_major_formatter() if which == "major" else axis.get_minor_formatter()
     words, at = np.array(formatter.format_ticks(at), object), np.asarray(at, np.float64)
     seen = _within(axis, at)
+    if not seen.any():
+        return []
     at, words = at[seen], words[seen]
     if told["bottom" if is_x else "left"]:
         mark: Any = TICKUP if is_x else TICKRIGHT
