@@ -46,7 +46,7 @@ class BothFormats(RendererBase):
         chunks = (
             (b"IHDR", struct.pack(">2I5B", width, height, 8, 6, 0, 0, 0)),
             (b"pHYs", struct.pack(">2IB", dots_per_metre, dots_per_metre, 1)),
-            (b"IDAT", zlib.compress(rows.tobytes(), COMPRESSION)),
+            (b"IDAT", zlib.compress(rows.data, COMPRESSION)),
             (b"IEND", b""),
         )
         parts = [struct.pack(">I", len(x)) + name + x + struct.pack(">I", zlib.crc32(name + x)) for name, x in chunks]
