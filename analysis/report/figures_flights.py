@@ -15,9 +15,9 @@ from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from analysis.report import style
 from analysis.report.gamma import gamma_scale
+from analysis.report.zones import draw_zones, zones_over
 from daq.recording import Recording
 from daq.setup.setup import Setup
-from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.attractor import attractor
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import diagram
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 GAMMAS = 500  # points of the model's diagram
-ZONE_GAMMAS = 150  # points of the forbidden zones
+ZONE_GAMMAS = 60  # points of the forbidden zones
 MAPS = 6  # return maps in one figure
 CYCLES = 4.0  # of the forcing, in the trajectory
 
@@ -75,12 +75,8 @@ def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float
     unit = 1e3 / plate.omega_radps
     declared = setup.declared_values()
     ball, forcing, _ = ball_on(plate, setup, declared)
-    for gamma in np.linspace(low, high, ZONE_GAMMAS):
-        for a, b in forbidden_zones(forcing, float(gamma)):
-            if a > 0.0:
-                half = 0.52 * (high - low) / (ZONE_GAMMAS - 1) * scale
-                edges = [gamma * scale - half, gamma * scale + half]
-                ax.fill_between(edges, a * unit, b * unit, color=style.ZONE, lw=0, zorder=0)
+    above = [zone[zone[:, 1] > 0.0] for zone in zones_over(forcing, np.linspace(low, high, ZONE_GAMMAS))]
+    draw_zones(ax, [zone for zone in above if len(zone)], scale, unit, None)
     ax.fill_between([], [], [], color=style.ZONE, label="forbidden to the ideal ball")
     rows = diagram(ball, np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else GAMMAS // 2))
     x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale

@@ -6,7 +6,9 @@ separates a simulated rig from a real one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +44,11 @@ HARMONICS = (  # colour (Okabe and Ito's, which the colour-blind tell apart), ma
     ("#56b4e9", "X", ":"),
 )
 PNG_DPI = 160
+BADGE_INCHES = 0.36  # of height, above the axes
 STYLE: dict[Any, Any] = {
     "font.family": "serif",
+    "font.serif": ["DejaVu Serif"],  # it comes with matplotlib; a list is looked through for each text
+    "text.hinting": "none",  # at this many dots the letters look the same, and take two thirds of the time
     "mathtext.fontset": "cm",
     "font.size": 10,
     "axes.linewidth": 0.8,
@@ -56,10 +61,6 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
 FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
-FORMATS: dict[str, dict[str, Any]] = {
-    "png": {"pil_kwargs": {"compress_level": 2}},  # a seventh larger than at level 6, and written in half the time
-    "svg": {"metadata": {"Date": None}},
-}
 
 
 def badge_text(name: str, *, simulated: bool) -> str:
@@ -80,76 +81,57 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
     InputError
         When the folder cannot be written.
     """
+    with _no_collecting():
+        files = _drawn(badge, draw)
+    try:
+        for form, content in files.items():
+            folder.mkdir(parents=True, exist_ok=True)
+            with whole(folder / f"{name}.{form}") as part:
+                part.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
+
+
+def _drawn(badge: str, draw: Callable[[Figure], None]) -> dict[str, bytes]:
+    """The files of a picture by their ending; none where no axes are drawn."""
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+
+    from analysis.report.both_formats import BothFormats
+    from analysis.report.placing import place
 
     with matplotlib.rc_context(STYLE):
         figure = Figure()
-        FigureCanvasAgg(figure)  # the PNG's: it keeps the extents of the texts between placing and drawing
+        figure.set_layout_engine("none")
         draw(figure)
         if not figure.axes:
-            return
+            return {}
         _add_badge(figure, badge)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-                _keep_ticks(figure)
-                _lay_out(figure)
-                for form, options in FORMATS.items():
-                    with whole(folder / f"{name}.{form}") as part:
-                        figure.savefig(part, format=form, **options)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
+        renderer = BothFormats(figure)
+        place(figure, renderer, BADGE_INCHES)
+        figure.draw(renderer)
+        return {"png": renderer.png(), "svg": renderer.svg()}
+
+
+@contextmanager
+def _no_collecting() -> Iterator[None]:
+    """No search for garbage: a picture is ten thousand objects that all live until it is drawn."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _add_badge(figure: Figure, badge: str) -> None:
-    """The badge in the upper right corner, and room for it."""
+    """The badge in the upper right corner."""
     height = figure.get_figheight()
     colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE
     box = {"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"}
     at: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 8, "color": "white", "weight": "bold"}
     figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)  # a file may be called $x$
-    layout: Any = figure.get_layout_engine()
-    layout.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.32 / height))
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place the axes for good: else each format places them anew, by drawing the picture once more."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine(None)
-
-
-def _keep_ticks(figure: Figure) -> None:
-    """Choose and measure each axis' ticks once for a range and a place, not anew each time that one asks for them."""
-    for axes in figure.axes:
-        both: tuple[Any, Any] = (axes.xaxis, axes.yaxis)
-        for axis in both:
-            for name in ("_update_ticks", "_get_ticklabel_bboxes"):  # its own: pictures are right without, but slower
-                compute = getattr(axis, name, None)
-                if compute is not None:
-                    setattr(axis, name, _Kept(axis, compute))
-
-
-class _Kept:
-    """What an axis says of its ticks, computed anew when its range, its place or what draws it is another."""
-
-    def __init__(self, axis: Any, compute: Callable[..., Any]) -> None:
-        self._axis, self._compute = axis, compute
-        self._computed_for: tuple[Any, ...] = ()
-        self._value: Any = None
-
-    def __call__(self, *given: Any) -> Any:
-        """The ticks to draw, or their labels' extents in pixels: those are asked for with ticks and renderer."""
-        renderer = given[-1] if given else None
-        dots = self._axis.get_figure(root=True).dpi if given else None
-        range_and_place = (*self._axis.get_view_interval(), *self._axis.axes.get_position().bounds)
-        now = (*range_and_place, dots, type(renderer))
-        if now != self._computed_for:
-            self._value, self._computed_for = self._compute(*given), now
-        return self._value
 
 
 def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from analysis.report import style
 from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
+from analysis.report.zones import draw_zones, zones_over
 from bench.predict.request import Request, check_adaptive
 from daq.setup.errors import InputError
 from model.bifurcations.events import bifurcations
-from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import Rows, adaptive, diagram
 from model.tones import Forcing
@@ -96,7 +96,10 @@ def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: floa
     crowd = np.repeat((rows.kind == 2) | (rows.flights > 8), rows.tau.shape[1])
     low, high = float(rows.gamma[0]), float(rows.gamma[-1])
     if ideal:
-        _zones(ax, forcing, low, high, scale, unit)
+        zones = [z for z in zones_over(forcing, np.linspace(low, high, ZONE_GAMMAS)) if len(z) > 3]
+        draw_zones(ax, zones, scale, unit, "forbidden")
+        if zones:
+            ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
         _marks(ax, forcing, low, high, scale)
     ax.plot(x[shown & crowd], y[shown & crowd], ".", ms=0.6, mew=0, color=style.INK, alpha=0.5, rasterized=True)
     ax.plot(x[shown & ~crowd], y[shown & ~crowd], ".", ms=1.8, mew=0, color=style.INK, rasterized=True)
@@ -111,31 +114,6 @@ def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: floa
         )
     else:
         ax.set_ylabel("flight time (forcing periods)")
-
-
-def _zones(ax: Any, forcing: Forcing, low: float, high: float, scale: float, unit: float) -> None:
-    """Forbidden zones, each followed through gamma by what it overlaps."""
-    gammas = np.linspace(low, high, ZONE_GAMMAS)
-    growing: list[list[tuple[float, float, float]]] = []
-    done: list[list[tuple[float, float, float]]] = []
-    for gamma in gammas:
-        still = []
-        for a, b in forbidden_zones(forcing, float(gamma)):
-            mine = next((z for z in growing if z[-1][1] < b and a < z[-1][2]), None)
-            if mine is None:
-                mine = []
-            else:
-                growing.remove(mine)
-            mine.append((float(gamma), float(a), float(b)))
-            still.append(mine)
-        done += growing
-        growing = still
-    seen = [zone for zone in done + growing if len(zone) > 3]
-    for i, zone in enumerate(seen):
-        g, a, b = np.array(zone).T
-        ax.fill_between(g * scale, a * unit, b * unit, color=style.ZONE, lw=0, label="forbidden" if i == 0 else None)
-    if seen:
-        ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
 
 
 def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> None:

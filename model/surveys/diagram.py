@@ -18,7 +18,6 @@ from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attrac
 from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
-from model.surveys import cycle_batch
 from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row
@@ -112,6 +111,8 @@ def exact_rows(
         for i, gamma in enumerate(gammas):
             put(rows, i, attractor(ball_at(i), float(gamma)))
         return rows
+    from model.surveys import cycle_batch  # many modules, for many rows alone
+
     each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
     todo = np.ones(gammas.size, dtype=bool)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)

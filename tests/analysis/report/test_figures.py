@@ -1,19 +1,31 @@
 """What the pictures promise: one measure of gamma, clipped points marked, harmonics told apart without colour."""
 
+import io
 import itertools
-from pathlib import Path
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+from xml.etree import ElementTree
 
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from PIL import Image
 
+import model.tones
 from analysis.loop.result import ClosedLoop
 from analysis.report import style
+from analysis.report.both_formats import BothFormats
+from analysis.report.decades import plain_decades
 from analysis.report.figures_loop import draw_candidates, draw_errors
 from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
 from analysis.report.gamma import gamma_scale
-from analysis.report.style import HARMONICS, clipped_dots, save_picture
+from analysis.report.placing import place
+from analysis.report.style import HARMONICS, clipped_dots
+from analysis.report.zones import zones_over
 from daq.setup.setup import Forcing
 
 
@@ -54,35 +66,102 @@ def test_harmonics_differ_in_more_than_colour() -> None:
     assert all(a != b for a, b in itertools.pairwise(lines))
 
 
-def test_ticks_chosen_once_are_those_of_every_drawing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With ticks kept, pictures with shared, logarithmic and small axes are the same files, byte for byte."""
-
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots(2, 2, sharex="col", gridspec_kw={"height_ratios": [1, 4]})
-        for ax, scale in zip(axes.flat, (1e-7, 1.0, 3e5, 40.0), strict=True):
-            ax.plot(np.linspace(0.1, 2.0, 9), scale * np.arange(1.0, 10.0), "o")
-            ax.set_ylabel("$z_0$, m")
-        axes[1, 1].set_yscale("log")
-
-    save_picture(tmp_path / "kept", "a", "SIMULATED RIG: run", draw)
-    monkeypatch.setattr(style, "_keep_ticks", lambda figure: None)
-    save_picture(tmp_path / "anew", "a", "SIMULATED RIG: run", draw)
-    for name in ("a.png", "a.svg"):
-        assert (tmp_path / "kept" / name).read_bytes() == (tmp_path / "anew" / name).read_bytes()
+def placed(draw: Callable[[Figure], None]) -> tuple[Figure, BothFormats]:
+    """A figure with its axes placed."""
+    with matplotlib.rc_context(style.STYLE):
+        figure = Figure()
+        figure.set_layout_engine("none")
+        draw(figure)
+        renderer = BothFormats(figure)
+        place(figure, renderer, 0.3)
+    return figure, renderer
 
 
-def test_kept_ticks_follow_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another range, another choice; the same range, none."""
-    ax = Figure().subplots()
-    chosen: list[tuple[float, float]] = []
-    choose = ax.xaxis._update_ticks
-    monkeypatch.setattr(ax.xaxis, "_update_ticks", lambda: chosen.append(ax.get_xlim()) or choose())
-    style._keep_ticks(ax.figure)
-    for limits in ((0.0, 1.0), (0.0, 1.0), (0.0, 50.0)):
-        ax.set_xlim(*limits)
-        drawn = [tick.get_loc() for tick in ax.xaxis._update_ticks()]
-        assert drawn[-1] == limits[1]
-    assert chosen == [(0.0, 1.0), (0.0, 50.0)]
+def four_scales(figure: Figure) -> None:
+    """Axes with a power of ten, plain ones, large numbers and decades, the columns with one range each."""
+    axes = figure.subplots(2, 2, sharex="col", gridspec_kw={"height_ratios": [1, 2]})
+    for ax, scale in zip(axes.flat, (1e-7, 1.0, 3e5, 40.0), strict=True):
+        ax.plot(np.linspace(0.1, 2.0, 9), scale * np.arange(1.0, 10.0), "o", color="k", rasterized=scale == 1.0)
+        ax.set(ylabel="height, m", xlabel="time, s" if ax in axes[1] else "")
+        ax.set_title("a title", loc="left")
+        ax.plot([0.5, 1.0], [2.0 * scale, 5.0 * scale], "--", lw=3.0, color="k")
+    axes[1, 1].set_yscale("log")
+    plain_decades(axes[1, 1].yaxis)
+
+
+def labels_of(ax: Any) -> list[str]:
+    """Texts of the ticks that matplotlib itself would write in view, left and below."""
+    found = []
+    for axis, side in ((ax.xaxis, "labelbottom"), (ax.yaxis, "labelleft")):
+        low, high = axis.get_view_interval()
+        for told, places, formatter in (
+            (axis.get_tick_params(), axis.get_majorticklocs(), axis.get_major_formatter()),
+            (axis.get_tick_params("minor"), axis.get_minorticklocs(), axis.get_minor_formatter()),
+        ):
+            words = zip(places, formatter.format_ticks(places), strict=True)
+            found += [word for place, word in words if told[side] and word and low <= place <= high]
+    return found
+
+
+def test_ticks_are_those_that_matplotlib_chooses() -> None:
+    """Each axes' texts are its ticks' labels in view, its power of ten and its label; shared ranges are told once."""
+    figure, _ = placed(four_scales)
+    for ax in figure.axes:
+        told = sorted(text.get_text() for text in ax.texts)
+        extra = [axis.get_major_formatter().get_offset() for axis in (ax.xaxis, ax.yaxis)]
+        names = [name for name in (ax.get_xlabel(), ax.get_ylabel(), extra[1]) if name]
+        assert told == sorted([*labels_of(ax), *names])
+    assert "1e\u22127" in {text.get_text() for text in figure.axes[0].texts}
+
+
+def test_no_text_is_cut_off_or_covered(closed_loop: ClosedLoop) -> None:
+    """Titles, ticks and labels lie within the picture, beside the axes, and none on another."""
+    parts = (draw_errors, draw_candidates, draw_landings, draw_takeoffs, draw_plate)
+    for draw in (four_scales, *(partial(part, closed_loop) for part in parts)):
+        figure, renderer = placed(draw)
+        boxes = [box for ax in figure.axes for box in boxes_beside(ax, renderer)]
+        assert len(boxes) > 6
+        for box in boxes:
+            assert min(box.x0, box.y0) >= 0.0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
+        for one, other in itertools.combinations(boxes, 2):
+            assert not (one.x0 < other.x1 and other.x0 < one.x1 and one.y0 < other.y1 and other.y0 < one.y1)
+
+
+def boxes_beside(ax: Any, renderer: BothFormats) -> list[Any]:
+    """Extents of an axes' own texts whose middle is outside the axes."""
+    texts = [text for text in ax.get_children() if isinstance(text, Text) and text.get_text()]
+    boxes = [text.get_window_extent(renderer) for text in texts]
+    return [box for box in boxes if not ax.bbox.contains(0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1))]
+
+
+def test_png_and_svg_are_one_drawing() -> None:
+    """The PNG has the pixels of matplotlib's own; the SVG is as large in points, with its texts in points and dots."""
+    figure, renderer = placed(four_scales)
+    with matplotlib.rc_context(style.STYLE):
+        figure.draw(renderer)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+    shown = Image.open(io.BytesIO(renderer.png()))
+    np.testing.assert_array_equal(np.array(shown), np.asarray(canvas.buffer_rgba()))
+    assert shown.info["dpi"] == pytest.approx((style.PNG_DPI, style.PNG_DPI), rel=1e-3)
+    root = ElementTree.fromstring(renderer.svg())
+    width, height = figure.get_size_inches()
+    assert (root.get("width"), root.get("height")) == (f"{72 * width:g}pt", f"{72 * height:g}pt")
+    units = float(str(root.get("viewBox")).split()[2]) / (72.0 * width)
+    size = 10.0 * units
+    texts = [x for x in root.iter("{http://www.w3.org/2000/svg}text") if x.text == "height, m"]
+    assert len(texts) == 4 and all(f"font-size: {size:f}".rstrip("0") in str(x.get("style")) for x in texts)
+    dashed = [str(x.get("style")) for x in root.iter() if "stroke-dasharray" in str(x.get("style"))]
+    pattern, line = f"stroke-dasharray: {int(11.1 * units)}.", f"stroke-width: {int(3.0 * units)}."
+    assert len(dashed) == 4 and all(pattern in x and line in x for x in dashed)
+    assert len(list(root.iter("{http://www.w3.org/2000/svg}image"))) == 1
+
+
+def test_a_zone_reaches_to_where_it_is_born() -> None:
+    """Between two gammas of a coarse grid the first zone of one sine begins where it is known to."""
+    zones = zones_over(model.tones.Forcing.superposition(1), np.linspace(2.0, 3.0, 5))
+    assert [len(zones), zones[0][0, 0]] == [1, pytest.approx(2.305, abs=0.01)]
+    assert np.all(np.diff(zones[0][:, 0]) > 0.0) and zones[0][-1, 0] == 3.0
 
 
 def test_figures_are_laid_out_around_their_labels(closed_loop: ClosedLoop) -> None:

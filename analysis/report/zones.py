@@ -1,0 +1,70 @@
+"""Forbidden zones over gamma as areas, each followed from gamma to gamma by what it overlaps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.style import ZONE
+from model.bifurcations.forbidden_zones import forbidden_zones
+from model.tones import Forcing
+
+Floats = NDArray[np.float64]
+
+HALVINGS = 5  # of a step of gamma, for a zone's ends
+
+
+def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
+    """Zones between ascending ``gammas``: rows of gamma, lower and upper edge in radians, (n, 3) each.
+
+    Between two gammas the place where a zone begins or ends is looked for.
+    """
+    growing: list[list[tuple[float, float, float]]] = []
+    done: list[list[tuple[float, float, float]]] = []
+    for gamma in gammas:
+        still = []
+        for a, b in forbidden_zones(forcing, float(gamma)):
+            mine = next((z for z in growing if z[-1][1] < b and a < z[-1][2]), None)
+            if mine is None:
+                mine = []
+            else:
+                growing.remove(mine)
+            mine.append((float(gamma), float(a), float(b)))
+            still.append(mine)
+        done += growing
+        growing = still
+    step = float(gammas[1] - gammas[0])
+    seen = [np.array(zone) for zone in done + growing]
+    return [
+        np.vstack(
+            [
+                *_onward(forcing, zone[0], max(zone[0, 0] - step, gammas[0]))[::-1],
+                zone,
+                *_onward(forcing, zone[-1], min(zone[-1, 0] + step, gammas[-1])),
+            ]
+        )
+        for zone in seen
+    ]
+
+
+def _onward(forcing: Forcing, last: Floats, beyond: float) -> list[Floats]:
+    """What comes of a zone after its ``last`` row towards the gamma ``beyond``, where it is not."""
+    rows: list[Floats] = []
+    for _ in range(HALVINGS if beyond != last[0] else 0):
+        gamma = 0.5 * (last[0] + beyond)
+        here = [(a, b) for a, b in forbidden_zones(forcing, gamma) if a < last[2] and last[1] < b]
+        if here:
+            last = np.array([gamma, *here[0]])
+            rows.append(last)
+        else:
+            beyond = gamma
+    return rows
+
+
+def draw_zones(ax: Any, zones: list[Floats], scale: float, unit: float, label: str | None) -> None:
+    """Shade the zones; gamma is drawn ``scale`` times, a flight time ``unit`` times as large."""
+    for i, zone in enumerate(zones):
+        g, a, b = zone.T
+        ax.fill_between(g * scale, a * unit, b * unit, color=ZONE, lw=0, zorder=0, label=label if i == 0 else None)
