@@ -65,7 +65,7 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
     return Chain(opening, last.impact, q, qd, False, 0)
 
 
-@inlined
+@compiled
 def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Floats) -> int:
     """Write the prediction of an event from the landing before; return the weak impacts passed."""
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
