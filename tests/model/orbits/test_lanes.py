@@ -9,7 +9,7 @@ import pytest
 
 from kernels.lanes import WIDTH
 from model.flight import first_landing
-from model.flight.edge_table import TABLE, fill_tables
+from model.flight.edge_table import FOUND, TABLE, fill_tables
 from model.flight.friction import edge_tables, land_with_friction, rebound_or_rest
 from model.flight.records import FrictionRestitution
 from model.orbits import friction_lanes, ideal_lanes
@@ -23,11 +23,11 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     """`FLIGHTS` flights of an orbit in each lane: ``flights`` and ``marks``, the gammas lifted and their numbers."""
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     size = turning.size + 2
-    both, found = np.zeros(2 * WIDTH * TABLE * size), np.zeros(4 * size * WIDTH)
+    both, found = np.zeros(2 * WIDTH * TABLE * size), np.zeros(FOUND * size * WIDTH)
     n_up, n_down = np.zeros((2, WIDTH), dtype=np.int64)
     fill_tables(tones, turning, gammas / (1 + law.mu_up), both[: both.size // 2], n_up, found)
     fill_tables(tones, turning, gammas / (1 - law.mu_down), both[both.size // 2 :], n_down, found)
-    work = np.zeros((at.NUMBERS + 2 * size, WIDTH))
+    work = np.zeros((at.NUMBERS + at.branch_rows(size), WIDTH))
     whole = np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
     flights, marks = np.zeros((3, WIDTH, FLIGHTS)), np.zeros((2, WIDTH, FLIGHTS), dtype=np.int64)
     rows = np.arange(WIDTH)
@@ -38,7 +38,7 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     work[at.LAST_PHI] = both[rows * TABLE * size]
     whole[at.LIMIT], whole[at.STATUS] = FLIGHTS, at.IDLE
     for lane in np.flatnonzero(n_up):
-        at.copy_edges(both, work, lane)
+        at.keep_branches(both, work, lane)
         kernel.leave(tones, both, False, work, whole, flights, marks, lane)
     while np.any(whole[at.STATUS] == at.FLIES):
         kernel.advance(tones, float(tones[:, 1].sum()), both, False, work, whole, flights, marks)
