@@ -22,7 +22,7 @@ from kernels.lanes import floor, load, root, select, spread
 from kernels.lanes import WIDTH
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Floats, Number, inlined
-from model.flight.plate_lanes import root_in_branch, start_of_root
+from model.flight.plate_lanes import root_in_branch, standstill_in_branch, start_of_root
 from model.flight.records import Segment
 from model.flight.segment import SHORT, height
 
@@ -30,19 +30,23 @@ PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
 PLAIN_SPEED = 0.05  # impacts of falls shorter than `SHORT` and slower than this are left to its series
 PLAIN_TIME = 0.01  # segments shorter than this are left to the series of `model.flight.segment`
 TURN = 1.0 / TWO_PI
-BRANCH_ROWS = 6
+BRANCH_ROWS = 7
 EDGE_ROWS = 3  # phase, s and s' of an edge
 
 
 class Branch(NamedTuple):
-    """A branch of ``h'``: the edges that bound it, ``F`` there, and ``F''``."""
+    """A branch of ``h'``: the edges that bound it, ``F`` there, and the shape of ``F`` between."""
 
     lo: Number
     hi: Number
     seen_lo: Number
     seen_hi: Number
+    per_gain: Number
+    """1 over the difference of the last two."""
     bend_lo: Number
+    """``F'' w^2 / 2`` at the lower edge, w the width of the branch, in units of that difference."""
     bend_hi: Number
+    """The same at the upper edge, with the other sign."""
 
 
 @inlined
@@ -51,7 +55,7 @@ def _branch(flat: Floats, row: int) -> Branch:
     at = row * WIDTH
     return Branch(
         load(flat, at), load(flat, at + WIDTH), load(flat, at + 2 * WIDTH), load(flat, at + 3 * WIDTH),
-        load(flat, at + 4 * WIDTH), load(flat, at + 5 * WIDTH),
+        load(flat, at + 4 * WIDTH), load(flat, at + 5 * WIDTH), load(flat, at + 6 * WIDTH),
     )  # fmt: skip
 
 
@@ -60,7 +64,8 @@ def _either(mask: Any, a: Branch, b: Branch) -> Branch:
     """``a`` where ``mask``, else ``b``."""
     return Branch(
         select(mask, a.lo, b.lo), select(mask, a.hi, b.hi), select(mask, a.seen_lo, b.seen_lo),
-        select(mask, a.seen_hi, b.seen_hi), select(mask, a.bend_lo, b.bend_lo), select(mask, a.bend_hi, b.bend_hi),
+        select(mask, a.seen_hi, b.seen_hi), select(mask, a.per_gain, b.per_gain), select(mask, a.bend_lo, b.bend_lo),
+        select(mask, a.bend_hi, b.bend_hi),
     )  # fmt: skip
 
 
@@ -101,10 +106,8 @@ def _end_of_fall(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number
 @inlined
 def _start_of_standstill(branch: Branch, m: Number) -> Number:
     """Near where ``F = m`` in a branch: by the polynomial through ``F``, ``F' = 0`` and ``F''`` at both its ends."""
-    lo, hi, seen_lo, seen_hi, bend_lo, bend_hi = branch
-    w, gain = hi - lo, 1.0 / (seen_hi - seen_lo)
-    y, half = (m - seen_lo) * gain, 0.5 * w * w * gain
-    a2, b2 = half * bend_lo, -half * bend_hi
+    a2, b2 = branch.bend_lo, branch.bend_hi
+    w, y = branch.hi - branch.lo, (m - branch.seen_lo) * branch.per_gain
     a3, a4, a5 = 10.0 - 3.0 * a2 - b2, -15.0 + 3.0 * a2 + 2.0 * b2, 6.0 - a2 - b2
     # from the nearer end on, d away: y = c2 d^2 + c3 d^3, nearly
     low = y < 0.5
@@ -118,7 +121,7 @@ def _start_of_standstill(branch: Branch, m: Number) -> Number:
     f1 = u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * (5.0 * a5))))
     f2 = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * (20.0 * a5)))
     new = u - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
-    return lo + w * select((new > 0.0) & (new < 1.0), new, u)
+    return branch.lo + w * select((new > 0.0) & (new < 1.0), new, u)
 
 
 @inlined
@@ -130,7 +133,7 @@ def _standstill(
     x = _start_of_standstill(branch, m - level * turns)
     take_off = (phi0 - turns, s0, slope0, v0, h0, level)
     bracket = (branch.lo, branch.hi)
-    x, h, v, s, slope, q, away = root_in_branch(tones, gamma, take_off, bracket, x, wanted | ~wanted, wanted)
+    x, h, v, s, slope, q, away = standstill_in_branch(tones, gamma, take_off, bracket, x, wanted)
     return x - phi0 + turns, x, h, v, (s, slope, q), ~away
 
 

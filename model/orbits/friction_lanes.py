@@ -180,14 +180,12 @@ def _turn(flat: Floats, stands: Any, at: Any, motion_after: Any) -> None:
 
 
 @compiled
-def _rise(tones: Floats, work: Floats) -> bool:
+def _rise(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     """The ends of all rises; whether some lane is not plain, or hangs."""
-    flat = work.reshape(-1)
-    windows, row, _, _ = places_of_branches(work)
     gamma = numbers(flat, GAMMA)
     rises = numbers(flat, MOTION) == RISES
     segment = _segment(flat, gamma, 1.0 + numbers(flat, MU_UP))
-    tau, x, h, v, plate, plain = rise_in_lanes(tones, flat, (row, windows), gamma, segment, rises)
+    tau, x, h, v, plate, plain = rise_in_lanes(tones, flat, rows, gamma, segment, rises)
     stands = rises & plain
     falls = gamma * plate[2] < 1.0 - numbers(flat, MU_DOWN) - PLAIN_PULL
     _turn(flat, stands, (tau, x, h, v, plate), select(falls, spread(FALLS), HANGS))
@@ -197,14 +195,12 @@ def _rise(tones: Floats, work: Floats) -> bool:
 
 
 @compiled
-def _fall(tones: Floats, work: Floats) -> bool:
+def _fall(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     """The ends of all falls, or that they land; whether some lane is not plain, or hangs."""
-    flat = work.reshape(-1)
-    windows, _, row, _ = places_of_branches(work)
     gamma = numbers(flat, GAMMA)
     falls = numbers(flat, MOTION) == FALLS
     segment = _segment(flat, gamma, 1.0 - numbers(flat, MU_DOWN))
-    tau, x, h, v, plate, lands, plain = fall_in_lanes(tones, flat, (row, windows), gamma, segment, falls)
+    tau, x, h, v, plate, lands, plain = fall_in_lanes(tones, flat, rows, gamma, segment, falls)
     stands = falls & plain & ~lands
     rises = gamma * plate[2] > 1.0 + numbers(flat, MU_UP) + PLAIN_PULL
     _turn(flat, stands, (tau, x, h, v, plate), select(rises, spread(RISES), HANGS))
@@ -218,15 +214,13 @@ def _fall(tones: Floats, work: Floats) -> bool:
 
 
 @compiled
-def _locate(tones: Floats, work: Floats) -> None:
-    """The landings of all lanes that wait for theirs."""
-    flat = work.reshape(-1)
-    windows, _, _, row = places_of_branches(work)
+def _locate(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
+    """The landings of all lanes that wait for theirs; whether some lane is not plain."""
     gamma = numbers(flat, GAMMA)
     lands = numbers(flat, MOTION) == LANDS
     segment = _segment(flat, gamma, 1.0 - numbers(flat, MU_DOWN))
     stop = numbers(flat, TAU), numbers(flat, H), numbers(flat, Q_X)
-    tau, x, v, (s, slope, q), plain = land_in_lanes(tones, flat, (row, windows), gamma, segment, stop, lands)
+    tau, x, v, (s, slope, q), plain = land_in_lanes(tones, flat, rows, gamma, segment, stop, lands)
     _put(flat, TAU, lands, tau)
     _put(flat, X, lands, x)
     _put(flat, V, lands, v)
@@ -235,6 +229,7 @@ def _locate(tones: Floats, work: Floats) -> None:
     _put(flat, Q_X, lands, q)
     _put(flat, MOTION, lands, select(plain, spread(LANDED), FALLS))
     _put(flat, PLAIN, lands, select(plain, spread(1.0), 0.0))
+    return any_of(lands & ~plain)
 
 
 @compiled
@@ -256,19 +251,21 @@ def advance(
     marks: Integers,
 ) -> None:  # fmt: skip
     """Segments of all lanes until `ENOUGH` land, and what follows each landing."""
+    flat = work.reshape(-1)
+    windows, of_rises, of_falls, of_edges = places_of_branches(work)
     while True:
         flies = landing = 0
-        if _rise(tones, work):
+        if _rise(tones, flat, (of_rises, windows)):
             _one_by_one(tones, both, work, whole)
-        if _fall(tones, work):
+        if _fall(tones, flat, (of_falls, windows)):
             _one_by_one(tones, both, work, whole)
         for lane in range(WIDTH):
             flies += work[MOTION, lane] == RISES or work[MOTION, lane] == FALLS
             landing += work[MOTION, lane] >= LANDS
         if landing >= ENOUGH or flies == 0:
             break
-    _locate(tones, work)
-    _one_by_one(tones, both, work, whole)
+    if _locate(tones, flat, (of_edges, windows)):
+        _one_by_one(tones, both, work, whole)
     for lane in range(WIDTH):
         if work[MOTION, lane] == LANDED:
             work[LAST_PHI, lane], work[LAST_V, lane] = _land(

@@ -27,7 +27,7 @@ NUMBERS = 30
 # values of MOTION: a landing is first known to come, then located
 RESTS, RISES, FALLS, HANGS, LANDS, LANDED = (float(k) for k in range(6))
 # rows of a branch, from NUMBERS on: `model.flight.friction_lanes.Branch`
-LO, HI, SEEN_LO, SEEN_HI, BEND_LO, BEND_HI = range(BRANCH_ROWS)
+LO, HI, SEEN_LO, SEEN_HI, PER_GAIN, BEND_LO, BEND_HI = range(BRANCH_ROWS)
 # rows of ``whole``; from SEEN on the flight that left each threshold, then its turn
 ROW, COUNT, LIMIT, TURN, STATUS, FIRST, PERIODS, SEEN = range(8)
 FLIES, CLOSED, FULL, STUCK, IDLE = range(5)  # values of STATUS
@@ -60,11 +60,14 @@ def places_of_branches(work: Floats) -> tuple[int, int, int, int]:
 def _keep_branch(both: Floats, work: Floats, lane: int, row: int, ends: tuple[int, int, float], level: float) -> None:
     """Fill the rows of a branch, from the places of its ends in ``both`` and the turn between the first and it."""
     lo, hi, turn = ends
-    gamma = work[GAMMA, lane]
-    work[row + LO, lane], work[row + HI, lane] = both[lo] - turn, both[hi]
-    work[row + SEEN_LO, lane] = gamma * both[lo + 2] + level * (both[lo] - turn)
-    work[row + SEEN_HI, lane] = gamma * both[hi + 2] + level * both[hi]
-    work[row + BEND_LO, lane], work[row + BEND_HI, lane] = -gamma * both[lo + 3], -gamma * both[hi + 3]
+    gamma, start, stop = work[GAMMA, lane], both[lo] - turn, both[hi]
+    seen_lo, seen_hi = gamma * both[lo + 2] + level * start, gamma * both[hi + 2] + level * stop
+    per_gain = 1.0 / (seen_hi - seen_lo)
+    bend = 0.5 * (stop - start) ** 2 * gamma * per_gain
+    work[row + LO, lane], work[row + HI, lane] = start, stop
+    work[row + SEEN_LO, lane], work[row + SEEN_HI, lane] = seen_lo, seen_hi
+    work[row + PER_GAIN, lane] = per_gain
+    work[row + BEND_LO, lane], work[row + BEND_HI, lane] = -bend * both[lo + 3], bend * both[hi + 3]
 
 
 @compiled
