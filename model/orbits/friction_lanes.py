@@ -19,7 +19,7 @@ from model.flight.friction_lanes import fall_in_lanes, land_in_lanes, rise_in_la
 from model.flight.numerics import Floats, Number, compiled, inlined
 from model.flight.records import Segment
 from model.flight.segment import motion, segment_from, shape
-from model.flight.short_bounce import short_bounce
+from model.flight.short_bounce import short_bounce, surely_long
 from model.orbits.cycles import CHATTERS, Integers
 from model.orbits.lane_state import (
     AT_EDGE, COUNT, DOWN, DOWN_LAST, FALLS, FLIES, FULL, GAMMA, HANGS, LANDED, LANDS, LAST_PHI, LAST_V, LIMIT, MARKS,
@@ -82,9 +82,9 @@ def leave(
                     return
                 branch = 2 * window
         flights[PHASES, lane, k], marks[THRESHOLDS, lane, k] = phi0, window
-        short = False
-        if v > 0.0:
-            short, tau, speed = short_bounce(tones, work[GAMMA, lane], law_of_lane(work, lane), phi0, v)
+        short, gamma, law = False, work[GAMMA, lane], law_of_lane(work, lane)
+        if v > 0.0 and not (known and surely_long(tones, law, gamma * work[Q_X, lane], v)):
+            short, tau, speed = short_bounce(tones, gamma, law, phi0, v)
         if short:
             phi, v = _land(tones, both, work, whole, flights, marks, lane, tau, phi0 + tau, speed)
             known = False
