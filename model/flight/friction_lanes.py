@@ -181,14 +181,17 @@ def _branch_of_landing(flat: Floats, rows: Any, gamma: Number, segment: Segment,
     """
     row, windows = rows
     phi0, s0, slope0, _, v0, h0, level = segment
-    v = gamma * slope0 + v0
+    v, per_level = gamma * slope0 + v0, 1.0 / level
     first = _edge(flat, row)
     before, left, right = first, first, first
     end, turns = spread(math.inf), spread(0.0)
     for k in range(2 * windows):
         edge = _edge(flat, row + EDGE_ROWS * (k + 1))
+        # the first time to come at that phase; the ball is above the plate's height there between two times
+        once = edge[0] - phi0 - TWO_PI * floor((edge[0] - phi0) * TURN)
         square = v * v + 2.0 * level * (h0 + gamma * (s0 - edge[1]))
-        below_from = select(square > 0.0, (v + root(square)) / level, 0.0)
+        r = root(select(square > 0.0, square, 0.0))
+        below_from = select(once * level < v - r, 0.0, (v + r) * per_level)
         below_from = select(below_from > 0.0, select(below_from < latest, below_from, latest), 0.0)
         more = -TWO_PI * floor((edge[0] - phi0 - below_from) * TURN)
         sooner = edge[0] + more < end
