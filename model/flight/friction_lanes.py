@@ -18,8 +18,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from kernels.lanes import floor, load, root, select, spread
-from kernels.lanes import WIDTH
+from kernels.lanes import WIDTH, floor, load, root, select, spread
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Floats, Number, inlined
 from model.flight.plate_lanes import root_in_branch, standstill_in_branch, start_of_root
@@ -82,7 +81,11 @@ def _end_of_rise(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number
         enough = -floor((branch.seen_hi - m) * per_turn)
         more = TWO_PI * select(enough > after, enough, after)
         sooner = branch.hi + more < end
-        end, turns, found = select(sooner, branch.hi + more, end), select(sooner, more, turns), _either(sooner, branch, found)
+        end, turns, found = (
+            select(sooner, branch.hi + more, end),
+            select(sooner, more, turns),
+            _either(sooner, branch, found),
+        )
     return found, turns
 
 
@@ -99,7 +102,11 @@ def _end_of_fall(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number
         branch = _branch(flat, row + BRANCH_ROWS * w)
         more = TWO_PI * (floor((phi0 - branch.hi) * TURN) + 1.0)
         sooner = (branch.seen_hi + level * more <= m) & (branch.hi + more < end)
-        end, turns, found = select(sooner, branch.hi + more, end), select(sooner, more, turns), _either(sooner, branch, found)
+        end, turns, found = (
+            select(sooner, branch.hi + more, end),
+            select(sooner, more, turns),
+            _either(sooner, branch, found),
+        )
     return found, turns, end < math.inf
 
 
@@ -196,7 +203,11 @@ def _branch_of_landing(flat: Floats, rows: Any, gamma: Number, segment: Segment,
         more = -TWO_PI * floor((edge[0] - phi0 - below_from) * TURN)
         sooner = edge[0] + more < end
         end, turns = select(sooner, edge[0] + more, end), select(sooner, more, turns)
-        left = select(sooner, before[0], left[0]), select(sooner, before[1], left[1]), select(sooner, before[2], left[2])
+        left = (
+            select(sooner, before[0], left[0]),
+            select(sooner, before[1], left[1]),
+            select(sooner, before[2], left[2]),
+        )
         right = select(sooner, edge[0], right[0]), select(sooner, edge[1], right[1]), select(sooner, edge[2], right[2])
         before = edge
     return left, right, turns

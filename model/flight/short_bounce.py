@@ -70,7 +70,8 @@ def surely_long(tones: Floats, law: FrictionRestitution, pull: float, v0: float)
     """
     a, d = 1.0 + law.mu_up - pull, 1.0 - law.mu_down - pull
     longest = 1.5 * v0 * (1.0 / a + 1.0 / math.sqrt(a * d)) if d > 0.0 else math.inf
-    return tones[tones.shape[0] - 1, 0] * longest > 1.001 * REACH
+    reached: float = tones[tones.shape[0] - 1, 0] * longest
+    return reached > 1.001 * REACH
 
 
 @compiled

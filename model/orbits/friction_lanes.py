@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kernels.lanes import WIDTH, any_of, select, spread, store
+from kernels.lanes import WIDTH, any_of, count, select, spread, store
 from model.flight.branch_walk import branch_at, fold_onto
 from model.flight.branches import TWO_PI, fold
 from model.flight.edge_table import TABLE
@@ -22,13 +22,58 @@ from model.flight.segment import motion, segment_from, shape
 from model.flight.short_bounce import short_bounce, surely_long
 from model.orbits.cycles import CHATTERS, Integers
 from model.orbits.lane_state import (
-    AT_EDGE, COUNT, DOWN, DOWN_LAST, FALLS, FLIES, FULL, GAMMA, HANGS, LANDED, LANDS, LAST_PHI, LAST_V, LIMIT, MARKS,
-    MOTION, MU_DOWN, MU_UP, PHASES, PHI, PLAIN, Q_X, RESTS, RISES, S_X, SEGMENTS, SLOPE, SLOPE_X, SPEEDS, STATUS,
-    STUCK, TAU, TAUS, THRESHOLDS, TOTAL, TURN, UP, UP_LAST, V0, H0, H, Q, S, V, X, law_of_lane, numbers,
-    places_of_branches, reset_at,
+    AT_EDGE,
+    COUNT,
+    DOWN,
+    DOWN_LAST,
+    FALLS,
+    FLIES,
+    FULL,
+    GAMMA,
+    H0,
+    HANGS,
+    LANDED,
+    LANDS,
+    LAST_PHI,
+    LAST_V,
+    LIMIT,
+    MARKS,
+    MOTION,
+    MU_DOWN,
+    MU_UP,
+    PHASES,
+    PHI,
+    PLAIN,
+    Q_X,
+    RESTS,
+    RISES,
+    S_X,
+    SEGMENTS,
+    SLOPE,
+    SLOPE_X,
+    SPEEDS,
+    STATUS,
+    STUCK,
+    TAU,
+    TAUS,
+    THRESHOLDS,
+    TOTAL,
+    TURN,
+    UP,
+    UP_LAST,
+    V0,
+    H,
+    Q,
+    S,
+    V,
+    X,
+    law_of_lane,
+    numbers,
+    places_of_branches,
+    reset_at,
 )
 
-ENOUGH = 6  # lanes that land, for their landings to be located together
+ENOUGH = 8  # lanes that land, for their landings to be located together
 PLAIN_PULL = 1e-9  # pulls nearer to an edge's than this are decided by the table
 
 
@@ -191,7 +236,8 @@ def _rise(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     _turn(flat, stands, (tau, x, h, v, plate), select(falls, spread(FALLS), HANGS))
     _put(flat, SEGMENTS, rises, numbers(flat, SEGMENTS) + 1.0)
     _put(flat, PLAIN, plain | ~plain, select(rises & ~plain, spread(0.0), 1.0))
-    return any_of(rises & ~(plain & falls))
+    left: bool = any_of(rises & ~(plain & falls))
+    return left
 
 
 @compiled
@@ -210,7 +256,8 @@ def _fall(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     _put(flat, Q_X, falls, plate[2])
     _put(flat, SEGMENTS, falls, numbers(flat, SEGMENTS) + 1.0)
     _put(flat, PLAIN, plain | ~plain, select(falls & ~plain, spread(0.0), 1.0))
-    return any_of(falls & ~(lands | (plain & rises)))
+    left: bool = any_of(falls & ~(lands | (plain & rises)))
+    return left
 
 
 @compiled
@@ -229,7 +276,8 @@ def _locate(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     _put(flat, Q_X, lands, q)
     _put(flat, MOTION, lands, select(plain, spread(LANDED), FALLS))
     _put(flat, PLAIN, lands, select(plain, spread(1.0), 0.0))
-    return any_of(lands & ~plain)
+    left: bool = any_of(lands & ~plain)
+    return left
 
 
 @compiled
@@ -254,15 +302,12 @@ def advance(
     flat = work.reshape(-1)
     windows, of_rises, of_falls, of_edges = places_of_branches(work)
     while True:
-        flies = landing = 0
         if _rise(tones, flat, (of_rises, windows)):
             _one_by_one(tones, both, work, whole)
         if _fall(tones, flat, (of_falls, windows)):
             _one_by_one(tones, both, work, whole)
-        for lane in range(WIDTH):
-            flies += work[MOTION, lane] == RISES or work[MOTION, lane] == FALLS
-            landing += work[MOTION, lane] >= LANDS
-        if landing >= ENOUGH or flies == 0:
+        state = numbers(flat, MOTION)
+        if count(state >= LANDS) >= ENOUGH or not any_of((state == RISES) | (state == FALLS)):
             break
     if _locate(tones, flat, (of_edges, windows)):
         _one_by_one(tones, both, work, whole)

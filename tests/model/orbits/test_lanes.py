@@ -49,30 +49,50 @@ FORCINGS = (*(Forcing.superposition(c) for c in (1, 2, 3)), Forcing((1.0, 2.0, 5
 
 
 @pytest.mark.parametrize("forcing", FORCINGS, ids=["c = 1", "c = 2", "c = 3", "three tones with phases"])
-@pytest.mark.parametrize(("mu", "e"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.2, 0.514), (0.0, 0.8)])
+@pytest.mark.parametrize(
+    ("mu", "e"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.2, 0.514), (0.0, 0.8), (0.9, 0.0), (0.7, 0.6)]
+)
 def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(forcing, mu, e):
     """Time, impact speed and the next take-off agree with one flight at a time, wherever the impact is not a graze."""
     law = FrictionRestitution(mu, mu, e, 0.0)
     kernel = ideal_lanes if mu == e == 0.0 else friction_lanes
     for low, high in ((0.2, 1.5), (1.5, 6.0)):
-        gammas = np.linspace(low, high, WIDTH)
-        flights, marks, lifted = _flown(kernel, forcing, gammas, law)
-        assert lifted.any()
-        for lane in np.flatnonzero(lifted):
-            tables = edge_tables(forcing.tones, first_landing.turning_points(forcing), gammas[lane], law)
-            v = 0.0
-            for k in range(FLIGHTS):
-                phi0, reset = flights[at.PHASES, lane, k], marks[at.THRESHOLDS, lane, k] >= 0
-                tau, phi, speed, flag = land_with_friction(
-                    forcing.tones, gammas[lane], tables, law, phi0, v, bool(reset)
-                )
-                if flag or speed < 1e-4:
-                    v = rebound_or_rest(forcing.tones, gammas[lane], law, phi, flights[at.SPEEDS, lane, k])[0]
-                    continue
-                assert flights[at.TAUS, lane, k] == pytest.approx(tau, abs=1e-11 / min(speed, 1.0))
-                assert flights[at.SPEEDS, lane, k] == pytest.approx(speed, abs=1e-10 / min(speed, 1.0))
-                landing = phi0 + flights[at.TAUS, lane, k]
-                v = rebound_or_rest(forcing.tones, gammas[lane], law, landing, flights[at.SPEEDS, lane, k])[0]
-                if k + 1 < FLIGHTS and v > 0.0:
-                    off = flights[at.PHASES, lane, k + 1] - phi0 - flights[at.TAUS, lane, k]
-                    assert abs(math.remainder(off, 2 * math.pi)) < 1e-11
+        assert _checked(kernel, forcing, np.linspace(low, high, WIDTH), law) > 0
+
+
+@pytest.mark.slow
+def test_flights_in_lanes_of_any_law_and_plate_are_those_of_the_kernel_of_one_flight():
+    """So do 10^5 flights with friction, restitution, tones, their phases and gammas drawn at random."""
+    random, flown = np.random.default_rng(4), 0
+    while flown < 100_000:
+        k = random.integers(1, 5)
+        harmonic = tuple(float(n) for n in random.choice(np.arange(1, 9), k, replace=False))
+        forcing = Forcing(harmonic, tuple(random.uniform(0.1, 1.0, k)), tuple(random.uniform(-3.0, 3.0, k)))
+        up, down, e0 = random.uniform(0.0, 0.95, 3)
+        law = FrictionRestitution(up, down, e0, random.choice([0.0, 0.1]))
+        least = 1.0 / sum(n * n * b for n, b in zip(forcing.harmonic, forcing.amplitude, strict=True))
+        flown += _checked(friction_lanes, forcing, least * np.geomspace(1.0, 30.0, WIDTH), law)
+
+
+def _checked(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution) -> int:
+    """Flights of which each was compared with the kernel of one flight."""
+    compared = 0
+    flights, marks, lifted = _flown(kernel, forcing, gammas, law)
+    for lane in np.flatnonzero(lifted):
+        tables = edge_tables(forcing.tones, first_landing.turning_points(forcing), gammas[lane], law)
+        v = 0.0
+        for k in range(FLIGHTS):
+            phi0, reset = flights[at.PHASES, lane, k], marks[at.THRESHOLDS, lane, k] >= 0
+            tau, phi, speed, flag = land_with_friction(forcing.tones, gammas[lane], tables, law, phi0, v, bool(reset))
+            if flag or speed < 1e-4:
+                v = rebound_or_rest(forcing.tones, gammas[lane], law, phi, flights[at.SPEEDS, lane, k])[0]
+                continue
+            compared += 1
+            assert flights[at.TAUS, lane, k] == pytest.approx(tau, abs=1e-11 / min(speed, 1.0))
+            assert flights[at.SPEEDS, lane, k] == pytest.approx(speed, abs=1e-10 / min(speed, 1.0))
+            landing = phi0 + flights[at.TAUS, lane, k]
+            v = rebound_or_rest(forcing.tones, gammas[lane], law, landing, flights[at.SPEEDS, lane, k])[0]
+            if k + 1 < FLIGHTS and v > 0.0:
+                off = flights[at.PHASES, lane, k + 1] - phi0 - flights[at.TAUS, lane, k]
+                assert abs(math.remainder(off, 2 * math.pi)) < 1e-11
+    return compared
