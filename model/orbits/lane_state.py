@@ -1,8 +1,8 @@
 """The state of orbits flown side by side, one a lane: named rows of arrays, and how an orbit is begun.
 
 An orbit's parameters and motion are numbers (``work``; after them, with friction, the branches of its rises and falls
-and the edges of its falls), its bookkeeping whole numbers (``whole``); its flights are kept in ``flights`` and ``marks``
-(a row, a lane, a flight).
+and the edges of its falls), its bookkeeping whole numbers (``whole``); its flights are kept in ``flights`` and
+``marks`` (a row, a lane, a flight).
 """
 
 from __future__ import annotations
