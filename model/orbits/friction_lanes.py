@@ -235,14 +235,14 @@ def _rise(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     falls = gamma * plate[2] < 1.0 - numbers(flat, MU_DOWN) - PLAIN_PULL
     _turn(flat, stands, (tau, x, h, v, plate), select(falls, spread(FALLS), HANGS))
     _put(flat, SEGMENTS, rises, numbers(flat, SEGMENTS) + 1.0)
-    _put(flat, PLAIN, plain | ~plain, select(rises & ~plain, spread(0.0), 1.0))
+    store(flat, PLAIN * WIDTH, select(rises & ~plain, spread(0.0), 1.0))
     left: bool = any_of(rises & ~(plain & falls))
     return left
 
 
 @compiled
 def _fall(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
-    """The ends of all falls, or that they land; whether some lane is not plain, or hangs."""
+    """The ends of all falls, or that they land; whether some lane is not plain, hangs, or has moved for too long."""
     gamma = numbers(flat, GAMMA)
     falls = numbers(flat, MOTION) == FALLS
     segment = _segment(flat, gamma, 1.0 - numbers(flat, MU_DOWN))
@@ -254,9 +254,10 @@ def _fall(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
     store(flat, TAU * WIDTH, select(falls, tau, numbers(flat, TAU)))
     _put(flat, H, falls, h)
     _put(flat, Q_X, falls, plate[2])
-    _put(flat, SEGMENTS, falls, numbers(flat, SEGMENTS) + 1.0)
-    _put(flat, PLAIN, plain | ~plain, select(falls & ~plain, spread(0.0), 1.0))
-    left: bool = any_of(falls & ~(lands | (plain & rises)))
+    segments = numbers(flat, SEGMENTS) + 1.0
+    _put(flat, SEGMENTS, falls, segments)
+    store(flat, PLAIN * WIDTH, select(falls & ~plain, spread(0.0), 1.0))
+    left: bool = any_of(falls & ~lands & (~(plain & rises) | (segments >= MOST_SEGMENTS)))
     return left
 
 
@@ -282,14 +283,15 @@ def _locate(tones: Floats, flat: Floats, rows: tuple[int, int]) -> bool:
 
 @compiled
 def _one_by_one(tones: Floats, both: Floats, work: Floats, whole: Integers) -> None:
-    """What is not plain or hangs."""
+    """What is not plain, or hangs, or has moved for too long."""
     for lane in range(WIDTH):
         if work[PLAIN, lane] == 0.0:
             work[PLAIN, lane] = 1.0
             _alone(tones, both, work, lane)
         if work[MOTION, lane] == HANGS:
             _hang(tones, both, work, lane)
-        if work[SEGMENTS, lane] >= MOST_SEGMENTS and work[MOTION, lane] != RESTS:
+        moves = work[MOTION, lane] == RISES or work[MOTION, lane] == FALLS
+        if moves and work[SEGMENTS, lane] >= MOST_SEGMENTS:
             whole[STATUS, lane], work[MOTION, lane] = STUCK, RESTS
 
 
