@@ -10,7 +10,7 @@ import pytest
 from kernels.lanes import WIDTH
 from model.flight import first_landing
 from model.flight.edge_table import FOUND, TABLE, fill_tables
-from model.flight.friction import edge_tables, land_with_friction, rebound_or_rest
+from model.flight.friction import MOST_SEGMENTS, edge_tables, land_with_friction, rebound_or_rest
 from model.flight.records import FrictionRestitution
 from model.orbits import friction_lanes, ideal_lanes
 from model.orbits import lane_state as at
@@ -19,8 +19,8 @@ from model.tones import Forcing
 FLIGHTS = 60
 
 
-def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
-    """`FLIGHTS` flights of an orbit in each lane: ``flights`` and ``marks``, the gammas lifted and their numbers."""
+def _begun(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
+    """An orbit begun in each lane that is lifted: ``both``, ``work``, ``whole``, ``flights`` and ``marks``."""
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     size = turning.size + 2
     both, found = np.zeros(2 * WIDTH * TABLE * size), np.zeros(FOUND * size * WIDTH)
@@ -40,9 +40,15 @@ def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitutio
     for lane in np.flatnonzero(n_up):
         at.keep_branches(both, work, lane)
         kernel.leave(tones, both, False, work, whole, flights, marks, lane)
+    return both, work, whole, flights, marks
+
+
+def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
+    """`FLIGHTS` flights of an orbit in each lane: ``flights`` and ``marks``, and which lanes are lifted."""
+    both, work, whole, flights, marks = _begun(kernel, forcing, gammas, law)
     while np.any(whole[at.STATUS] == at.FLIES):
-        kernel.advance(tones, float(tones[:, 1].sum()), both, False, work, whole, flights, marks)
-    return flights, marks, n_up > 0
+        kernel.advance(forcing.tones, float(forcing.tones[:, 1].sum()), both, False, work, whole, flights, marks)
+    return flights, marks, work[at.UP_LAST] > 0.0
 
 
 FORCINGS = (*(Forcing.superposition(c) for c in (1, 2, 3)), Forcing((1.0, 2.0, 5.0), (0.8, 0.5, 0.1), (0.3, -1.0, 2.0)))
@@ -58,6 +64,21 @@ def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(forcing, m
     kernel = ideal_lanes if mu == e == 0.0 else friction_lanes
     for low, high in ((0.2, 1.5), (1.5, 6.0)):
         assert _checked(kernel, forcing, np.linspace(low, high, WIDTH), law) > 0
+
+
+def test_a_flight_of_too_many_segments_ends_as_one_that_stays_on_the_rod():
+    """Where a flight's last segment but two is under way, its lane is given up; one that lands before is flown on."""
+    forcing = Forcing.superposition(3)
+    both, work, whole, flights, marks = _begun(
+        friction_lanes, forcing, np.linspace(0.5, 6.0, WIDTH), FrictionRestitution(0.3, 0.3, 0.0, 0.0)
+    )
+    work[at.SEGMENTS, ::2] = MOST_SEGMENTS - 2
+    friction_lanes.advance(forcing.tones, 2.0, both, False, work, whole, flights, marks)
+    stuck = whole[at.STATUS] == at.STUCK
+    assert stuck.any()
+    assert not stuck[1::2].any()
+    assert np.all(work[at.MOTION, stuck] == at.RESTS)
+    assert np.all(stuck[::2] | (flights[at.TAUS, ::2, 0] > 0.0))
 
 
 @pytest.mark.slow
