@@ -16,6 +16,7 @@ WIDTH = 16
 """Two registers of 512 bits, four of 256: one alone would wait for the latency of each operation."""
 
 any_of: Any = Intrinsic("lanes", "any_of")
+count: Any = Intrinsic("lanes", "count")
 floor: Any = Intrinsic("lanes", "floor")
 gather: Any = Intrinsic("lanes", "gather")
 load: Any = Intrinsic("lanes", "load")

@@ -200,6 +200,20 @@ def any_of(typing_context: Any, mask: Any) -> Any:
     return types.boolean(mask), emit
 
 
+@intrinsic
+def count(typing_context: Any, mask: Any) -> Any:
+    """How many lanes are true."""
+    if not isinstance(mask, Mask):
+        return None
+    bits = ir.IntType(WIDTH)
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        ones = builder.ctpop(builder.bitcast(args[0], bits))
+        return builder.zext(ones, ir.IntType(64))
+
+    return types.int64(mask), emit
+
+
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [index])

@@ -1,4 +1,4 @@
-"""Tables of the window edges of many gammas at once, with the plate's s and s' there.
+"""Tables of the window edges of many gammas at once, with the plate's s, s' and q' there.
 
 As `model.flight.branches.fill_edges`, a gamma a lane (`kernels.lanes`): what does not depend on gamma, the turning
 points and the forcing there, is computed once for all.
@@ -15,9 +15,10 @@ from kernels.lanes import WIDTH, any_of, load, root, select, size, spread, store
 from kernels.rows import ROW
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Floats, compiled, inlined, sincos
-from model.flight.segment import shape
+from model.flight.plate_lanes import plate
 
-TABLE = ROW  # numbers a table holds of an edge: its phase, s and s' there, and one to make a row of `kernels.rows`
+TABLE = ROW  # numbers a table holds of an edge: its phase, and s, s' and q' there
+FOUND = 5  # rows of lanes that a crossing needs while tables are made
 NEWTON = 80
 CONVERGED = 1e-8  # a last step of Newton smaller than this leaves an error of its square
 
@@ -85,13 +86,14 @@ def fill_tables(tones: Floats, turning: Floats, gammas: Floats, table: Floats, w
                 part = (1.0 / gamma - q_turning[i]) / (q_turning[nxt] - q_turning[i])
                 guess = lo + (hi - lo) * _part_of_half_turn(1.0 - 2.0 * part)  # exact for one sine
                 x = crossing_lanes(tones, gamma, lo, hi, guess, below_lo, crosses)
-                s, slope, _ = shape(tones, x)
-                store(found, (4 * i) * WIDTH, select(crosses, x, math.nan))
-                store(found, (4 * i + 1) * WIDTH, s)
-                store(found, (4 * i + 2) * WIDTH, slope)
-                store(found, (4 * i + 3) * WIDTH, below_lo)
+                s, slope, _, jerk, _ = plate(tones, x)
+                store(found, (FOUND * i) * WIDTH, select(crosses, x, math.nan))
+                store(found, (FOUND * i + 1) * WIDTH, s)
+                store(found, (FOUND * i + 2) * WIDTH, slope)
+                store(found, (FOUND * i + 3) * WIDTH, jerk)
+                store(found, (FOUND * i + 4) * WIDTH, below_lo)
             else:
-                store(found, (4 * i) * WIDTH, spread(math.nan))
+                store(found, (FOUND * i) * WIDTH, spread(math.nan))
         for lane in range(WIDTH):
             base = (start + lane) * stride
             windows[start + lane] = _arrange(found, lane, m, table, base)
@@ -103,27 +105,28 @@ def _arrange(found: Floats, lane: int, m: int, table: Floats, base: int) -> int:
     count = 0
     shift = False
     for i in range(m):
-        x = found[4 * i * WIDTH + lane]
+        x = found[FOUND * i * WIDTH + lane]
         if x == x:
-            if count == 0 and found[(4 * i + 3) * WIDTH + lane] == 0.0:
+            if count == 0 and found[(FOUND * i + TABLE) * WIDTH + lane] == 0.0:
                 shift = True
-            table[base + TABLE * count] = x
-            table[base + TABLE * count + 1] = found[(4 * i + 1) * WIDTH + lane]
-            table[base + TABLE * count + 2] = found[(4 * i + 2) * WIDTH + lane]
+            for k in range(TABLE):
+                table[base + TABLE * count + k] = found[(FOUND * i + k) * WIDTH + lane]
             count += 1
     if count % 2 == 1:
         count -= 1
     if count == 0:
         return 0
+    end = base + TABLE * count
     if shift:
-        e, s, d = table[base], table[base + 1], table[base + 2]
-        for k in range(TABLE * (count - 1)):
+        for k in range(TABLE):
+            table[end + k] = table[base + k]  # there is room for one edge more
+        for k in range(TABLE * count):
             table[base + k] = table[base + k + TABLE]
-        k = base + TABLE * (count - 1)
-        table[k], table[k + 1], table[k + 2] = e + TWO_PI, s, d
+        table[end - TABLE] += TWO_PI
     while table[base] >= TWO_PI:
         for k in range(count):
             table[base + TABLE * k] -= TWO_PI
-    k = base + TABLE * count
-    table[k], table[k + 1], table[k + 2] = table[base] + TWO_PI, table[base + 1], table[base + 2]
+    for k in range(TABLE):
+        table[end + k] = table[base + k]
+    table[end] += TWO_PI
     return count // 2

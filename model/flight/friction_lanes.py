@@ -1,132 +1,252 @@
-"""Segments of flights with friction side by side: the end of a rise or a fall in each of `kernels.lanes.WIDTH` lanes.
+"""Segments of flights with friction side by side, an orbit in each of `kernels.lanes.WIDTH` lanes.
 
-The events are proven as in `model.flight.friction`: every lane walks the branches of its segment by tabulated edges to
-the first that holds the end of the segment, a standstill or a landing, and a few Halley steps give all ends together. A
-lane whose proof or convergence is not plain is left to `rise` and `fall`.
+While the ball moves under the pull ``level``, its speed relative to the plate is ``h' = m - F(phi)`` with
+
+    F(phi) = gamma s'(phi) + level phi,
+
+the plate's speed as the freely moving ball sees it, and ``m`` steady: where the ball stands still depends on no height.
+``F`` is monotone between the edges of the tables, so a rise ends in the first concave branch at whose end ``F`` has
+come up to ``m``, a fall stands still in the first convex one at whose end it has gone down to ``m``; a turn adds
+``2 pi level`` to ``F``, so either is a comparison with the edges of one period. Until it stands still a ball falls
+ever lower: it has landed before if and only if the height there is not positive, and then in the first branch that ends
+below the plate. Nothing is walked, and every lane does the same. A few steps of Householder's method give the root; a
+lane whose proof or convergence is not plain is left to `model.flight.friction`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
-from kernels.lanes import any_of, floor, select
-from kernels.rows import gather_rows
-from model.flight.branch_walk import branch_after, odd, step_on
+from kernels.lanes import WIDTH, floor, load, root, select, spread
 from model.flight.branches import TWO_PI
-from model.flight.edge_table import TABLE
 from model.flight.numerics import Floats, Number, inlined
-from model.flight.plate_lanes import root_in_branch, start_of_root
+from model.flight.plate_lanes import root_in_branch, standstill_in_branch, start_of_root
 from model.flight.records import Segment
-from model.flight.segment import SHORT, clear_times, height
+from model.flight.segment import SHORT, height
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
 PLAIN_SPEED = 0.05  # impacts of falls shorter than `SHORT` and slower than this are left to its series
 PLAIN_TIME = 0.01  # segments shorter than this are left to the series of `model.flight.segment`
+TURN = 1.0 / TWO_PI
+BRANCH_ROWS = 7
+EDGE_ROWS = 3  # phase, s and s' of an edge
+
+
+class Branch(NamedTuple):
+    """A branch of ``h'``: the edges that bound it, ``F`` there, and the shape of ``F`` between."""
+
+    lo: Number
+    hi: Number
+    seen_lo: Number
+    seen_hi: Number
+    per_gain: Number
+    """1 over the difference of the last two."""
+    bend_lo: Number
+    """``F'' w^2 / 2`` at the lower edge, w the width of the branch, in units of that difference."""
+    bend_hi: Number
+    """The same at the upper edge, with the other sign."""
 
 
 @inlined
-def _clear(bounds: Any, gamma: Number, segment: Segment, rising: Any) -> Any:
-    """Times between which a fall neither ends nor can end, less a turn; whole turns that a rise surely lasts."""
-    highest, fastest = bounds
-    _, s0, slope0, _, v0, h0, level = segment
-    v = gamma * slope0 + v0
-    clear_from, clear_to = clear_times(highest, gamma, s0, h0, v, level)
-    falling = (v + gamma * fastest) / level
-    sure = (v - gamma * fastest) / level
-    turns = select(rising & (sure > 0.0), TWO_PI * floor(sure * (1.0 / TWO_PI)), 0.0)
-    return (select(clear_from > falling, clear_from, falling), select(rising, -1.0, clear_to - TWO_PI)), turns
+def _branch(flat: Floats, row: int) -> Branch:
+    """The branch in the rows from ``row`` on."""
+    at = row * WIDTH
+    return Branch(
+        load(flat, at), load(flat, at + WIDTH), load(flat, at + 2 * WIDTH), load(flat, at + 3 * WIDTH),
+        load(flat, at + 4 * WIDTH), load(flat, at + 5 * WIDTH), load(flat, at + 6 * WIDTH),
+    )  # fmt: skip
 
 
 @inlined
-def end_of_segment(
-    tones: Floats, bounds: Any, table: Floats, gamma: Number, place: Any, segment: Segment, rising: Any, flies: Any
+def _either(mask: Any, a: Branch, b: Branch) -> Branch:
+    """``a`` where ``mask``, else ``b``."""
+    return Branch(
+        select(mask, a.lo, b.lo), select(mask, a.hi, b.hi), select(mask, a.seen_lo, b.seen_lo),
+        select(mask, a.seen_hi, b.seen_hi), select(mask, a.per_gain, b.per_gain), select(mask, a.bend_lo, b.bend_lo),
+        select(mask, a.bend_hi, b.bend_hi),
+    )  # fmt: skip
+
+
+@inlined
+def _end_of_rise(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number) -> Any:
+    """The branch in which a rise ends, and the turns until then."""
+    row, windows = rows
+    per_turn = 1.0 / (TWO_PI * level)
+    found = _branch(flat, row)
+    end, turns = spread(math.inf), spread(0.0)
+    for w in range(windows):
+        branch = _branch(flat, row + BRANCH_ROWS * w)
+        after = floor((phi0 - branch.hi) * TURN) + 1.0  # the first such edge that is still to come
+        enough = -floor((branch.seen_hi - m) * per_turn)
+        more = TWO_PI * select(enough > after, enough, after)
+        sooner = branch.hi + more < end
+        end, turns, found = (
+            select(sooner, branch.hi + more, end),
+            select(sooner, more, turns),
+            _either(sooner, branch, found),
+        )
+    return found, turns
+
+
+@inlined
+def _end_of_fall(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number) -> Any:
+    """The branch in which a fall stands still, the turns until then, and whether there is one.
+
+    Each edge is looked at once: a turn later ``F`` is larger there.
+    """
+    row, windows = rows
+    found = _branch(flat, row)
+    end, turns = spread(math.inf), spread(0.0)
+    for w in range(windows):
+        branch = _branch(flat, row + BRANCH_ROWS * w)
+        more = TWO_PI * (floor((phi0 - branch.hi) * TURN) + 1.0)
+        sooner = (branch.seen_hi + level * more <= m) & (branch.hi + more < end)
+        end, turns, found = (
+            select(sooner, branch.hi + more, end),
+            select(sooner, more, turns),
+            _either(sooner, branch, found),
+        )
+    return found, turns, end < math.inf
+
+
+@inlined
+def _start_of_standstill(branch: Branch, m: Number) -> Number:
+    """Near where ``F = m`` in a branch: by the polynomial through ``F``, ``F' = 0`` and ``F''`` at both its ends."""
+    a2, b2 = branch.bend_lo, branch.bend_hi
+    w, y = branch.hi - branch.lo, (m - branch.seen_lo) * branch.per_gain
+    a3, a4, a5 = 10.0 - 3.0 * a2 - b2, -15.0 + 3.0 * a2 + 2.0 * b2, 6.0 - a2 - b2
+    # from the nearer end on, d away: y = c2 d^2 + c3 d^3, nearly
+    low = y < 0.5
+    c2 = 1.0 / select(low, a2, b2)
+    d = root(select(low, y, 1.0 - y) * c2)
+    bent = select(low, a3, a3 + 4.0 * a4 + 10.0 * a5) * c2 * d
+    d = d * (1.0 - bent * (0.5 - 0.625 * bent))
+    u = select(low, d, 1.0 - d)
+    u = select((u > 0.0) & (u < 1.0), u, y)
+    f = u * u * (a2 + u * (a3 + u * (a4 + u * a5))) - y
+    f1 = u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * (5.0 * a5))))
+    f2 = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * (20.0 * a5)))
+    new = u - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
+    return branch.lo + w * select((new > 0.0) & (new < 1.0), new, u)
+
+
+@inlined
+def _standstill(
+    tones: Floats, gamma: Number, segment: Segment, branch: Branch, turns: Number, m: Number, wanted: Any
 ) -> Any:
-    """Where a rise ends at a standstill, or a fall at one or on the plate.
+    """Where ``h' = 0`` in a branch of every ``wanted`` lane: ``(tau, phase, h, h', (s, s', q), converged)``."""
+    phi0, s0, slope0, _, v0, h0, level = segment
+    x = _start_of_standstill(branch, m - level * turns)
+    take_off = (phi0 - turns, s0, slope0, v0, h0, level)
+    bracket = (branch.lo, branch.hi)
+    x, h, v, s, slope, q, away = standstill_in_branch(tones, gamma, take_off, bracket, x, wanted)
+    return x - phi0 + turns, x, h, v, (s, slope, q), ~away
 
-    Parameters
-    ----------
-    bounds
-        Bounds of ``|s|`` and ``|s'|``.
-    place
-        Of each lane the place of its table in ``table``, the number of its edges and the branch in which it starts.
-    segment
-        Its start, s, s' and h'' there, and the pull.
-    rising, flies
-        Masks.
+
+@inlined
+def rise_in_lanes(tones: Floats, flat: Floats, rows: Any, gamma: Number, segment: Segment, wanted: Any) -> Any:
+    """The end of a rise in every ``wanted`` lane.
+
+    ``rows`` are the first row of ``flat`` that holds the branches of rises, and the number of branches.
 
     Returns
     -------
-    tau, phase, h, h', (s, s', q) at the phase, stops, plain
+    tau, phase, h, h', (s, s', q) at the phase, plain
     """
-    base, last, i = place
-    phi0, s0, slope0, a0, v0, h0, level = segment
-    v = gamma * slope0 + v0
-    clear, turns = _clear(bounds, gamma, segment, rising)
-    edge, h, h1, h2 = phi0, h0 + turns * (v - 0.5 * level * turns), v0 - level * turns, a0
-    searching, plain = flies, flies
-    left, right, total = (edge, h, h1, h2), (edge + 1.0, h, h1), turns
-    guess = phi0
-    stops = rising
-    while any_of(searching):
-        far, s, slope, _ = gather_rows(table, base + TABLE * (i + 1.0))
-        t = far - phi0 + turns
-        g, g1 = height(gamma, segment, s, slope, t)
-        concave = odd(i)
-        halts = searching & rising & concave & (g1 <= 0.0)
-        lands = searching & ~rising & (g <= 0.0)
-        turns_up = searching & ~rising & ~concave & (g > 0.0) & (g1 >= 0.0)
-        odd_turn = turns_up & (h1 >= 0.0)
-        plain = plain & ~odd_turn
-        halts = halts | (turns_up & ~odd_turn)
-        found = lands | halts
-        left = (
-            select(found, edge, left[0]), select(found, h, left[1]), select(found, h1, left[2]),
-            select(found, h2, left[3]),
-        )  # fmt: skip
-        right = select(found, far, right[0]), select(found, g, right[1]), select(found, g1, right[2])
-        total = select(found, turns, total)
-        stops = (stops | halts) & ~lands
-        searching = searching & ~(found | odd_turn)
-        edge, h, h1, more = step_on(far, t, i, last, clear, v, level, (g, g1))
-        h2 = 0.0 * h
-        turns, i = turns + more, select(searching, branch_after(i, last), i)
-    lo, hi = left[0], right[0]
-    at_lo, at_hi = select(stops, left[2], left[1]), select(stops, right[2], right[1])
-    guess = lo + (hi - lo) * at_lo / (at_lo - at_hi)
-    x = start_of_root(left, (*right, 0.0), guess, stops)
-    take_off = (phi0 - total, s0, slope0, v0, h0, level)
-    x, h_end, v_end, s, slope, q, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, stops, plain)
-    tau = x - phi0 + total
-    # the lowest point of a convex branch above the plate: no landing in it
-    surely_lands = ~stops & (((v_end < 0.0) & (tau >= SHORT)) | (v_end < -PLAIN_SPEED))
-    clear_of_plate = (stops & (h_end > PLAIN_GRAZE)) | surely_lands
-    plain = plain & ~away & clear_of_plate & (tau >= PLAIN_TIME)
-    return tau, x, h_end, v_end, (s, slope, q), stops, plain
+    m = gamma * segment.slope + segment.speed + segment.pull * segment.phase
+    branch, turns = _end_of_rise(flat, rows, segment.phase, m, segment.pull)
+    tau, x, h, v, plate, converged = _standstill(tones, gamma, segment, branch, turns, m, wanted)
+    return tau, x, h, v, plate, converged & (h > PLAIN_GRAZE) & (tau >= PLAIN_TIME)
 
 
 @inlined
-def hang_in_lanes(table: Floats, up: Any, down: Any, here: Any) -> Any:
-    """`model.flight.friction.hang` in lanes: ``(rises, waiting time, branch, at a threshold, (phase, s, s'))``.
+def fall_in_lanes(tones: Floats, flat: Floats, rows: Any, gamma: Number, segment: Segment, wanted: Any) -> Any:
+    """As `rise_in_lanes` for falls; ``(..., lands, plain)``.
 
-    ``up`` and ``down`` are the places of each lane's tables, their numbers of edges, and the phase and its branch in
-    them; ``here`` is s and s' at that phase.
+    Where the ball lands, tau is the time to the standstill that it does not reach, infinite where there is none.
     """
-    up_base, up_last, at_up, k = up
-    down_base, down_last, at, i = down
-    stays = (down_last > 0.0) & ~odd(i)
-    inside = stays & (up_last > 0.0) & ~odd(k)
-    hangs = stays & ~inside
-    wait, branch, lifted = 0.0 * at, select(inside, k, i), inside
-    phase, s, slope = select(inside, at_up, at), here[0], here[1]
-    if any_of(hangs):
-        until, s_down, slope_down, _ = gather_rows(table, down_base + TABLE * (i + 1.0))
-        above, s_up, slope_up, _ = gather_rows(table, up_base + TABLE * (k + 1.0))
-        rises = hangs & (up_last > 0.0) & (above - at_up < until - at)
-        lifted = inside | rises
-        wait = select(hangs, select(rises, above - at_up, until - at), wait)
-        branch = select(hangs, select(rises, branch_after(k, up_last), i + 1.0), branch)
-        folded = select(k + 1.0 >= up_last, above - TWO_PI, above)
-        phase = select(hangs, select(rises, folded, until), phase)
-        s = select(hangs, select(rises, s_up, s_down), s)
-        slope = select(hangs, select(rises, slope_up, slope_down), slope)
-    return lifted, wait, branch, hangs, (phase, s, slope)
+    m = gamma * segment.slope + segment.speed + segment.pull * segment.phase
+    branch, turns, stops = _end_of_fall(flat, rows, segment.phase, m, segment.pull)
+    tau, x, h, v, plate, converged = _standstill(tones, gamma, segment, branch, turns, m, wanted & stops)
+    lands = ~stops | (converged & (h < -PLAIN_GRAZE))
+    plain = lands | (converged & (h > PLAIN_GRAZE) & (tau >= PLAIN_TIME))
+    return select(stops, tau, math.inf), x, h, v, plate, lands, plain
+
+
+@inlined
+def _edge(flat: Floats, row: int) -> Any:
+    """Phase, s and s' of the edge in the rows from ``row`` on."""
+    return load(flat, row * WIDTH), load(flat, (row + 1) * WIDTH), load(flat, (row + 2) * WIDTH)
+
+
+@inlined
+def _branch_of_landing(flat: Floats, rows: Any, gamma: Number, segment: Segment, latest: Number) -> Any:
+    """The edges (phase, s, s') between which a fall that lands before the time ``latest`` does so, and the turns.
+
+    At an edge's phase, the height is quadratic in the time.
+    """
+    row, windows = rows
+    phi0, s0, slope0, _, v0, h0, level = segment
+    v, per_level = gamma * slope0 + v0, 1.0 / level
+    first = _edge(flat, row)
+    before, left, right = first, first, first
+    end, turns = spread(math.inf), spread(0.0)
+    for k in range(2 * windows):
+        edge = _edge(flat, row + EDGE_ROWS * (k + 1))
+        # the first time to come at that phase; the ball is above the plate's height there between two times
+        once = edge[0] - phi0 - TWO_PI * floor((edge[0] - phi0) * TURN)
+        square = v * v + 2.0 * level * (h0 + gamma * (s0 - edge[1]))
+        r = root(select(square > 0.0, square, 0.0))
+        below_from = select(once * level < v - r, 0.0, (v + r) * per_level)
+        below_from = select(below_from > 0.0, select(below_from < latest, below_from, latest), 0.0)
+        more = -TWO_PI * floor((edge[0] - phi0 - below_from) * TURN)
+        sooner = edge[0] + more < end
+        end, turns = select(sooner, edge[0] + more, end), select(sooner, more, turns)
+        left = (
+            select(sooner, before[0], left[0]),
+            select(sooner, before[1], left[1]),
+            select(sooner, before[2], left[2]),
+        )
+        right = select(sooner, edge[0], right[0]), select(sooner, edge[1], right[1]), select(sooner, edge[2], right[2])
+        before = edge
+    return left, right, turns
+
+
+@inlined
+def land_in_lanes(
+    tones: Floats, flat: Floats, rows: Any, gamma: Number, segment: Segment, stop: Any, wanted: Any
+) -> Any:  # fmt: skip
+    """Where the falls of the ``wanted`` lanes end on the plate.
+
+    Parameters
+    ----------
+    rows
+        The first row of ``flat`` that holds the edges, from the last of the turn before on, and the windows.
+    stop
+        Where the ball would stand still below the plate: tau (or infinite), h, q.
+
+    Returns
+    -------
+    tau, phase, h', (s, s', q) at the phase, plain
+    """
+    phi0, s0, slope0, a0, v0, h0, level = segment
+    (lo, s_lo, slope_lo), (hi, s_hi, slope_hi), turns = _branch_of_landing(flat, rows, gamma, segment, stop[0])
+    h_lo, v_lo = height(gamma, segment, s_lo, slope_lo, lo - phi0 + turns)
+    h_hi, v_hi = height(gamma, segment, s_hi, slope_hi, hi - phi0 + turns)
+    begins, a_lo, a_hi = lo + turns <= phi0, 0.0 * phi0, 0.0 * phi0
+    lo, h_lo = select(begins, phi0 - turns, lo), select(begins, h0, h_lo)
+    v_lo, a_lo = select(begins, v0, v_lo), select(begins, a0, a_lo)
+    tau_stop, h_stop, q_stop = stop
+    stops = tau_stop < hi - phi0 + turns
+    hi, h_hi = select(stops, phi0 + tau_stop - turns, hi), select(stops, h_stop, h_hi)
+    v_hi, a_hi = select(stops, 0.0, v_hi), select(stops, gamma * q_stop - level, a_hi)
+    never = wanted & ~wanted
+    chord = lo + (hi - lo) * h_lo / (h_lo - h_hi)
+    x = start_of_root((lo, h_lo, v_lo, a_lo), (hi, h_hi, v_hi, a_hi), chord, never)
+    take_off = (phi0 - turns, s0, slope0, v0, h0, level)
+    x, _, v, s, slope, q, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, never, wanted)
+    tau = x - phi0 + turns
+    surely = ((v < 0.0) & (tau >= SHORT)) | (v < -PLAIN_SPEED)
+    plain = ~away & surely & (tau >= PLAIN_TIME) & (h_lo > 0.0) & (h_hi <= 0.0)
+    return tau, x, v, (s, slope, q), plain

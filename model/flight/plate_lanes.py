@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import Any
 
 from kernels.lanes import any_of, select, size
-from model.flight.numerics import Floats, Number, inlined, sincos
+from model.flight.numerics import C4, C6, C8, S3, S5, S7, Floats, Number, inlined, sincos
 
 ROUNDS = 8  # at most; two are taken mostly
+NEAR = 0.05  # radians over which `turned` is exact to rounding
 CONVERGED = 1e-5  # a last step smaller than this leaves an error of its fourth power
 ON_POLYNOMIAL = 2  # steps
 
@@ -20,8 +21,15 @@ ON_POLYNOMIAL = 2  # steps
 @inlined
 def plate(tones: Floats, x: Number) -> Any:
     """``s, s', q = -s'', q', -q''`` at ``x``; of harmonics that are whole numbers."""
-    sine, cosine = sincos(x)
-    s, slope, q, jerk, snap = 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x
+    return plate_at(tones, sincos(x))
+
+
+@inlined
+def plate_at(tones: Floats, angle: tuple[Number, Number]) -> Any:
+    """`plate` at the phase whose sine and cosine are given."""
+    sine, cosine = angle
+    zero = 0.0 * sine
+    s, slope, q, jerk, snap = zero, zero, zero, zero, zero
     for j in range(tones.shape[0]):
         n, b = tones[j, 0], tones[j, 1]
         im, re = sine, cosine
@@ -49,6 +57,16 @@ def _power(n: float, sine: Number, cosine: Number) -> tuple[Number, Number]:
             break
         sine, cosine = 2.0 * sine * cosine, (cosine - sine) * (cosine + sine)
     return im, re
+
+
+@inlined
+def turned(angle: tuple[Number, Number], d: Number) -> tuple[Number, Number]:
+    """Sine and cosine of a phase on by ``d``, at most `NEAR`: cheaper than from the phase."""
+    sine, cosine = angle
+    y = d * d
+    sin_d = d + d * y * (S3 + y * (S5 + y * S7))
+    off = y * (-0.5 + y * (C4 + y * (C6 + y * C8)))  # cos d - 1
+    return sine + (sine * off + cosine * sin_d), cosine + (cosine * off - sine * sin_d)
 
 
 @inlined
@@ -119,6 +137,46 @@ def root_in_branch(
         slope_end = select(away, slope + step * (q - step * (0.5 * jerk + sixth * snap)), slope_end)
         q_end = select(away, q - step * (jerk + 0.5 * step * snap), q_end)
         x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
+        away = away & ~(inside & gentle)
+        if not any_of(away):
+            break
+    return x, h_end, v_end, s_end, slope_end, q_end, away
+
+
+@inlined
+def standstill_in_branch(
+    tones: Floats, gamma: Number, take_off: Any, bracket: Any, x: Number, away: Any
+) -> Any:  # fmt: skip
+    """`root_in_branch` for the root of ``h'``, from a good start: a step of Halley's, and one of third order near by.
+
+    Seldom must any lane do so twice.
+    """
+    phi0, s0, slope0, v0, h0, level = take_off
+    lo, hi = bracket
+    h_end, v_end, s_end, slope_end, q_end = x, x, x, x, x
+    for _ in range(ROUNDS):
+        angle = sincos(x)
+        _, slope, q, jerk, _ = plate_at(tones, angle)
+        f, f1, f2 = gamma * (slope0 - slope) + v0 - level * (x - phi0), gamma * q - level, gamma * jerk
+        new = x - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
+        d = select((new > lo) & (new <= hi) & (size(new - x) <= NEAR), new - x, 0.0)
+        near = x + d
+        s, slope, q, jerk, snap = plate_at(tones, turned(angle, d))
+        t = near - phi0
+        h = h0 + gamma * (s0 + slope0 * t - s) + t * (v0 - 0.5 * level * t)
+        f, f1, f2, f3 = gamma * (slope0 - slope) + v0 - level * t, gamma * q - level, gamma * jerk, -gamma * snap
+        g = f1 * f1
+        step = 3.0 * f * (2.0 * g - f * f2) / (6.0 * f1 * (g - f * f2) + f * f * f3)
+        new = near - step
+        inside = (new > lo) & (new <= hi)
+        gentle = (size(step) <= CONVERGED) & (size(step * f2) <= CONVERGED * size(f1))
+        third, half = step * (1.0 / 3.0), 0.5 * step
+        h_end = select(away, h - step * (f - half * (f1 - third * f2)), h_end)
+        v_end = select(away, f - step * (f1 - half * (f2 - third * f3)), v_end)
+        s_end = select(away, s - step * (slope + half * (q - third * jerk)), s_end)
+        slope_end = select(away, slope + step * (q - half * (jerk + third * snap)), slope_end)
+        q_end = select(away, q - step * (jerk + half * snap), q_end)
+        x = select(away, select(inside, new, select(new > hi, 0.5 * (near + hi), 0.5 * (near + lo))), x)
         away = away & ~(inside & gentle)
         if not any_of(away):
             break

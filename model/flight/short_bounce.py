@@ -63,6 +63,18 @@ def _series(tones: Floats, gamma: float, phi: float) -> tuple[float, Series]:
 
 
 @compiled
+def surely_long(tones: Floats, law: FrictionRestitution, pull: float, v0: float) -> bool:
+    """Whether `short_bounce` leaves a bounce alone that begins where the plate's acceleration is ``pull``, for length.
+
+    A thousandth is left for the rounding of ``pull``.
+    """
+    a, d = 1.0 + law.mu_up - pull, 1.0 - law.mu_down - pull
+    longest = 1.5 * v0 * (1.0 / a + 1.0 / math.sqrt(a * d)) if d > 0.0 else math.inf
+    reached: float = tones[tones.shape[0] - 1, 0] * longest
+    return reached > 1.001 * REACH
+
+
+@compiled
 def short_bounce(
     tones: Floats, gamma: float, law: FrictionRestitution, phi: float, v0: float
 ) -> tuple[bool, float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 from kernels.borrowed import borrowed
 from kernels.lanes import WIDTH
 from model.flight.branches import fold
-from model.flight.edge_table import TABLE, fill_tables
+from model.flight.edge_table import FOUND, TABLE, fill_tables
 from model.flight.numerics import Floats, compiled
 from model.flight.segment import shape
 from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
@@ -47,7 +47,6 @@ from model.orbits.lane_state import (
     ROW,
     S_X,
     SEEN,
-    SEGMENTS,
     SLOPE_X,
     SPEEDS,
     STATUS,
@@ -56,7 +55,8 @@ from model.orbits.lane_state import (
     TURN,
     UP,
     UP_LAST,
-    copy_edges,
+    branch_rows,
+    keep_branches,
     law_of_lane,
 )
 
@@ -138,7 +138,7 @@ def _take_row(
     work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, made[0, slot, 0]), 0.0
     work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, work[LAST_PHI, lane])
     whole[ROW, lane], whole[LIMIT, lane] = row, limit
-    whole[COUNT, lane] = whole[TURN, lane] = whole[SEGMENTS, lane] = 0
+    whole[COUNT, lane] = whole[TURN, lane] = 0
     for k in range(SEEN, whole.shape[0]):
         whole[k, lane] = -1
 
@@ -284,7 +284,7 @@ def _fly_of(
                     else:
                         _take_row(tones, taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
                         if both_ways:
-                            copy_edges(both, work, lane)
+                            keep_branches(both, work, lane)
                         leave(tones, both, closes, work, whole, flights, marks, lane)
                     taken += 1
                 busy += whole[STATUS, lane] == FLIES
@@ -327,13 +327,13 @@ def _batch_of(
         """
         size = turning.size + 2
         lanes = (
-            np.zeros(2 * WIDTH * TABLE * size), np.zeros((NUMBERS + 2 * size, WIDTH)),
+            np.zeros(2 * WIDTH * TABLE * size), np.zeros((NUMBERS + branch_rows(size), WIDTH)),
             np.zeros((SEEN + 2 * size, WIDTH), dtype=np.int64), np.zeros((3, WIDTH, most)),
             np.zeros((2, WIDTH, most), dtype=np.int64), np.zeros((4, LONGEST_LOCKED)),
         )  # fmt: skip
         tables = (
             np.zeros((2, BLOCK, TABLE * size)), np.zeros(BLOCK, dtype=np.int64), np.zeros(BLOCK, dtype=np.int64),
-            np.ones(BLOCK), np.zeros(4 * size * WIDTH),
+            np.ones(BLOCK), np.zeros(FOUND * size * WIDTH),
         )  # fmt: skip
         outcome[:] = 0
         kept[:] = math.nan

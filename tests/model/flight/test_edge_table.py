@@ -9,7 +9,7 @@ import pytest
 from kernels.lanes import WIDTH
 from model.flight import first_landing
 from model.flight.branches import fill_edges
-from model.flight.edge_table import TABLE, fill_tables
+from model.flight.edge_table import FOUND, TABLE, fill_tables
 from model.tones import Forcing
 
 
@@ -18,7 +18,7 @@ def _tables(forcing: Forcing, gammas: np.ndarray) -> tuple[np.ndarray, np.ndarra
     turning = first_landing.turning_points(forcing)
     size = turning.size + 2
     table, windows = np.zeros(gammas.size * TABLE * size), np.zeros(gammas.size, dtype=np.int64)
-    fill_tables(forcing.tones, turning, gammas, table, windows, np.zeros(4 * size * WIDTH))
+    fill_tables(forcing.tones, turning, gammas, table, windows, np.zeros(FOUND * size * WIDTH))
     return table.reshape(gammas.size, size, TABLE), windows
 
 

@@ -6,8 +6,8 @@ import mpmath as mp
 import numpy as np
 
 from kernels.lanes import WIDTH, load, store
-from model.flight.numerics import compiled
-from model.flight.plate_lanes import plate
+from model.flight.numerics import compiled, sincos
+from model.flight.plate_lanes import NEAR, plate, turned
 
 TONES = np.array([[1.0, 0.7, 0.0], [2.0, 1.0, 0.4], [7.0, 0.5, -2.0], [100.0, 0.01, 3.0]])
 
@@ -20,6 +20,26 @@ def _in_lanes(tones, phases, out):
     store(out, 2 * WIDTH, values[2])
     store(out, 3 * WIDTH, values[3])
     store(out, 4 * WIDTH, values[4])
+
+
+@compiled
+def _turned(phases, turns, out):
+    sine, cosine = turned(sincos(load(phases, 0)), load(turns, 0))
+    store(out, 0, sine)
+    store(out, WIDTH, cosine)
+
+
+def test_sine_and_cosine_turned_by_a_little_are_exact_to_rounding():
+    """Turned by at most `NEAR` they agree with 40 digits to ``4e-16``."""
+    random, out = np.random.default_rng(2), np.empty(2 * WIDTH)
+    for _ in range(50):
+        phases, turns = random.uniform(-7.0, 13.0, WIDTH), random.uniform(-NEAR, NEAR, WIDTH)
+        _turned(phases, turns, out)
+        with mp.workdps(40):
+            for lane in range(WIDTH):
+                phi = mp.mpf(float(phases[lane])) + mp.mpf(float(turns[lane]))
+                assert abs(float(out[lane] - mp.sin(phi))) < 4e-16
+                assert abs(float(out[WIDTH + lane] - mp.cos(phi))) < 4e-16
 
 
 def test_the_plate_in_lanes_is_that_of_the_tones():
