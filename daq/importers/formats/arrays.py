@@ -65,6 +65,9 @@ class ArraySource:
         elif len(shape) == 2 and shape[1] <= _MOST_COLUMNS:
             for i in range(shape[1]):
                 self._lengths[f"{name}[{i}]"], self._types[f"{name}[{i}]"] = shape[0], dtype
+        else:
+            wide = f"{shape[1]} columns, at most {_MOST_COLUMNS} are read"
+            self.left_out[name] = wide if len(shape) == 2 else f"{len(shape)} dimensions"
 
     def _offer_rate(self, name: str, value: Any) -> None:
         number = np.asarray(value)

@@ -62,7 +62,7 @@ class Source(Protocol):
 
     path: Path
     names: tuple[str, ...]
-    left_out: Mapping[str, str]  # what cannot be a column, by name: of what it is made
+    left_out: Mapping[str, str]  # what cannot be a column, by name: why
     rate_hz: float | None
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
@@ -76,17 +76,19 @@ class Source(Protocol):
 
 
 def columns_of(source: Source) -> str:
-    """The columns of a source for an error, and those that cannot be columns."""
-    numbers = f"; not real numbers: {listed(tuple(source.left_out))}" if source.left_out else ""
-    return listed(source.names) + numbers
+    """The columns of a source for an error, and what cannot be a column."""
+    return listed(source.names) + (f"; not read: {_reasons(source)}" if source.left_out else "")
 
 
 def left_out_remarks(source: Source) -> list[str]:
     """One line that names the columns of the file that are not imported, and why."""
-    if not source.left_out:
-        return []
-    which = listed([f"{name} ({why})" for name, why in source.left_out.items()])
-    return [f"not imported, since they hold no real numbers: {which}"]
+    return [f"not imported: {_reasons(source)}"] if source.left_out else []
+
+
+def _reasons(source: Source) -> str:
+    """What is left out, each with its reason."""
+    told = [f"{listed([name])} ({why})" for name, why in source.left_out.items()]
+    return ", ".join(told[:_SHOWN]) + (f" and {len(told) - _SHOWN} more" if len(told) > _SHOWN else "")
 
 
 def listed(names: Sequence[str]) -> str:

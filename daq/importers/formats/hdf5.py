@@ -44,9 +44,13 @@ class Hdf5Source(ArraySource):
                 f"{self.path}: holds more than {MOST_OBJECTS} datasets and groups; put the columns into a file of "
                 "their own."
             )
-        if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
-            return  # what lies in another file is not this file's to give
+        if not isinstance(item, h5py.Dataset):
+            return
+        if item.is_virtual or item.external:  # what lies in another file is not this file's to give
+            self.left_out[name] = "kept in another file"
+            return
         if item.dtype.itemsize > _MOST_ROW_BYTES:
+            self.left_out[name] = f"rows of {item.dtype.itemsize} bytes, at most {_MOST_ROW_BYTES} are read"
             return
         if item.dtype.names:
             for field in item.dtype.names:

@@ -138,15 +138,20 @@ def test_one_run_given_twice(raw: Path, tmp_path: Path) -> None:
 
 
 def test_columns_that_are_not_imported_are_told_in_one_line(raw: Path, tmp_path: Path) -> None:
-    """Complex numbers and text of an HDF5 file beside sound columns: a note says which, and why."""
+    """What an HDF5 file holds beside sound columns and cannot be one: a note says which, and why."""
     table = np.loadtxt(raw, delimiter=",", skiprows=1)
     with h5py.File(tmp_path / "raw.h5", "w") as file:
         for name, values in zip(("time_s", "continuity_v", "accelerometer_v", "drive_v"), table.T, strict=True):
             file[name] = values
         file["spectrum"], file["remarks"] = table[:, 3] + 1j, ["warm", "cold"]
         file["log"] = np.zeros(9, [("place", "S8"), ("level", "f8")])
+        file["cube"], file["map"], file["wide"] = np.zeros((2, 3, 4)), np.zeros((5, 70)), np.zeros(3, "V5000")
+        file.create_virtual_dataset("view", h5py.VirtualLayout((4,), "f8"))
     result = bench("import", tmp_path / "raw.h5", "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
     assert result.exit_code == 0, result.output
     (line,) = [line for line in result.output.split("\n") if "not imported" in line]
-    why = "log/place (text), remarks (text or lists), spectrum (complex numbers)"
-    assert line == f"note: not imported, since they hold no real numbers: {why}"
+    why = (
+        "cube (3 dimensions), log/place (text), map (70 columns, at most 64 are read), remarks (text or lists), "
+        "spectrum (complex numbers), view (kept in another file), wide (rows of 5000 bytes, at most 4096 are read)"
+    )
+    assert line == f"note: not imported: {why}"

@@ -276,5 +276,7 @@ def test_columns_of_something_else_than_real_numbers_are_named(tmp_path: Path, s
         for name, values in columns().items():
             file[name] = values.astype(np.complex128) if name == "accelerometer_v" else values
         file["remark"] = ["a", "b"]
-    with pytest.raises(InputError, match=r"no column for the accel.*; not real numbers: accelerometer_v, remark"):
+    with pytest.raises(
+        InputError, match=r"no column for the accel.*; not read: accelerometer_v \(complex numbers\), remark \(text"
+    ):
         bring_in(raw, setup)
