@@ -17,7 +17,7 @@ TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
 
 
 class Point(dict[ParameterId, float]):
-    """All parameters that are set; sorted out, once, by what they touch."""
+    """All parameters that are set, sorted out once by what they touch; not changed once made."""
 
     @functools.cached_property
     def ordered(self) -> Own:
