@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from model.effects.registry import Effect, effect, registry, trend_name
 
 DISTINCT = 0.3  # relative difference of a shape parameter beyond which a start begins a fit of its own

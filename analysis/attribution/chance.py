@@ -26,7 +26,7 @@ from analysis.attribution.hypothesis import ChanceTest, Hypothesis
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 
 Array = NDArray[np.float64]
 Columns = tuple[int, ...]

@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 from analysis.attribution.candidates import Point
 from analysis.attribution.priors import parameter_of
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
 from model.effects.registry import effect, registry
 

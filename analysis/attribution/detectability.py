@@ -17,7 +17,7 @@ from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import LEAP_S, Fitted
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.residuals.noise_model import robust_loss, robust_weight
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 
 Array = NDArray[np.float64]

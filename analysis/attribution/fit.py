@@ -23,7 +23,7 @@ from scipy.special import chdtri
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener, step_losses
 from analysis.thresholds import CALIBRATION_SIGMAS, NULL_P
 from model.effects.registry import effect

@@ -12,8 +12,8 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
-from analysis.residuals.point import ParameterId
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
+from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 

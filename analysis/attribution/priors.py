@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from daq.setup.setup import Setup
 from model.effects.registry import Parameter, effect, registry
 

@@ -15,7 +15,7 @@ from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.parallel import THREADS
-from analysis.residuals.point import TREND, ParameterId, plate_effects
+from analysis.residuals.values import TREND, ParameterId, plate_effects
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 from model.effects.registry import effect, trend_name

@@ -8,7 +8,7 @@ from analysis.attribution.candidates import Candidate, Point
 from analysis.attribution.choice import Judge
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import null_value_of, parameter_of
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
 from model.effects.registry import effect
 

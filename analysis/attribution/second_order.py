@@ -20,7 +20,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.priors import null_value_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_curvature, robust_weight
-from analysis.residuals.point import ParameterId, Values
+from analysis.residuals.values import ParameterId, Values
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]

@@ -24,8 +24,8 @@ from analysis.discovery.terms import label
 from analysis.parallel import THREADS
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import plate_effects
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
+from analysis.residuals.values import plate_effects
 from analysis.thresholds import FROZEN, Thresholds
 from model.effects.registry import registry
 from model.integrator.one_step import Predicted

@@ -17,7 +17,7 @@ from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
-from analysis.residuals.point import Values
+from analysis.residuals.values import Values
 
 Array = NDArray[np.float64]
 

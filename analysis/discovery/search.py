@@ -35,7 +35,7 @@ from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Cur
 from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss
-from analysis.residuals.point import ParameterId, Values
+from analysis.residuals.values import ParameterId, Values
 from analysis.residuals.whitening import Whitener
 from model.effects.registry import effect
 

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import excess_noise, log_odds, robust_loss
-from analysis.residuals.point import Values
+from analysis.residuals.values import Values
 from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
 
 Array = NDArray[np.float64]

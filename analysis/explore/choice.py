@@ -24,7 +24,7 @@ from analysis.attribution.second_order import slopes_of
 from analysis.explore.explanations import Explanation, Weighed
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
 

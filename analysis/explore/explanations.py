@@ -23,7 +23,7 @@ from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.attribution.second_order import gradient_and_information, slopes_of
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import ParameterId, Values
+from analysis.residuals.values import ParameterId, Values
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from analysis.joint.population import LEAST_SPREAD, Population, alone, fit_popul
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import FROZEN, Thresholds
 from daq.files.journal import Journal
 from daq.recording import open_recording

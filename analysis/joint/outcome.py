@@ -17,7 +17,7 @@ from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, Systematic
 from analysis.joint.summary import RunSummary
 from analysis.joint.systematics import NAMES, PLACES, UNIT_S
 from analysis.loop.verdict import Verdict
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 
 Array = NDArray[np.float64]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from analysis.attribution.chance import Place
 from analysis.attribution.second_order import of_same_events
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import Values
 from analysis.residuals.uncertainty import EDGE_STEP_S
+from analysis.residuals.values import Values
 from analysis.residuals.whitening import Whitener
 
 Array = NDArray[np.float64]

@@ -29,7 +29,6 @@ from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, observations_from
-from analysis.residuals.point import TREND
 from analysis.residuals.prediction_errors import (
     given_openings,
     held_out_errors,
@@ -37,6 +36,7 @@ from analysis.residuals.prediction_errors import (
     noise_quantiles_us,
     scored_rows,
 )
+from analysis.residuals.values import TREND
 from analysis.residuals.whitening import step_losses
 from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError

@@ -20,7 +20,7 @@ from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIRD, PlateData, expected, second_share
-from analysis.residuals.point import TREND, ParameterId, Values
+from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import STANDARD_GRAVITY_MPS2, Setup
 from model.effects.base import COMPILED_HOOKS

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.loop.result import AddedEffect, Calibration, FittedParameter
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from model.effects.registry import effect
 
 Z95 = 1.96  # standard deviations to either end of a 95 % interval

@@ -21,7 +21,7 @@ from analysis.loop.result import (
 )
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import Values
+from analysis.residuals.values import Values
 from daq.recording import open_recording
 from daq.recording.identity import stored_id
 from daq.setup.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from analysis.loop.result import AddedEffect, ClosedLoop
-from analysis.residuals.point import TREND
+from analysis.residuals.values import TREND
 from model.effects.registry import effect, trend_name
 
 VERDICTS = {

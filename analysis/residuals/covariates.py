@@ -19,7 +19,7 @@ from model.integrator.one_step import PlateSteps
 
 if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel
-    from analysis.residuals.point import Values
+    from analysis.residuals.values import Values
 
 Array = NDArray[np.float64]
 

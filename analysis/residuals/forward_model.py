@@ -19,8 +19,8 @@ from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import Ringing
 from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
-from analysis.residuals.point import TREND, Own, Point, Values, calibrating_effects, driving_effects
 from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
+from analysis.residuals.values import TREND, AllValues, Own, Values, calibrating_effects, driving_effects
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.event_slopes import Slopes, slopes_of
 from model.integrator.hooks import plate_mode
@@ -94,9 +94,9 @@ class ForwardModel:
         self.covariates: dict[str, Array] = {}  # computed where an effect follows one
         self._run_part_events = evidence.steps.run_part[evidence.measured.step]
 
-    def start(self, values: Values) -> Point:
+    def start(self, values: Values) -> AllValues:
         """All parameters that are set: the base, overridden by ``values``."""
-        return values if isinstance(values, Point) else Point({**self.base, **values})
+        return values if isinstance(values, AllValues) else AllValues({**self.base, **values})
 
     def rows(self, values: Values) -> Array:
         """Parameters of each event, (P + 1,) or with drifting parameters (n, P + 1)."""

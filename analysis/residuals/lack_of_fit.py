@@ -22,9 +22,9 @@ from scipy.special import chdtrc, fdtrc
 
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import Values
 from analysis.residuals.prediction_errors import near_grazing
 from analysis.residuals.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope
+from analysis.residuals.values import Values
 from analysis.thresholds import (
     FARTHEST_SIGMAS,
     FROZEN,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
 from analysis.plate.phasors import mean_phasor, modulated_projection, shifted_down, signed_frequencies, two_sided
+from analysis.residuals.fitted_steps import intervals_of, tones_of, window_spans
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from analysis.statistics import mad_sigma
 from model.integrator.one_step import PlateSteps
@@ -89,13 +90,13 @@ class AmplitudeModulation:
         np.add.at(total, data.step[of_gain], data.value[of_gain] * data.sigma[of_gain] ** -2.0)
         known = weight > 0.0
         gain = np.where(known, total / np.where(known, weight, 1.0), np.nan)
-        spans = [_spans(s) for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
+        spans = [window_spans(s) for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
         return cls(
-            np.zeros(m, dtype=np.int64), spans_s, *_tones(fitted),
+            np.zeros(m, dtype=np.int64), spans_s, *tones_of(fitted),
             np.array([len(s.forcing_multiples) for s in fitted], dtype=np.int64),
             gain, np.where(known, np.where(known, weight, 1.0) ** -0.5, np.inf),
             data.step[rows], np.concatenate([np.zeros((0, 2)), *spans]), data.value[rows], data.sigma[rows],
-            _kept(fitted),
+            intervals_of(fitted),
         )  # fmt: skip
 
     @classmethod
@@ -374,36 +375,9 @@ class ModulationFit:
     phasor: Complex
 
 
-def _tones(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
-    """Fitted tones of each step and their amplitudes, (m, k); places that are free hold multiples beyond them."""
-    k = max((len(s.acceleration.amplitudes) for s in fitted), default=2)
-    omega, z = np.zeros((len(fitted), k)), np.zeros((len(fitted), k), dtype=np.complex128)
-    for i, s in enumerate(fitted):
-        first = [s.multiples.index(m) for m in sorted({1, max(s.ratio, 2)}) if m in s.multiples]
-        order = [*first, *(j for j in range(len(s.acceleration.amplitudes)) if j not in first)]
-        omega[i] = s.omega_radps * (max(s.multiples) + 1.0 + np.arange(k))
-        omega[i, : len(order)] = 2.0 * np.pi * s.acceleration.frequencies_hz[order]
-        z[i, : len(order)] = s.acceleration.amplitudes[order]
-    return omega, z
-
-
-def _kept(fitted: Sequence[StepPlate]) -> FitIntervals:
-    """What the fits of all steps have seen; windows of steps that have too few of them are none."""
-    count = [len(s.windows.time_s) if len(s.windows.time_s) >= LEAST_WINDOWS else 0 for s in fitted]
-    parts = [
-        replace(s.intervals, window=np.where(n > 0, s.intervals.window, -1)) for s, n in zip(fitted, count, strict=True)
-    ]
-    return FitIntervals.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
-
-
 def _in_both_senses(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which turns are fitted, the constant first, from which tones are, (n, 2 k + 1)."""
     return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])
-
-
-def _spans(s: StepPlate) -> Array:
-    """From where to where each window of a step goes, (w, 2)."""
-    return s.windows.time_s[:, None] + 0.5 * s.windows.length_s * np.array([-1.0, 1.0])
 
 
 def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.statistics import MAD_TO_SIGMA
 from analysis.thresholds import (
     COMMON_MODE_SIGMAS,

@@ -21,7 +21,7 @@ from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
 
 if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel, Inputs
-    from analysis.residuals.point import Values
+    from analysis.residuals.values import Values
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
-from analysis.residuals.point import Values
+from analysis.residuals.values import Values
 from analysis.statistics import mad_sigma
 from analysis.thresholds import (
     COMMON_MODE_SIGMAS,

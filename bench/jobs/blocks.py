@@ -24,7 +24,7 @@ from rig.programme.sequencer import stop_fade_samples
 
 if TYPE_CHECKING:
     from analysis.explore.choice import Option
-    from analysis.residuals.point import ParameterId
+    from analysis.residuals.values import ParameterId
 
 GAMMAS = 10  # offered for each forcing
 FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow

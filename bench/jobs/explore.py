@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel
     from analysis.residuals.observations import Observations
-    from analysis.residuals.point import ParameterId
+    from analysis.residuals.values import ParameterId
 
 LONGER_HOLD = 2  # times as long where it is unexplained: tones as near as mains and a harmonic part
 LEAST_NATS = 0.2  # a block that would tell less is not worth its time

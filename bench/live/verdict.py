@@ -22,8 +22,8 @@ from analysis.report.gamma import gamma_scale
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, join
-from analysis.residuals.point import TREND, ParameterId
 from analysis.residuals.prediction_errors import near_grazing, noise_quantiles_us
+from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.statistics import MAD_TO_SIGMA
 from analysis.thresholds import FROZEN

@@ -122,7 +122,7 @@ def import_recording(
     try:
         with _scratch(source, columns, out) as scratch:
             intake = take_in(source, columns, scales, setup, writer, scratch, progress)
-            with Digest(source.path, getattr(source, "sha256", "")) as digest:
+            with Digest(source.path, source.sha256) as digest:
                 volts = _Volts(scratch, scales)
                 base = _timebase(source, writer, scratch, intake, columns.get("time"), setup, rate_hz)
                 steps, from_drive = _find(volts, writer.n_samples, setup, base, intake, progress)

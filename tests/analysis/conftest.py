@@ -16,7 +16,7 @@ from analysis.loop.design import Design, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup

@@ -40,6 +40,8 @@ READ_ERRORS = (
 class ArraySource:
     """Columns that can be read by range; subclasses fill ``_columns`` and say how to read."""
 
+    sha256 = ""  # such a file is not read from end to end
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rate_hz: float | None = None

@@ -64,6 +64,7 @@ class Source(Protocol):
     names: tuple[str, ...]
     left_out: Mapping[str, str]  # what cannot be a column, by name: why
     rate_hz: float | None
+    sha256: str  # of the file, where reading all of it has told; else empty
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
         """``(volts, offset_v)`` of one unit of a column, where the file itself says so; else ``(1, 0)``."""

@@ -9,7 +9,7 @@ from analysis.attribution.candidates import candidates_of, distinct_starts, tren
 from analysis.attribution.coarse_search import joint_points
 from analysis.attribution.pruning import contained_in
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 
 RATIO, HZ, DAMPING = keys = tuple(("table_resonance", q) for q in ("mass_ratio", "frequency_hz", "damping"))
 

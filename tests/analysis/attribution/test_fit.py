@@ -13,7 +13,7 @@ from scipy import stats
 from analysis.attribution.fit import Fitter, _solve
 from analysis.attribution.priors import Prior, priors_of
 from analysis.residuals.forward_model import ForwardModel, Residuals
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import CALIBRATION_SIGMAS
 

@@ -15,7 +15,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, SelectionResult
 from analysis.attribution.selection import StepwiseSelection, remaining_candidates
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS
 

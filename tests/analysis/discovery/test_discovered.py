@@ -18,8 +18,8 @@ from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import ParameterId
 from analysis.residuals.prediction_errors import held_out_errors, scored_rows
+from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 

@@ -9,7 +9,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, SelectionResult
 from analysis.loop.close_loop import withdraw_unconfirmed
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN
 

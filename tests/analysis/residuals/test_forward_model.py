@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.point import TREND
+from analysis.residuals.values import TREND
 from analysis.residuals.whitening import Whitener, step_losses
 from analysis.thresholds import SHARED_S
 

@@ -14,7 +14,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.plate_observables import HUM, MODULATION, PlateData
-from analysis.residuals.point import ParameterId
+from analysis.residuals.values import ParameterId
 from analysis.thresholds import FROZEN
 from model.effects.registry import row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead

@@ -83,7 +83,7 @@ def test_a_flight_of_too_many_segments_ends_as_one_that_stays_on_the_rod():
 
 @pytest.mark.slow
 def test_flights_in_lanes_of_any_law_and_plate_are_those_of_the_kernel_of_one_flight():
-    """So do 10^5 flights with friction, restitution, tones, their phases and gammas drawn at random."""
+    """10^5 flights, with friction, restitution, tones, their phases and gammas drawn at random, agree as closely."""
     random, flown = np.random.default_rng(4), 0
     while flown < 100_000:
         k = random.integers(1, 5)

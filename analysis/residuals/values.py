@@ -16,7 +16,7 @@ Own = tuple[tuple[ParameterId, float], ...]
 TREND = "@drift"  # suffix of a parameter's trend: its change over the whole run
 
 
-class Point(dict[ParameterId, float]):
+class AllValues(dict[ParameterId, float]):
     """All parameters that are set, sorted out once by what they touch; not changed once made."""
 
     @functools.cached_property
