@@ -17,12 +17,14 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
-from scipy.signal import lfilter
 
 from benchmarks.plants.command import G, commanded, commands
+from benchmarks.plants.instrument import DRIVE, Instrument, accelerometer_v, contact_v
+from benchmarks.plants.sensors import blocked, converted, edge_times, late, square_contact
 from kernels import njit
 
 STEPS_PER_SAMPLE = 10
+FINE_HZ = 30e3  # from this rate on, a grid of half the steps is fine enough for an instrument
 
 SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     # effect: parameter: (weak, medium, strong)
@@ -103,6 +105,7 @@ class Run:
     bits: int = 0  # of the converters, +-10 V; 0: fine enough not to matter
     seed: int = 0
     hidden: dict[str, float] = field(default_factory=dict)
+    instrument: Instrument | None = None  # None: ideal sensors, whose impacts are five fixed samples where `spikes`
 
     def values(self) -> np.ndarray:
         """Hidden numbers in the order of `NAMES`; absent ones are zero."""
@@ -180,21 +183,21 @@ def _holding(q, g, here, rested_s):
 
 
 @njit()
-def _march(q, gammas, step_s, fade_s, w, c, dt, plate, edges, impacts):
-    """March ball and table; fill the plate's acceleration per sample, edges (+t opens, -t closes) and impacts."""
+def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
+    """March ball and table; fill the plate's acceleration at ``every`` step, edges (+t opens, -t closes), impacts."""
     g = 9.80665 * (1.0 + q[_GRAVITY])
     slow_w = 2.0 * math.pi * q[_TABLE_HZ]
     y = yv = load = h = u = rested = left = last = 0.0  # h, u: height and speed above the plate
     touching, hanging = True, False
     n_edges = n_impacts = 0
     _, v, a = _plate(q, gammas, step_s, fade_s, w, c, 0.0)
-    for k in range(plate.size * STEPS_PER_SAMPLE):
+    for k in range(plate.size * every):
         t = k * dt
         here = gammas[min(int(t / step_s), gammas.size - 1)]
         ya = -slow_w * slow_w * y - 2.0 * q[_TABLE_D] * slow_w * yv - q[_RATIO] * load
         table_a = a + ya
-        if k % STEPS_PER_SAMPLE == 0:
-            plate[k // STEPS_PER_SAMPLE] = table_a
+        if k % every == 0:
+            plate[k // every] = table_a
         load = table_a if touching or hanging else -g
         free = _push(q, g, h, u, v + yv + u, last) - table_a
         if touching and free > _holding(q, g, here, t - rested):
@@ -234,44 +237,16 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, plate, edges, impacts):
     return n_edges, n_impacts
 
 
-def _continuity(run: Run, rng: np.random.Generator, edges: np.ndarray, n: int, latency_s: float) -> np.ndarray:
-    """Volts of the contact circuit: square, its edges jittered; a contact between two samples is not seen."""
-    times = np.abs(edges) + latency_s
-    opens = edges > 0.0
-    held = np.where(~opens, times, -np.inf)
-    held = np.maximum.accumulate(held) + run.closure_s
-    times = np.where(opens, np.maximum(times, held), times)
-    times = times + run.jitter_s * rng.standard_normal(times.size)
-    times = np.maximum.accumulate(times)  # jitter moves edges, it does not swap them
-    place = np.searchsorted(times, np.arange(n) / run.rate_hz, side="right") - 1
-    is_open = np.where(place >= 0, opens[np.maximum(place, 0)], False)
-    volts = np.where(is_open, 4.96, 0.03)
-    if run.contact_rc_s > 0.0:
-        keep = math.exp(-1.0 / (run.contact_rc_s * run.rate_hz))
-        volts = lfilter([1.0 - keep], [1.0, -keep], volts, zi=[keep * volts[0]])[0]
-    return np.asarray(volts + run.contact_noise_v * rng.standard_normal(n))
-
-
-def _late(felt: np.ndarray, samples: float) -> np.ndarray:
-    """Two equal low-passes in a row that together hold a slow signal back by so many samples."""
-    keep = samples / 2.0 / (1.0 + samples / 2.0)  # a low-pass y = keep y + (1 - keep) x is late by keep / (1 - keep)
-    for _ in range(2):
-        felt = lfilter([1.0 - keep], [1.0, -keep], felt, zi=[keep * felt[0]])[0]
-    return np.asarray(felt)
-
-
-def _blocked(felt: np.ndarray, corner: float) -> np.ndarray:
-    """A capacitor and a resistor, at rest before; the corner in units of the rate."""
-    turn = math.tan(math.pi * corner)
-    return np.asarray(lfilter([1.0 / (1.0 + turn), -1.0 / (1.0 + turn)], [1.0, (turn - 1.0) / (turn + 1.0)], felt))
-
-
-def _converted(run: Run, volts: np.ndarray) -> np.ndarray:
-    """Volts as the converter gives them."""
-    if not run.bits:
-        return volts
-    step_v = 20.0 / 2**run.bits
-    return np.asarray(np.round(volts / step_v) * step_v)
+def _felt_g(run: Run, plate: np.ndarray, rate_hz: float) -> np.ndarray:
+    """What the accelerometer feels without noise or impacts, hidden faults included; ``plate`` (n,) at this rate."""
+    time_s = np.arange(plate.size) / rate_hz
+    felt = plate / G * (1.0 + run.hidden.get("accelerometer_gain.relative", 0.0)) + float(run.reads_gravity)
+    if late_s := run.hidden.get("accelerometer_lag.delay_s", 0.0):
+        felt = late(felt, late_s * rate_hz)
+    if corner_hz := run.hidden.get("accelerometer_high_pass.hz", 0.0):
+        felt = float(run.reads_gravity) + blocked(felt - float(run.reads_gravity), corner_hz / rate_hz)
+    felt += run.hidden.get("mains_pickup.g", 0.0) * np.sin(2.0 * math.pi * 50.0 * time_s + 0.9)
+    return np.asarray(felt + run.hidden.get("accelerometer_offset.g", 0.0))
 
 
 def simulate(run: Run) -> dict[str, np.ndarray]:
@@ -284,7 +259,8 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of float64 arrays
-        ``time_s, continuity_v, accelerometer_v, drive_v`` (n,), and the truth: ``impacts`` (k, 2), seconds and m/s.
+        ``time_s, continuity_v, accelerometer_v, drive_v`` (n,), and the truth: ``impacts`` (k, 2), seconds and m/s;
+        ``flights`` (m, 2), take-off and landing, seconds.
     """
     rng = np.random.default_rng(run.seed)
     q, gammas = run.values(), np.array(run.gammas)
@@ -293,32 +269,47 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     step_s, fade_s = run.cycles * period_s, max(run.fade_cycles, 1) * period_s
     n = int(len(gammas) * step_s * run.rate_hz)
     most = 200 * len(gammas) * run.cycles
-    plate, edges, impacts = np.zeros(n), np.zeros(2 * most), np.zeros((most, 2))
+    over = 1 if run.instrument is None else STEPS_PER_SAMPLE if run.rate_hz < FINE_HZ else STEPS_PER_SAMPLE // 2
+    plate, edges, impacts = np.zeros(n * over), np.zeros(2 * most), np.zeros((most, 2))
     dt = 1.0 / (run.rate_hz * STEPS_PER_SAMPLE)
-    n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, plate, edges, impacts)
+    every = STEPS_PER_SAMPLE // over
+    n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, every, plate, edges, impacts)
     impacts, edges = impacts[:n_impacts], edges[:n_edges]
-    time_s = np.arange(n) / run.rate_hz
-    command = commands(gammas, step_s, fade_s, w, float(run.c), time_s)
-    felt = plate / G * (1.0 + run.hidden.get("accelerometer_gain.relative", 0.0)) + float(run.reads_gravity)
-    if late_s := run.hidden.get("accelerometer_lag.delay_s", 0.0):
-        felt = _late(felt, late_s * run.rate_hz)
-    if corner_hz := run.hidden.get("accelerometer_high_pass.hz", 0.0):
-        felt = float(run.reads_gravity) + _blocked(felt - float(run.reads_gravity), corner_hz / run.rate_hz)
-    felt += run.hidden.get("mains_pickup.g", 0.0) * np.sin(2.0 * math.pi * 50.0 * time_s + 0.9)
-    felt += run.hidden.get("accelerometer_offset.g", 0.0) + run.accelerometer_noise_g * rng.standard_normal(n)
-    if run.spikes:
-        at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)
-        for lag, size in enumerate((-12.0, 7.0, -4.0, 2.0, -1.0)):
-            np.add.at(felt, np.minimum(at + lag, n - 1), size * impacts[:, 1])
+    time_s, drive_s = (np.arange(n) / run.rate_hz for _ in range(2))
+    felt, latency_s = _felt_g(run, plate, over * run.rate_hz), run.hidden.get("contact_latency.delay_s", 0.0)
+    if run.instrument is None:
+        felt = felt + run.accelerometer_noise_g * rng.standard_normal(n)
+        if run.spikes:
+            at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)
+            for lag, size in enumerate((-12.0, 7.0, -4.0, 2.0, -1.0)):
+                np.add.at(felt, np.minimum(at + lag, n - 1), size * impacts[:, 1])
+        felt_v = 0.1 * felt
+        times, opens = edge_times(edges, latency_s, run.closure_s, run.jitter_s, rng)
+        circuit_v = square_contact(times, opens, n, run.rate_hz, run.contact_rc_s)
+        pickup_v = 0.0
+    else:
+        part = run.instrument
+        felt_v = accelerometer_v(part, felt, impacts, run.rate_hz, over, run.accelerometer_noise_g, rng)
+        times, opens = edge_times(edges, latency_s, run.closure_s, run.jitter_s, rng)
+        circuit_v = contact_v(part, times, opens, run.rate_hz, over, n, rng)
+        drive_s = time_s + part.shown_at_s(DRIVE, run.rate_hz)
+        pickup_v = part.mains(part.drive_mains_v, 0.0, drive_s)
+    circuit_v = circuit_v + run.contact_noise_v * rng.standard_normal(n)
+    command = commands(gammas, step_s, fade_s, w, float(run.c), drive_s)
+    command_v = command / (G * run.g_per_volt) + 0.0005 * rng.standard_normal(n) + pickup_v
     return {
         "time_s": time_s,
-        "continuity_v": _converted(
-            run, _continuity(run, rng, edges, n, run.hidden.get("contact_latency.delay_s", 0.0))
-        ),
-        "accelerometer_v": _converted(run, 0.1 * felt),
-        "drive_v": _converted(run, command / (G * run.g_per_volt) + 0.0005 * rng.standard_normal(n)),
+        "continuity_v": converted(run.bits, circuit_v),
+        "accelerometer_v": converted(run.bits, felt_v),
+        "drive_v": converted(run.bits, command_v),
         "impacts": impacts,
+        "flights": _flights(edges),
     }
+
+
+def _flights(edges: np.ndarray) -> np.ndarray:
+    """Take-off and landing of each flight that has ended, (m, 2), from edges that open and close in turn."""
+    return np.abs(edges[: edges.size // 2 * 2]).reshape(-1, 2)
 
 
 def profile_of(run: Run) -> str:

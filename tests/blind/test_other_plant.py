@@ -22,7 +22,7 @@ def test_flights_have_the_published_lengths(gamma_peak: float, taus: tuple[float
     n = int(60 / run.frequency_hz * run.rate_hz)
     count, _ = other._march(
         run.values(), np.array(run.gammas), 60 / run.frequency_hz, 1 / run.frequency_hz, w, 1.0, 5e-6,
-        np.zeros(n), edges, np.zeros((20000, 2)),
+        other.STEPS_PER_SAMPLE, np.zeros(n), edges, np.zeros((20000, 2)),
     )  # fmt: skip
     edges = edges[: count - count % 2][-4 * len(taus) :]  # opening, closing, opening, ...
     lengths = np.sort(w * (-edges[1::2] - edges[::2]))[::2]
