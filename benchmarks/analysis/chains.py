@@ -59,8 +59,8 @@ def _low_pass(hz: float, poles: float, rate_hz: float = 20e3, **more: float) -> 
 
 FAST_SLOPES = {"rc_open_s": 1e-4, "rc_close_s": 3e-5}
 USB_CARD = {
-    "low_pass_hz": 5e3, "flicker_v": 2e-4, "bias_v": 2e-3, "mains_v": 5e-4, "mains_odd": 0.5, "between_channels_s": 5e-6,
-    "bounce_s": 5e-4, "film_v": 0.05,
+    "low_pass_hz": 5e3, "flicker_v": 2e-4, "bias_v": 2e-3, "mains_v": 5e-4, "mains_odd": 0.5,
+    "between_channels_s": 5e-6, "bounce_s": 5e-4, "film_v": 0.05,
 }  # fmt: skip
 
 CHAINS: dict[str, Chain] = {
@@ -73,6 +73,7 @@ CHAINS: dict[str, Chain] = {
     "low-pass 3 kHz, 4 poles": _low_pass(3e3, 4),
     "low-pass 1.6 kHz, 1 pole": _low_pass(1.6e3, 1),
     "low-pass 1 kHz, 4 poles": _low_pass(1e3, 4),
+    "low-pass 500 Hz, 2 poles": _low_pass(500.0, 2),
     "low-pass 5 kHz, 2 poles, 51.2 kHz": _low_pass(5e3, 2, 51.2e3),
     "10 kHz, low-pass 4 kHz": _low_pass(4e3, 4, 10e3),
     "44.1 kHz": Chain(rate_hz=44.1e3),
@@ -93,11 +94,13 @@ CHAINS: dict[str, Chain] = {
     "sensitivity falls from 3 kHz": Chain({"mount_hz": 3e3, "mount_damping": 1.0}, causes=(LAG,)),
     "cross-axis 5 %": Chain({"cross_axis": 0.05}),
     "sensor ends at 6 g": Chain({"sensor_clip_g": 6.0}),
+    "sensor ends at 4 g": Chain({"sensor_clip_g": 4.0}),
     "impacts are pulses": Chain({"pulse": 1}),
     "impacts are pulses behind a low-pass": _low_pass(5e3, 2, pulse=1),
     "multiplexed": Chain({"between_channels_s": 5e-6}),
     "contact chatters": Chain({"bounce_s": 8e-4}),
     "film on the contact": Chain({"film_v": 0.6}),
+    "film, 1/f noise in the contact": Chain({"film_v": 0.35, "contact_flicker_v": 0.025}),
     "slow edges": Chain({"rc_open_s": 2e-4, "rc_close_s": 5e-5}),
     "hysteresis": Chain({"hysteresis_v": 2.0, **FAST_SLOPES}),
     "mains in the contact": Chain({"contact_mains_v": 0.15}),
@@ -118,7 +121,7 @@ CHAINS: dict[str, Chain] = {
 
 @dataclass(frozen=True)
 class Job:
-    """A trial: names of chain and hidden causes, ``other`` or ``own`` plant, and the number that its chance comes from."""
+    """A trial: names of a chain and of what is hidden, the plant (``other`` or ``own``), and a seed."""
 
     chain: str
     hidden: str
@@ -145,7 +148,7 @@ def jobs(seeds: range) -> list[Job]:
 
 
 def recorded(job: Job, folder: Path) -> tuple[Path, Floats, Values]:
-    """A recording, take-off and landing of each flight flown (m, 2) in s by its clock, and the library's true values."""
+    """A recording, the flights flown, take-off and landing (m, 2) in s by its clock, and the library's true values."""
     rng, chain = job.rng(), CHAINS[job.chain]
     sizes = {key: float(rng.uniform(*bounds)) for key, bounds in HIDDEN[job.hidden].items()}
     path, flights = (_other if job.plant == "other" else _own)(chain, sizes, rng, folder)
@@ -173,18 +176,19 @@ def _other(chain: Chain, sizes: Mapping[str, float], rng: np.random.Generator, f
 class _Watched(SimulatedBackend):
     """The simulated rig, whose flights are noted as they end."""
 
-    BLOCK = 4  # samples between two looks
+    LOOK_S = 2e-4
 
     def _new_plant(self) -> None:
         super()._new_plant()
         self.flights: list[tuple[float, float]] = []
         marched, state = self._plant.exchange, self._plant._state
+        samples = int(self.LOOK_S * self.rate_hz)
 
         def exchange(drive_v: Floats) -> NDArray[np.int16]:
             codes = []
-            for start in range(0, len(drive_v), self.BLOCK):
+            for start in range(0, len(drive_v), samples):
                 seen = int(state["impacts"][0])
-                codes.append(marched(drive_v[start : start + self.BLOCK]))
+                codes.append(marched(drive_v[start : start + samples]))
                 if int(state["impacts"][0]) != seen:
                     landing_s = float(state["landed_s"][0])
                     self.flights.append((landing_s - float(state["flight_s"][0]), landing_s))

@@ -102,8 +102,8 @@ def _verdict(path: Path, truth: Values) -> Row:
     }  # fmt: skip
 
 
-def score(wanted: Sequence[Job], journal: Journal, end: float, *, with_loop: bool, workers: int) -> int:
-    """Run trials that have no row of this version yet, until ``end`` on the monotonic clock; how many were run."""
+def score(wanted: Sequence[Job], journal: Journal, end: float, *, with_loop: bool, workers: int) -> None:
+    """Run trials that have no row of this version yet, until ``end`` on the monotonic clock."""
 
     def missing() -> Iterator[tuple[str, tuple[Job, bool]]]:
         for job in wanted:
@@ -111,10 +111,8 @@ def score(wanted: Sequence[Job], journal: Journal, end: float, *, with_loop: boo
             if time.monotonic() < end and ("verdict" not in row if with_loop else "chain" not in row):
                 yield f"{code_version()}:{job.key}", (job, with_loop)
 
-    done = 0
-    for done, outcome in enumerate(outcomes(trial, missing(), workers=workers), 1):
+    for outcome in outcomes(trial, missing(), workers=workers):
         journal.add(outcome.key, outcome.result or {"failed": str(outcome.error)})
-    return done
 
 
 # -- tables ---------------------------------------------------------------------------------------------------------

@@ -66,13 +66,11 @@ class Afterwards:
         return v
 
     def profile(self, text: str) -> str:
-        """The owner's profile: with the new rate, and nothing of a drive that was not recorded or not calibrated."""
+        """The owner's profile: with the new rate, and without the scale of a drive that nobody has calibrated."""
         if self.resampled_hz:
             text = re.sub(r"(?m)^rate_hz = .*$", f"rate_hz = {self.resampled_hz}", text)
         if self.drive in ("missing", "scaled"):
             text = re.sub(r"(?m)^g_per_volt = .*\n", "", text)
-        if self.drive == "missing":
-            text = re.sub(r"(?m)^\[channels\.drive\]\n(?:[^\[\n].*\n)*", "", text)
         return text
 
 

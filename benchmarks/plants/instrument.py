@@ -1,4 +1,4 @@
-"""The instrument between the other plant's physics and its volts: sensor, amplifier, filter, converter, contact circuit.
+"""The instrument between the other plant's physics and its volts: sensor, filter, converter, contact circuit.
 
 The accelerometer's chain works on a grid several times finer than the sampling, as an analogue circuit does; the
 converter takes its samples from there. The contact's voltage is followed from edge to edge in closed form.
@@ -49,6 +49,8 @@ class Instrument:
         1/f noise of the accelerometer, rms in each octave.
     bias_v, warm_up_v, warm_up_s
         Constant in the accelerometer's volts, and one that decays.
+    contact_flicker_v
+        The same in the contact circuit.
     mains_v, mains_odd, contact_mains_v, drive_mains_v
         Mains of 50 Hz in the channels, amplitudes; the accelerometer's k-th harmonic is ``mains_odd / k`` of it, k odd.
     fir_samples, fir_accelerometer_only
@@ -79,6 +81,7 @@ class Instrument:
     warm_up_s: float = 5.0
     mains_v: float = 0.0
     mains_odd: float = 0.0
+    contact_flicker_v: float = 0.0
     contact_mains_v: float = 0.0
     drive_mains_v: float = 0.0
     fir_samples: float = 0.0
@@ -108,7 +111,7 @@ def add_impacts(felt, impacts, grid_hz, size, hz, decay_s, pulse_s):
     for k in range(impacts.shape[0]):
         start, speed = impacts[k, 0], impacts[k, 1]
         lasts = pulse_s if pulse_s > 0.0 else 12.0 * decay_s
-        first = int(math.ceil(start * grid_hz))
+        first = math.ceil(start * grid_hz)
         for i in range(first, min(int((start + lasts) * grid_hz) + 1, felt.size)):
             t = i / grid_hz - start
             if pulse_s > 0.0:
@@ -167,9 +170,7 @@ def accelerometer_v(
     else:
         add_impacts(x, impacts, grid_hz, *RINGING, 0.0)
     if part.cross_axis:
-        sideways = _second_order(
-            [2.0 * LATERAL_DAMPING * LATERAL_GAIN, 0.0], LATERAL_HZ, LATERAL_DAMPING, grid_hz
-        )
+        sideways = _second_order([2.0 * LATERAL_DAMPING * LATERAL_GAIN, 0.0], LATERAL_HZ, LATERAL_DAMPING, grid_hz)
         x = x + part.cross_axis * through(x, *sideways)
     if part.mount_hz:
         x = through(x, *_second_order([1.0], part.mount_hz, part.mount_damping, grid_hz))
@@ -179,7 +180,9 @@ def accelerometer_v(
         x = blocked(x - x[0], part.high_pass_hz / grid_hz)
     filtered = part.low_pass_hz or part.fir_samples
     if filtered:
-        x = x + noise_g * math.sqrt(over) * rng.standard_normal(x.size)
+        noise = noise_g * math.sqrt(over) * rng.standard_normal(x.size)
+        noise[0] = 0.0  # the filters have had the first value for long
+        x = x + noise
     if part.low_pass_hz:
         x = through(x, *butter(int(part.low_pass_poles), part.low_pass_hz / (grid_hz / 2.0)))
     shift_s = ACCELEROMETER * part.between_channels_s
@@ -204,7 +207,9 @@ def flicker(n: int, rms_an_octave: float, rng: np.random.Generator) -> Array:
     return np.asarray(rms_an_octave * math.sqrt(n / (2.0 * math.log(2.0))) * np.fft.irfft(spectrum, n))
 
 
-def chattering(part: Instrument, times: Array, opens: NDArray[np.bool_], rng: np.random.Generator) -> tuple[Array, Array]:
+def chattering(
+    part: Instrument, times: Array, opens: NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[Array, Array]:
     """The contact's edges, and up to three short openings after each landing, none later than the next take-off."""
     if not part.bounce_s or not times.size:
         return times, opens
@@ -238,7 +243,13 @@ def _follow(times, opens, levels, at_s, rc_open_s, rc_close_s, low_v, high_v, ou
 
 
 def contact_v(
-    part: Instrument, times: Array, opens: NDArray[np.bool_], rate_hz: float, over: int, n: int, rng: np.random.Generator
+    part: Instrument,
+    times: Array,
+    opens: NDArray[np.bool_],
+    rate_hz: float,
+    over: int,
+    n: int,
+    rng: np.random.Generator,
 ) -> Array:
     """Volts of the contact circuit at each of ``n`` samples, noise apart.
 
@@ -256,4 +267,6 @@ def contact_v(
     threshold = 2.5 - part.hysteresis_v / 2.0, 2.5 + part.hysteresis_v / 2.0
     _follow(times, opens, levels, at_s, part.rc_open_s, part.rc_close_s, *threshold, volts)
     volts = taken(part, volts, fine, CONTINUITY)
+    if part.contact_flicker_v:
+        volts = volts + flicker(n, part.contact_flicker_v, rng)
     return volts + part.mains(part.contact_mains_v, 0.0, at_s[::fine])

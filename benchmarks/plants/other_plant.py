@@ -275,41 +275,55 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     every = STEPS_PER_SAMPLE // over
     n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, every, plate, edges, impacts)
     impacts, edges = impacts[:n_impacts], edges[:n_edges]
-    time_s, drive_s = (np.arange(n) / run.rate_hz for _ in range(2))
-    felt, latency_s = _felt_g(run, plate, over * run.rate_hz), run.hidden.get("contact_latency.delay_s", 0.0)
-    if run.instrument is None:
-        felt = felt + run.accelerometer_noise_g * rng.standard_normal(n)
-        if run.spikes:
-            at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)
-            for lag, size in enumerate((-12.0, 7.0, -4.0, 2.0, -1.0)):
-                np.add.at(felt, np.minimum(at + lag, n - 1), size * impacts[:, 1])
-        felt_v = 0.1 * felt
-        times, opens = edge_times(edges, latency_s, run.closure_s, run.jitter_s, rng)
-        circuit_v = square_contact(times, opens, n, run.rate_hz, run.contact_rc_s)
-        pickup_v = 0.0
-    else:
-        part = run.instrument
-        felt_v = accelerometer_v(part, felt, impacts, run.rate_hz, over, run.accelerometer_noise_g, rng)
-        times, opens = edge_times(edges, latency_s, run.closure_s, run.jitter_s, rng)
-        circuit_v = contact_v(part, times, opens, run.rate_hz, over, n, rng)
-        drive_s = time_s + part.shown_at_s(DRIVE, run.rate_hz)
-        pickup_v = part.mains(part.drive_mains_v, 0.0, drive_s)
-    circuit_v = circuit_v + run.contact_noise_v * rng.standard_normal(n)
-    command = commands(gammas, step_s, fade_s, w, float(run.c), drive_s)
-    command_v = command / (G * run.g_per_volt) + 0.0005 * rng.standard_normal(n) + pickup_v
+    felt_v, circuit_v, drive_s = (
+        _ideally(run, plate, impacts, edges, rng)
+        if over == 1
+        else _by_instrument(run, plate, over, impacts, edges, rng)
+    )
+    command_v = commands(gammas, step_s, fade_s, w, float(run.c), drive_s) / (G * run.g_per_volt)
+    command_v = command_v + 0.0005 * rng.standard_normal(n)
+    if run.instrument is not None:
+        command_v += run.instrument.mains(run.instrument.drive_mains_v, 0.0, drive_s)
     return {
-        "time_s": time_s,
+        "time_s": np.arange(n) / run.rate_hz,
         "continuity_v": converted(run.bits, circuit_v),
         "accelerometer_v": converted(run.bits, felt_v),
         "drive_v": converted(run.bits, command_v),
         "impacts": impacts,
-        "flights": _flights(edges),
+        "flights": np.abs(edges[: edges.size // 2 * 2]).reshape(-1, 2),  # edges open and close in turn
     }
 
 
-def _flights(edges: np.ndarray) -> np.ndarray:
-    """Take-off and landing of each flight that has ended, (m, 2), from edges that open and close in turn."""
-    return np.abs(edges[: edges.size // 2 * 2]).reshape(-1, 2)
+def _ideally(
+    run: Run, plate: np.ndarray, impacts: np.ndarray, edges: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Volts of ideal accelerometer and contact, and the times at which the drive is read."""
+    n = plate.size
+    felt = _felt_g(run, plate, run.rate_hz) + run.accelerometer_noise_g * rng.standard_normal(n)
+    if run.spikes:
+        at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)
+        for lag, size in enumerate((-12.0, 7.0, -4.0, 2.0, -1.0)):
+            np.add.at(felt, np.minimum(at + lag, n - 1), size * impacts[:, 1])
+    times, opens = _edges_of(run, edges, rng)
+    circuit_v = square_contact(times, opens, n, run.rate_hz, run.contact_rc_s)
+    return 0.1 * felt, circuit_v + run.contact_noise_v * rng.standard_normal(n), np.arange(n) / run.rate_hz
+
+
+def _by_instrument(
+    run: Run, plate: np.ndarray, over: int, impacts: np.ndarray, edges: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same by the run's instrument, from the plate's acceleration on a grid ``over`` times as fine."""
+    part, n = run.instrument or Instrument(), plate.size // over
+    felt = _felt_g(run, plate, over * run.rate_hz)
+    felt_v = accelerometer_v(part, felt, impacts, run.rate_hz, over, run.accelerometer_noise_g, rng)
+    circuit_v = contact_v(part, *_edges_of(run, edges, rng), run.rate_hz, over, n, rng)
+    circuit_v = circuit_v + run.contact_noise_v * rng.standard_normal(n)
+    return felt_v, circuit_v, np.arange(n) / run.rate_hz + part.shown_at_s(DRIVE, run.rate_hz)
+
+
+def _edges_of(run: Run, edges: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    latency_s = run.hidden.get("contact_latency.delay_s", 0.0)
+    return edge_times(edges, latency_s, run.closure_s, run.jitter_s, rng)
 
 
 def profile_of(run: Run) -> str:
