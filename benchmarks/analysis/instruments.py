@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Floats, Job, Values, jobs, recorded
 from benchmarks.scoring.tables import rate
@@ -36,20 +37,22 @@ SHORTEST_S = 5e-4
 GOOD_FLOORS = 1.3  # landing rms over the noise floor
 
 
-def counted(found_s: Floats, flown: Floats, near_s: float) -> tuple[int, int, int]:
+def counted(found_s: Floats, cut: NDArray[np.bool_], flown: Floats, near_s: float) -> tuple[int, int, int]:
     """Flights flown, phantom landings and missed ones.
 
     Parameters
     ----------
     found_s : (n,)
         Landings found.
+    cut : (n,)
+        Which of them end at samples that were lost: no phantoms.
     flown : (m, 2)
         Take-off and landing of each flight flown, in order.
     near_s
         Distance within which a landing is the one that was found.
     """
     long = flown[flown[:, 1] - flown[:, 0] > SHORTEST_S]
-    return len(long), int(_far(found_s, flown[:, 1], near_s).sum()), int(_far(long[:, 1], found_s, near_s).sum())
+    return len(long), int(_far(found_s[~cut], flown[:, 1], near_s).sum()), int(_far(long[:, 1], found_s, near_s).sum())
 
 
 def _far(times: Floats, others: Floats, near_s: float) -> np.ndarray:
@@ -72,12 +75,15 @@ def trial(job: Job, with_loop: bool) -> Row:
             with open_recording(path) as recording:
                 flights = flights_of(recording)
                 row["seconds_recorded"] = recording.n_samples / recording.rate_hz
+                after, lost = recording.gaps.T / recording.rate_hz
             row["seconds_flights"] = time.process_time() - start
             whole = flights.landing_s < row["seconds_recorded"] - 1e-3  # the last flight may not have ended
-            landings = flights.landing_s[~flights.has(FlightFlag.FALSE) & whole]
+            taken = ~flights.has(FlightFlag.FALSE) & whole
+            landings, cut = flights.landing_s[taken], flights.has(FlightFlag.GAP)[taken]
+            landings = landings + np.append(0.0, np.cumsum(lost))[np.searchsorted(after, landings, side="right")]
             near_s = NEAR_S + CHAINS[job.chain].parts.get("bounce_s", 0.0)
             row["found"] = len(landings)
-            row["flown"], row["phantoms"], row["missed"] = counted(landings, flown, near_s)
+            row["flown"], row["phantoms"], row["missed"] = counted(landings, cut, flown, near_s)
             if with_loop:
                 row |= _verdict(path, truth)
     except (ValueError, RuntimeError, ArithmeticError, IndexError) as error:
