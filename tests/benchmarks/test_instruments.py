@@ -20,7 +20,7 @@ def test_the_plan_holds_every_chain_with_every_hidden_cause():
 
 
 def test_landings_are_counted_against_flights_that_were_flown():
-    """A landing far from impacts and losses is a phantom; a long flight without landing is missed, a short one is not."""
+    """A landing far from impacts and losses is a phantom; a long flight without one is missed, a short one is not."""
     flown = np.array([[0.0, 0.03], [0.031, 0.05], [0.0502, 0.0504], [0.06, 0.08]])
     found, cut = np.array([0.0302, 0.0451, 0.055, 0.0801]), np.array([False, False, True, False])
     assert instruments.counted(found, cut, flown, 5e-4) == (3, 1, 1)
