@@ -6,7 +6,7 @@
 
 Each trial is kept at once, by the version of the code; a run that is started again goes on where it stopped.
 ``--no-loop`` finds flights only. A landing is a phantom where no impact was within 0.5 ms of it (and the time in which
-the contact chatters); a flight of more than 0.5 ms is missed where no landing was found so near to its own. Where a
+the contact chatters); a flight of more than 1 ms is missed where no landing was found so near to its own. Where a
 verdict is judged, a name that is the instrument's own (`Chain.causes`) is neither wanted nor wrong.
 """
 
@@ -33,7 +33,7 @@ from model.surveys.workers import outcomes
 Row = dict[str, Any]
 
 NEAR_S = 5e-4
-SHORTEST_S = 5e-4
+SHORTEST_S = 1e-3  # a ringing table and a contact that is held closed hide shorter ones
 GOOD_FLOORS = 1.3  # landing rms over the noise floor
 
 

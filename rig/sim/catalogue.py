@@ -451,6 +451,28 @@ RIG_DEFAULTS: dict[str, float] = {
     "drive_noise_v": 0.0003,
     "shaker_frequency_hz": 0.0,  # 0: the shaker's own resonance is equalised away
     "shaker_damping": 0.5,
+    # the instrument behind the sensors; 0: none of it
+    "low_pass_hz": 0.0,  # accelerometer, Butterworth; its noise passes it
+    "low_pass_poles": 2.0,  # 1, 2 or 4
+    "high_pass_hz": 0.0,  # coupling behind the accelerometer: no constant, gravity neither, comes through
+    "mount_hz": 0.0,  # resonance of the accelerometer on its mount
+    "mount_damping": 0.05,  # 1: sensitivity falls with frequency
+    "cross_axis": 0.0,  # part of the table's sideways acceleration that is taken for a vertical one
+    "sensor_clip_g": 0.0,  # largest acceleration that the accelerometer gives
+    "flicker_v": 0.0,  # 1/f noise of the accelerometer, rms in each octave
+    "contact_flicker_v": 0.0,
+    "bias_v": 0.0,  # in the accelerometer's volts
+    "warm_up_v": 0.0,  # the same at the start, decaying
+    "warm_up_s": 5.0,
+    "mains_v": 0.0,  # 50 Hz in the accelerometer's volts, amplitude
+    "mains_odd": 0.0,  # its harmonics 3, 5, 7: this over their number
+    "contact_mains_v": 0.0,
+    "drive_mains_v": 0.0,  # in the recorded drive
+    "fir_samples": 0.0,  # delay of a sigma-delta converter's linear-phase filter, of all channels
+    "fir_accelerometer_only": 0.0,  # 1: the accelerometer alone has it
+    "between_channels_s": 0.0,  # a multiplexed card takes each channel so much later than the one before
+    "film_v": 0.0,  # by so much a film raises the closed contact's voltage, each time by half to one and a half of it
+    "hysteresis_v": 0.0,  # width between the thresholds of a comparator behind the contact circuit
 }
 """The rig around the ball: what a scenario's ``[rig]`` table may set."""
 
@@ -459,6 +481,14 @@ def parameter_dtype() -> np.dtype[np.void]:
     """Layout of the compiled plant's parameters: rig numbers, ``effect_parameter`` fields, then switches."""
     fields = [(name, "f8") for name in RIG_DEFAULTS]
     fields += [(f"{e.name}_{p.name}", "f8") for e in EFFECTS.values() for p in e.parameters]
-    switches = ("has_friction", "has_unusual_friction", "has_force", "has_hold", "has_mode", "is_ballistic")
+    switches = (
+        "has_friction",
+        "has_unusual_friction",
+        "has_force",
+        "has_hold",
+        "has_mode",
+        "has_front",
+        "is_ballistic",
+    )
     fields += [(name, "f8") for name in (*switches, "is_simple")]
     return np.dtype(fields)

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from kernels import njit
 from rig.sim.ball_motion import move_ball
+from rig.sim.catalogue import RIG_DEFAULTS
 from rig.sim.drive_chain import drive_plate
 from rig.sim.forces import G_MPS2, gravity, plate_acceleration
+from rig.sim.instrument import SECTIONS, SUBSTEPS, Converter, sections, shown_acceleration
 from rig.sim.rng import small_noise
 from rig.sim.scenario import Scenario
 from rig.sim.sensors import run_circuit
@@ -32,8 +34,11 @@ REFRESH_SAMPLES = 64
 
 
 @njit()
-def _code(volts: float, scale_v: float, limit: float) -> int:
-    return int(min(max(math.floor(volts / scale_v + 0.5), -limit), limit - 1.0))
+def _convert(volts: Any, scale_v: float, limit: float, codes: Any) -> None:
+    """Codes of the volts, (n, 3) each."""
+    for i in range(len(volts)):
+        for k in range(volts.shape[1]):
+            codes[i, k] = int(min(max(math.floor(volts[i, k] / scale_v + 0.5), -limit), limit - 1.0))
 
 
 @njit()
@@ -73,27 +78,32 @@ def _shown(s: Any, p: Any, volts: float) -> float:
 
 
 @njit()
-def _run(state: Any, params: Any, drift: Any, drive_v: Any, noise: Any, dt_s: float, codes: Any) -> None:
+def _run(
+    state: Any, params: Any, drift: Any, taps: Any, memory: Any, drive_v: Any, noise: Any, dt_s: float, volts: Any
+) -> None:
     """March the rig over the samples of one block, one interval ending at each sample."""
     s, p, values = state[0], params[0], params.view(np.float64)
-    limit = 2.0 ** (p.adc_bits - 1.0)
-    scale_v = p.adc_range_v / limit
-    noise_v = p.accelerometer_v_per_g * p.accelerometer_noise_g
+    noise_v = p.accelerometer_v_per_g * p.accelerometer_noise_g if p.low_pass_hz == 0.0 else 0.0
     for i in range(drive_v.size):
         if s.sample & (REFRESH_SAMPLES - 1) == 0:
             _refresh(s, p, values, drift, dt_s)
         drive_plate(s, p, drive_v[i])
         re, im = s.ring_re, s.ring_im
         s.ring_re, s.ring_im = s.turn_re * re - s.turn_im * im, s.turn_re * im + s.turn_im * re
+        s.n_hits = 0
         move_ball(s, p)
-        run_circuit(s, p)
+        circuit_v = run_circuit(s, p)
         a = plate_acceleration(s, p, 1.0, s.mode_m, s.mode_mps, s.state != FLIGHT)[0]
-        a += (p.accelerometer_reads_gravity - 2 * s.turned) * gravity(p) + G_MPS2 * p.ring_g_s_per_m * s.ring_im
+        weight = (p.accelerometer_reads_gravity - 2 * s.turned) * gravity(p)
+        if p.has_front != 0.0:
+            rest = a - (s.a0 + s.a1 + s.a2 + s.a3) + weight
+            a = shown_acceleration(s, p, taps, memory, noise[i], re, im, rest)
+        else:
+            a += weight + G_MPS2 * p.ring_g_s_per_m * s.ring_im
         counter = s.noise_key + np.uint64(2 * s.sample)
-        continuity_v = s.continuity_v + p.continuity_noise_v * small_noise(counter)
-        codes[i, 0] = _code(continuity_v, scale_v, limit)
-        codes[i, 1] = _code(s.zero_v + _shown(s, p, s.volts_per_mps2 * a) + noise_v * noise[i], scale_v, limit)
-        codes[i, 2] = _code(drive_v[i] + p.drive_noise_v * small_noise(counter + np.uint64(1)), scale_v, limit)
+        volts[i, 0] = circuit_v + p.continuity_noise_v * small_noise(counter)
+        volts[i, 1] = s.zero_v + _shown(s, p, s.volts_per_mps2 * a) + noise_v * noise[i, 0]
+        volts[i, 2] = drive_v[i] + p.drive_noise_v * small_noise(counter + np.uint64(1))
         s.t_s += s.dt_s
         s.sample += 1
 
@@ -126,10 +136,15 @@ class Plant:
         self.rate_hz = float(rate_hz)
         self.scenario_sha256 = scenario.sha256
         self._params, self._drift = scenario.parameters()
-        scale_v = float(self._params["adc_range_v"][0]) / 2.0 ** (float(self._params["adc_bits"][0]) - 1.0)
-        self.channel_scales = dict.fromkeys(CHANNELS, scale_v)
         self._rng = rng.spawn(1)[0]
         keys = self._rng.integers(2**63, size=2)
+        rig = {key: float(self._params[key][0]) for key in RIG_DEFAULTS}
+        self._sections, self._memory = sections(rig, self.rate_hz), np.zeros((SECTIONS, 2))
+        self._converter = Converter(rig, self.rate_hz, self._rng.spawn(1)[0])
+        self._noises = SUBSTEPS if rig["low_pass_hz"] else 1
+        self._limit = 2.0 ** (rig["adc_bits"] - 1.0)
+        self._scale_v = rig["adc_range_v"] / self._limit
+        self.channel_scales = dict.fromkeys(CHANNELS, self._scale_v)
         self._state = initial_state(int(keys[0]), int(keys[1]), -1.0 / self.rate_hz)
 
     def turn(self, over: bool) -> None:
@@ -160,7 +175,11 @@ class Plant:
         codes = np.empty((drive.size, len(CHANNELS)), np.int16)
         for start in range(0, drive.size, NOISE_BLOCK):
             stop = min(start + NOISE_BLOCK, drive.size)
-            noise = self._rng.standard_normal(stop - start, dtype=np.float32)
-            piece = slice(start, stop)
-            _run(self._state, self._params, self._drift, drive[piece], noise, 1.0 / self.rate_hz, codes[piece])
+            noise = self._rng.standard_normal((stop - start, self._noises), dtype=np.float32)
+            volts, first = np.empty((stop - start, len(CHANNELS))), int(self._state["sample"][0])
+            march = (self._state, self._params, self._drift, self._sections, self._memory)
+            _run(*march, drive[start:stop], noise, 1.0 / self.rate_hz, volts)
+            if self._converter.changes:
+                self._converter.apply(volts, first)
+            _convert(volts, self._scale_v, self._limit, codes[start:stop])
         return codes

@@ -19,6 +19,7 @@ import numpy as np
 
 from daq.setup.errors import InputError
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, parameter_dtype
+from rig.sim.instrument import ANALOGUE
 
 DRIFT = "parameter_drift"
 """Table under ``[effects]`` that makes parameters of other effects drift: ``"effect.parameter" = per_minute``."""
@@ -104,6 +105,7 @@ class Scenario:
         params["has_unusual_friction"], params["has_force"] = unusual, forced
         params["has_friction"] = unusual or self._has("coulomb_friction")
         params["has_hold"], params["has_mode"] = self._has("impact_hold"), self._has("table_resonance")
+        params["has_front"] = any(params[key][0] != 0.0 for key in ANALOGUE)
         ballistic = not (unusual or forced or self._has("table_resonance"))
         params["is_ballistic"], params["is_simple"] = ballistic, ballistic and not self._has(*_NOT_SIMPLE)
         places = {name: place for place, name in enumerate(dtype.names or ())}
@@ -150,6 +152,8 @@ def _effect_problems(effects: Mapping[str, Mapping[str, float]]) -> list[str]:
 def _rig_problems(rig: Mapping[str, float]) -> list[str]:
     problems = [f"rig.{key}: wanted one of {', '.join(RIG_DEFAULTS)}" for key in rig if key not in RIG_DEFAULTS]
     problems += [f"rig.{key}: wanted a number, got {value!r}" for key, value in rig.items() if not _is_number(value)]
+    if rig.get("low_pass_poles", 1) not in (1, 2, 4):
+        problems.append(f"rig.low_pass_poles: wanted 1, 2 or 4, got {rig['low_pass_poles']!r}")
     return problems
 
 

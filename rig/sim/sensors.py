@@ -11,7 +11,7 @@ from typing import Any
 
 from kernels import njit
 from rig.sim.rng import uniform
-from rig.sim.state import BOUNCE_CLOSE, BOUNCE_OPEN, CLOSE, EDGE_CAPACITY, OPEN
+from rig.sim.state import BOUNCE_CLOSE, BOUNCE_OPEN, CLOSE, EDGE_CAPACITY, HIT_CAPACITY, OPEN
 
 
 @njit()
@@ -75,18 +75,43 @@ def landing_edges(s: Any, p: Any, t: float) -> None:
 def _relax(s: Any, p: Any, dt_s: float) -> None:
     """Let the voltage run towards the level of the circuit's present state."""
     closed = s.closed == 1 and s.bouncing == 0
-    level = p.closed_v if closed else p.open_v
+    level = p.closed_v + s.film_v if closed else p.open_v
     off = s.continuity_v - level
     if abs(off) < 1e-9:
         s.continuity_v = level
-        return
-    s.continuity_v = level + off * math.exp(-dt_s / (p.rc_close_s if closed else p.rc_open_s))
+    else:
+        s.continuity_v = level + off * math.exp(-dt_s / (p.rc_close_s if closed else p.rc_open_s))
+    if p.hysteresis_v > 0.0:
+        threshold = 0.5 * (p.open_v + p.closed_v) + (0.5 - s.says_open) * p.hysteresis_v
+        s.says_open = 1 if s.continuity_v > threshold else 0
 
 
 @njit()
-def run_circuit(s: Any, p: Any) -> None:
-    """Carry the continuity voltage to the end of the interval through the edges that fall into it."""
+def run_circuit(s: Any, p: Any) -> float:
+    """Carry the contact circuit to the end of the interval through the edges that fall into it; volts to convert.
+
+    The drive is taken at the end; a multiplexed card has taken the contact two channels before.
+    """
     now, end = s.t_s, s.t_s + s.dt_s
+    if p.between_channels_s > 0.0:
+        look = max(end - 2.0 * p.between_channels_s, now)
+        now = _run_until(s, p, now, look)
+        volts = _volts(s, p)
+        _run_until(s, p, now, end)
+        return volts
+    _run_until(s, p, now, end)
+    return _volts(s, p)
+
+
+@njit()
+def _volts(s: Any, p: Any) -> float:
+    if p.hysteresis_v > 0.0:
+        return float(p.open_v if s.says_open == 1 else p.closed_v)
+    return float(s.continuity_v)
+
+
+@njit()
+def _run_until(s: Any, p: Any, now: float, end: float) -> float:
     done = 0
     while done < s.n_edges and s.edge_s[done] <= end:
         at, kind = max(s.edge_s[done], now), s.edge_kind[done]
@@ -95,6 +120,8 @@ def run_circuit(s: Any, p: Any) -> None:
         if kind in (OPEN, CLOSE):
             s.closed = 1 if kind == CLOSE else 0
             s.bouncing = 0
+            if kind == CLOSE and p.film_v > 0.0:
+                s.film_v = p.film_v * (0.5 + uniform(s))
         else:
             s.bouncing = 1 if kind == BOUNCE_OPEN else 0
         done += 1
@@ -103,11 +130,15 @@ def run_circuit(s: Any, p: Any) -> None:
             s.edge_s[i - done], s.edge_kind[i - done] = s.edge_s[i], s.edge_kind[i]
         s.n_edges -= done
     _relax(s, p, end - now)
+    return end
 
 
 @njit()
 def ring_now(s: Any, p: Any, speed_mps: float) -> None:
     """Start the table's ringing at the present place; the stored phasor is that of the interval's end."""
+    if s.n_hits < HIT_CAPACITY:
+        s.hit_u[s.n_hits], s.hit_mps[s.n_hits] = s.u, speed_mps
+        s.n_hits += 1
     left = (1.0 - s.u) * s.dt_s
     size = -speed_mps * math.exp(-left / p.ring_decay_s)
     angle = 2.0 * math.pi * p.ring_frequency_hz * left

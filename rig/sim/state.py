@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 EDGE_CAPACITY = 64
+HIT_CAPACITY = 16
 
 CONTACT, FLIGHT, HANGING = 0, 1, 2
 OPEN, CLOSE, BOUNCE_OPEN, BOUNCE_CLOSE = 0, 1, 2, 3
@@ -54,17 +55,23 @@ _FLOATS = (
     "shown_v",
     "unfiltered_v",  # of the accelerometer, behind and before its filter
     "blocked_v",  # what a high-pass in its amplifier takes away
+    "felt_rest",
+    "filtered",  # of the accelerometer's analogue part: its input but for drive and ringing, and its output
+    "film_v",  # on the contact that was closed last
     "continuity_v",
 )
 _INTEGERS = (
     "state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts", "sample",
     "turned",  # 1 while the accelerometer lies upside down
+    "says_open",  # a comparator's answer
+    "n_hits",  # impacts in the interval
 )  # fmt: skip
 
 STATE_DTYPE = np.dtype(
     [(name, "f8") for name in _FLOATS]
     + [(name, "i8") for name in _INTEGERS]
     + [("noise_key", "u8"), ("event_counter", "u8")]
+    + [("hit_u", "f8", (HIT_CAPACITY,)), ("hit_mps", "f8", (HIT_CAPACITY,))]
     + [("edge_s", "f8", (EDGE_CAPACITY,)), ("edge_kind", "i8", (EDGE_CAPACITY,))]
 )
 
