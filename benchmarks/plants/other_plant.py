@@ -1,8 +1,9 @@
 """Another experiment, built by other means, to try the analysis on recordings it was never tuned on.
 
 It shares nothing with `rig.sim`: a fixed 5 microsecond velocity-Verlet march in absolute coordinates along an analytic
-plate, edges jittered rather than filtered, an accelerometer that reads gravity and shows no impacts. It writes what a
-foreign rig would hand over: a CSV of volts without a step table, a profile, and, apart from both, the sealed truth.
+plate, edges jittered rather than filtered, an accelerometer that reads gravity and shows no impacts unless there is an
+`Instrument`. It writes what a foreign rig would hand over: a CSV of volts without a step table, a profile, and, apart
+from both, the sealed truth.
 
     python -m benchmarks.plants.other_plant OUT_FOLDER --c 2 --effect coulomb_friction --strength strong --seed 7
 """
@@ -62,7 +63,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
 NAMES = tuple(f"{effect}.{key}" for effect, table in SIZES.items() for key in table)
 PLACE = {name: k for k, name in enumerate(NAMES)}
 
-
+LATENCY = "contact_latency.delay_s"
 _LAG, _GAIN = PLACE["phase_lag.delay_s"], PLACE["drive_gain.relative"]
 _COMPRESSION = PLACE["gain_compression.per_gamma2"]
 _AM, _AM_HZ, _HUM = PLACE["amplitude_modulation.depth"], PLACE["amplitude_modulation.hz"], PLACE["mains_hum.g"]
@@ -105,7 +106,7 @@ class Run:
     bits: int = 0  # of the converters, +-10 V; 0: fine enough not to matter
     seed: int = 0
     hidden: dict[str, float] = field(default_factory=dict)
-    instrument: Instrument | None = None  # None: ideal sensors, whose impacts are five fixed samples where `spikes`
+    instrument: Instrument | None = None  # with one, `spikes` and `contact_rc_s` do not count
 
     def values(self) -> np.ndarray:
         """Hidden numbers in the order of `NAMES`; absent ones are zero."""
@@ -275,11 +276,8 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     every = STEPS_PER_SAMPLE // over
     n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, every, plate, edges, impacts)
     impacts, edges = impacts[:n_impacts], edges[:n_edges]
-    felt_v, circuit_v, drive_s = (
-        _ideally(run, plate, impacts, edges, rng)
-        if over == 1
-        else _by_instrument(run, plate, over, impacts, edges, rng)
-    )
+    measured = _ideally if run.instrument is None else _by_instrument
+    felt_v, circuit_v, drive_s = measured(run, plate, over, impacts, edges, rng)
     command_v = commands(gammas, step_s, fade_s, w, float(run.c), drive_s) / (G * run.g_per_volt)
     command_v = command_v + 0.0005 * rng.standard_normal(n)
     if run.instrument is not None:
@@ -295,16 +293,16 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
 
 
 def _ideally(
-    run: Run, plate: np.ndarray, impacts: np.ndarray, edges: np.ndarray, rng: np.random.Generator
+    run: Run, plate: np.ndarray, over: int, impacts: np.ndarray, edges: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Volts of ideal accelerometer and contact, and the times at which the drive is read."""
-    n = plate.size
+    n = plate.size // over
     felt = _felt_g(run, plate, run.rate_hz) + run.accelerometer_noise_g * rng.standard_normal(n)
     if run.spikes:
         at = np.minimum((impacts[:, 0] * run.rate_hz).astype(int) + 1, n - 1)
         for lag, size in enumerate((-12.0, 7.0, -4.0, 2.0, -1.0)):
             np.add.at(felt, np.minimum(at + lag, n - 1), size * impacts[:, 1])
-    times, opens = _edges_of(run, edges, rng)
+    times, opens = edge_times(edges, run.hidden.get(LATENCY, 0.0), run.closure_s, run.jitter_s, rng)
     circuit_v = square_contact(times, opens, n, run.rate_hz, run.contact_rc_s)
     return 0.1 * felt, circuit_v + run.contact_noise_v * rng.standard_normal(n), np.arange(n) / run.rate_hz
 
@@ -316,14 +314,10 @@ def _by_instrument(
     part, n = run.instrument or Instrument(), plate.size // over
     felt = _felt_g(run, plate, over * run.rate_hz)
     felt_v = accelerometer_v(part, felt, impacts, run.rate_hz, over, run.accelerometer_noise_g, rng)
-    circuit_v = contact_v(part, *_edges_of(run, edges, rng), run.rate_hz, over, n, rng)
+    times, opens = edge_times(edges, run.hidden.get(LATENCY, 0.0), run.closure_s, run.jitter_s, rng)
+    circuit_v = contact_v(part, times, opens, run.rate_hz, over, n, rng)
     circuit_v = circuit_v + run.contact_noise_v * rng.standard_normal(n)
     return felt_v, circuit_v, np.arange(n) / run.rate_hz + part.shown_at_s(DRIVE, run.rate_hz)
-
-
-def _edges_of(run: Run, edges: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    latency_s = run.hidden.get("contact_latency.delay_s", 0.0)
-    return edge_times(edges, latency_s, run.closure_s, run.jitter_s, rng)
 
 
 def profile_of(run: Run) -> str:
@@ -379,8 +373,10 @@ def main() -> None:
     parser.add_argument("--frequency", type=float, default=25.37, help="Hz")
     parser.add_argument("--rate", type=float, default=20000.0, help="samples a second")
     parser.add_argument("--no-gravity", action="store_true", help="the accelerometer does not read gravity")
+    parser.add_argument("--part", action="append", default=[], metavar="NAME=VALUE", help="of the instrument")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    parts = {name: float(value) for name, _, value in (part.partition("=") for part in args.part)}
     usual = {1: (0.5, 2.6, 22), 2: (0.2, 1.5, 22), 3: (0.1, 0.8, 22)}
     start, stop, steps = args.gamma or usual.get(args.c, (0.1, 0.5, 22))
     gammas = np.round(np.linspace(start, stop, int(steps)), 4)
@@ -392,6 +388,7 @@ def main() -> None:
         closure_s=1e-3 * args.closure_ms, seed=args.seed, hidden=hidden, frequency_hz=args.frequency,
         rate_hz=args.rate, reads_gravity=not args.no_gravity, contact_rc_s=1e-6 * args.contact_rc_us,
         contact_noise_v=1e-3 * args.contact_noise_mv, jitter_s=1e-6 * args.jitter_us, bits=args.bits,
+        instrument=Instrument(**parts) if parts else None,
     )  # fmt: skip
     print(write(run, args.folder))
 
