@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 Floats = npt.NDArray[np.float64]
 
@@ -30,3 +33,27 @@ def nearest(sorted_values: Floats, wanted: Floats) -> npt.NDArray[np.int64]:
     before = np.maximum(after - 1, 0)
     earlier = np.abs(sorted_values[before] - wanted) < np.abs(sorted_values[after] - wanted)
     return np.where(earlier, before, after)
+
+
+def chance_of_squares(total: float, variances: Floats) -> float:
+    """Bound of the probability that squares of independent normal errors sum to ``total`` or more.
+
+    Chernoff's bound ``min over s of E[exp(s (sum - total))]``, which holds however far out in the tail: the probability
+    is never stated too small, and too large by ten or a few tens of times.
+
+    Parameters
+    ----------
+    total
+        The sum of squares.
+    variances
+        Of the errors, (n,), in the unit of ``total``.
+    """
+    if total <= float(np.sum(variances)):
+        return 1.0
+
+    def log_bound(x: float) -> float:
+        s = x / (2.0 * variances.max())
+        return float(-s * total - 0.5 * np.sum(np.log1p(-2.0 * s * variances)))
+
+    found = minimize_scalar(log_bound, bounds=(0.0, 1.0 - 1e-9), method="bounded")
+    return math.exp(min(0.0, float(found.fun)))

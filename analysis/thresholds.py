@@ -123,6 +123,9 @@ NULL_P = 0.05  # probability of Wald's test under which parameters differ from t
 # gain by step
 MOST_OF_A_STEP_NATS = 12.0  # clip of one step's contribution to a gain
 
+# a run that still goes on
+RUN_P = 1e-3  # probability that a rig that does as declared is accused at any look of a run
+
 # goodness of fit
 GRAZING_RATIO = 6.0  # uncertainty of a landing, over the median one, at which it is near-grazing
 GRAZING_SIGMAS = 3.0  # shift of a measured number in the test for near-grazing

@@ -138,12 +138,24 @@ def rms_standardised(world: ForwardModel, values: Values, u: Uncertainty) -> flo
 
 def plate_rms_standardised(world: ForwardModel, values: Values) -> float:
     """Root mean square of normalised plate residuals of the kind that fits worst, shrunk to 1 where few."""
+    few = LEAST_OF_KIND
+    squares = _plate_squares(world, values)
+    return max((float(np.sqrt((np.sum(q) + few) / (len(q) + few))) for q in squares), default=0.0)
+
+
+def plate_probability(world: ForwardModel, values: Values) -> float:
+    """Probability of so large plate residuals from noise alone: of the worst kind, times the number of kinds."""
+    squares = _plate_squares(world, values)
+    p = [float(chdtrc(len(q), float(np.sum(q)) / (1.0 + SCALE_KNOWN) ** 2)) for q in squares]
+    return min(1.0, len(p) * min(p, default=1.0))
+
+
+def _plate_squares(world: ForwardModel, values: Values) -> list[Array]:
+    """Squares of the normalised plate residuals, clipped, an array for each kind of which there are enough."""
     data = world.evidence.plate
     z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
-    kinds = [k for k in np.unique(data.kind) if np.sum(data.kind == k) >= LEAST_OF_KIND]
-    squares = {k: z[data.kind == k] ** 2 for k in kinds}
-    few = LEAST_OF_KIND
-    return max((float(np.sqrt((np.sum(q) + few) / (len(q) + few))) for q in squares.values()), default=0.0)
+    kinds, counts = np.unique(data.kind, return_counts=True)
+    return [z[data.kind == k] ** 2 for k in kinds[counts >= LEAST_OF_KIND]]
 
 
 def _unit(residual: Array, sigma: Array) -> Array:

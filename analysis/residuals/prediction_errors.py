@@ -6,6 +6,7 @@ measured numbers; their fraction is reported.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,13 +15,15 @@ from numpy.typing import NDArray
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
-from analysis.statistics import MAD_TO_SIGMA
+from analysis.statistics import MAD_TO_SIGMA, chance_of_squares
 from analysis.thresholds import (
     COMMON_MODE_SIGMAS,
     FROZEN,
     GRAZING_RATIO,
     GRAZING_SIGMAS,
     LEAST_EXCESS_S,
+    OUTLIER_FRACTION,
+    SCALE_KNOWN,
     SHARED_S,
 )
 from model.integrator.one_step import Predicted
@@ -195,6 +198,32 @@ def noise_quantiles_us(
         quantile(rows, u.landing_sigma_s, u.landing_by_tone),
         quantile(from_rest, u.opening_sigma_s, u.opening_by_tone),
     )
+
+
+def landing_probability(
+    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Probability that noise alone misses the landings of the flights ``rows`` (k,) by so much, and their rms, us.
+
+    The sum of their squares is that of correlated normal errors. The largest `OUTLIER_FRACTION` of the errors may be
+    other events than those predicted, and is left out of both.
+    """
+    u, r, step = world.uncertainty(values), world.residuals(values), world.evidence.measured.step
+    half = 0.5 * world.evidence.steps.plate.period_s[step[rows]]
+    missed = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
+    order = np.argsort(np.abs(missed) / u.landing_total_s[rows])
+    kept = np.sort(order[: len(rows) - math.ceil(OUTLIER_FRACTION * len(rows))])
+    rows, missed = rows[kept], missed[kept]
+    if len(rows) == 0:
+        return 1.0, float("nan")
+    variances = []
+    for s in np.unique(step[rows]):
+        mine = rows[step[rows] == s]
+        by_tone = u.landing_by_tone[mine]
+        covariance = np.diag(u.landing_sigma_s[mine] ** 2) + by_tone @ by_tone.T + SHARED_S**2
+        variances.append(np.linalg.eigvalsh(covariance))
+    noise = (1.0 + SCALE_KNOWN) ** 2 * np.concatenate(variances)
+    return chance_of_squares(float(np.sum(missed**2)), noise), _rms_us(missed)
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ def command(
     from bench.profiles.find import load
     from bench.profiles.plan import planned, refusal
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, readable, warn
+    from bench.terminal.orders import free_keys
     from daq.setup.calibration_age import calibration_warnings
     from daq.setup.errors import InputError
 
@@ -106,24 +107,6 @@ def _told(summary: RunSummary, backend: Backend, out: Path, json: str | None) ->
             typer.echo(_sentence(summary, out))
     if summary.how != "complete":
         fail(f"{summary.how}: {summary.why}", EXIT_FAILED)
-
-
-def free_keys(settings: list[str]) -> dict[str, Any]:
-    """``KEY=VALUE`` texts as a mapping; a value that reads as a number is one. Raises `InputError`."""
-    from daq.setup.errors import InputError
-
-    keys: dict[str, Any] = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not key.strip() or not equals:
-            raise InputError(f"--set {setting}: wanted KEY=VALUE, as amplifier_knob=3")
-        if key.strip() in keys:
-            raise InputError(f"--set {setting}: {key.strip()} was set before; give each key once")
-        try:
-            keys[key.strip()] = float(value)
-        except ValueError:
-            keys[key.strip()] = value.strip()
-    return keys
 
 
 def _sentence(summary: RunSummary, out: Path) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import tempfile
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from bench.terminal.signals import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 
 NICENESS = 10
@@ -24,7 +24,7 @@ def work(pipe: Connection, gives_way: bool) -> None:
     """
     from analysis.drop.load import Known
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the page's business
+    leave_keys_to_the_parent()
     if gives_way and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
             os.nice(NICENESS)

@@ -1,38 +1,40 @@
-"""The analyst: a niced process that reduces a run's steps while they last, and never touches the run.
+"""The analyst: a niced process that reduces a run while it lasts, and never touches the run.
 
-It reads the recorder's ring and the board, and sends what it finds through a pipe to the page or the terminal.
+It reads the recording that is being written, as `bench reprocess` does afterwards, and sends what it finds through a
+pipe to the page or the terminal. However far it is behind, what it says at the end is what the closed file holds.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
 from bench.live.board import Board, Message
 from bench.live.prediction import predicted
-from bench.live.reduce import ReducedStep, reduce_step
+from bench.live.reduce import ReducedStep, cut_to, reduce_run
 from bench.live.verdict import verdict_of
-from bench.live.window import StepWindow
-from daq.files.tables import Block
-from daq.recorder.shared_ring import RingReader
+from bench.terminal.signals import leave_keys_to_the_parent
+from daq.files.seal import Checked
+from daq.recording import Recording, open_recording
+from daq.recording.opening import open_checked
+from daq.setup.errors import InputError
 from rig.profile import Profile
 
 LOOK_S = 0.05
 NICE = 5  # behind the run, the recorder and the page
-AGAIN_S, AGAIN_PART = 0.4, 0.1  # a growing step is reduced again after that time, and that part more of it
-MOST_STEP_BYTES = 256 << 20  # of a step's frames kept; beyond, its flights stay as they were
+AGAIN_S, REST = 0.4, 4.0  # between two reductions of a growing step: at least that, and so many times what one takes
+MOVED_S = 2e-5  # change of a flight, as more is known of the instruments, that is worth a message while the run lasts
 
 
 def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool) -> None:
     """The process: until the run has ended and all is said, or nobody listens any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run's business
+    leave_keys_to_the_parent()
     if hasattr(os, "nice"):
         os.nice(NICE)
     try:
@@ -73,113 +75,119 @@ class Analyst:
 
     def __init__(self, profile: Profile, board: Board, pipe: Connection, pictures: bool) -> None:
         self.done = False
-        self._profile, self._setup, self._board, self._pipe = profile, profile.setup(), board, pipe
-        self._pictures = pictures
-        self._model: Iterator[Message] = predicted(self._setup, profile.ramp.gammas()) if pictures else iter(())
-        self._ring: RingReader | None = None
-        self._run: Message = {}
-        self._blocks: list[Block] = []
-        self._steps: list[dict[str, Any]] = []  # rows, with "ended" once they are final
-        self._next = 0  # the step that is being reduced
+        self._profile, self._board, self._pipe, self._pictures = profile, board, pipe, pictures
+        self._model: Iterator[Message] = predicted(profile.setup(), profile.ramp.gammas()) if pictures else iter(())
+        self._path: Path | None = None
+        self._begun: set[int] = set()  # first samples of the steps that were begun, and of those that are over
+        self._ended: set[int] = set()
         self._played_first: dict[int, int] = {}
-        self._reduced_at, self._reduced_samples = 0.0, 0
-        self._over = False
-        self._finished: list[tuple[int, ReducedStep]] = []
+        self._is_over = False
+        self._sent: dict[int, tuple[ReducedStep, bool]] = {}
+        self._n_final = self._looks = 0
+        self._judged_first = -1  # first sample of the last step that was judged
+        self._due_s = 0.0
 
     def look(self) -> bool:
         """Take in what is new and do one piece of work; False where there was nothing to do."""
         for event in self._board.events.read()[0]:
             self._take_in(event)
-        more = self._read_ring()
         if self._reduce():
             return True
         portion = next(self._model, None)
         if portion is not None:
             self._pipe.send(portion)
             return True
-        self.done = self._over and not more and (self._next >= len(self._steps) or not more)
-        return more
+        self.done = self._is_over
+        return False
 
     def close(self) -> None:
         """Let go of the shared memory."""
-        if self._ring is not None:
-            self._ring.close()
         self._board.close()
 
     def _take_in(self, event: Message) -> None:
         kind = event["kind"]
         if kind == "run":
-            self._run = event
-            try:
-                self._ring = RingReader(*event["ring"])
-            except OSError:
-                self._ring = None  # already over
+            self._path = Path(event["out"])
         elif kind == "state":
             self._played_first[event["step"]] = event["step_first"]
-        elif kind == "step":
-            if self._steps and self._steps[-1]["first_sample"] == event["first_sample"]:
-                self._steps[-1] = {**event, "ended": True}
-            else:
-                self._steps.append({**event, "ended": False})
+        elif kind == "step":  # once as it begins, and once when it is over
+            first = int(event["first_sample"])
+            (self._ended if first in self._begun else self._begun).add(first)
         elif kind == "ended":
-            self._over = True
-
-    def _read_ring(self) -> bool:
-        if self._ring is None:
-            return False
-        blocks = self._ring.read()
-        self._blocks += blocks
-        first = self._steps[self._next]["first_sample"] if self._next < len(self._steps) else None
-        if first is not None:
-            self._blocks = [b for b in self._blocks if b.first_sample + len(b.codes) > first]
-        return bool(blocks)
+            self._is_over = True
 
     def _reduce(self) -> bool:
-        """Reduce the present step where it is due; whether there was something to do."""
-        if self._next >= len(self._steps) or not self._blocks:
+        """Reduce the run where it is due; whether there was something to do."""
+        if self._path is None or (not self._begun and not self._is_over):
             return False
-        step = self._steps[self._next]
-        have = self._blocks[-1].first_sample + len(self._blocks[-1].codes) - step["first_sample"]
-        planned = int(step["n_samples"])
-        is_final = step["ended"] and (have >= planned or self._over)
-        known = len(self._steps) > self._next + 1 or self._over
-        if not is_final and not known:
-            grown = have - self._reduced_samples > AGAIN_PART * max(self._reduced_samples, 1)
-            too_large = have * 2 * len(self._run["channels"]) > MOST_STEP_BYTES
-            if too_large or not (grown and time.monotonic() - self._reduced_at > AGAIN_S):
-                return False
-        elif not is_final and not self._over:
-            return False  # its last frames, or its row, are still on the way
-        found = self._reduced(step, min(have, planned))
-        self._reduced_at, self._reduced_samples = time.monotonic(), have
-        if found is not None and (self._pictures or is_final):
-            self._send(found, is_final)
-        if is_final or self._over:
-            self._next += 1
-            self._reduced_samples = 0
+        has_ended = max(self._ended, default=-1) > self._judged_first
+        if not (self._is_over or has_ended or (self._pictures and time.monotonic() > self._due_s)):
+            return False
+        path, began, is_last = self._path, time.monotonic(), self._is_over
+        if is_last:
+            self._path = None  # whatever comes of it
+        try:
+            # closed and checked at the end; unchecked before, as it was written this minute
+            with open_recording(path) if is_last else open_checked(path, Checked()) as recording:
+                n_final = len(recording.steps) if is_last else self._finished(recording)
+                looks = is_last or n_final > self._n_final
+                if not looks and not self._pictures:
+                    return False
+                if looks and not is_last:  # exactly what is over, and nothing of the step that has begun
+                    cut_to(recording, int(_ends(recording)[n_final - 1]))
+                judged = int(recording.steps["first_sample"][n_final - 1]) if n_final else -1
+                steps, seen = reduce_run(recording, self._played_first)
+        except (InputError, OSError, RuntimeError):
+            self._due_s = time.monotonic() + AGAIN_S
+            return False  # too short yet, or just being closed
+        for k, step in enumerate(steps):
+            self._send(k, step, k < n_final, exact=is_last)
+        if looks and n_final:
+            self._n_final, self._looks = n_final, self._looks + 1
+            self._judged_first = judged
+            upcoming = self._profile.ramp.gammas()[n_final:]
+            self._pipe.send(verdict_of(seen, n_final - 1, self._looks, upcoming) | {"last": is_last})
+        now = time.monotonic()
+        self._due_s = now + max(AGAIN_S, REST * (now - began))
         return True
 
-    def _reduced(self, step: dict[str, Any], n_samples: int) -> ReducedStep | None:
-        row = {key: value for key, value in step.items() if key not in ("kind", "ended") and value is not None}
-        row["n_samples"] = n_samples
-        window = StepWindow(self._setup, self._run["channels"], self._run["scales"], row, self._blocks)
-        return reduce_step(window, step["gamma"], self._played_first.get(self._next, step["first_sample"]))
+    def _finished(self, recording: Recording) -> int:
+        """Number of steps that are over and wholly in the file."""
+        steps = recording.steps
+        over = np.isin(steps["first_sample"], list(self._ended))
+        over[:-1] = True  # another one has begun since
+        return int(np.count_nonzero(over & (_ends(recording) <= recording.n_samples)))
 
-    def _send(self, found: ReducedStep, is_final: bool) -> None:
+    def _send(self, k: int, step: ReducedStep, is_final: bool, *, exact: bool) -> None:
+        """Send a step that differs from what was sent of it: visibly, or at all at the end (``exact``)."""
+        if not self._pictures and not is_final:
+            return
+        known = self._sent.get(k)
+        if known is not None and known[1] == is_final and not _differ(known[0], step, 0.0 if exact else MOVED_S):
+            return
+        self._sent[k] = step, is_final
         self._pipe.send(
             {
                 "kind": "flights",
-                "step": self._next,
+                "step": k,
                 "final": is_final,
-                "asked": self._steps[self._next]["gamma"],
-                "gamma": found.gamma,
-                "label": found.label,
-                "tones": found.tones,
-                "columns": (found.duration_s, found.landing_s, found.residual_s, found.noise_s, found.mark),
+                "asked": step.asked,
+                "gamma": step.gamma,
+                "label": step.label,
+                "tones": step.tones,
+                "columns": (step.duration_s, step.landing_s, step.residual_s, step.noise_s, step.mark),
             }
         )
-        if is_final and found.observations is not None:
-            self._finished.append((self._next, found))
-            observations = [one.observations for _, one in self._finished if one.observations is not None]
-            upcoming = self._profile.ramp.gammas()[self._next + 1 :]
-            self._pipe.send(verdict_of(observations, self._next, upcoming))
+
+
+def _ends(recording: Recording) -> np.ndarray:
+    """Sample behind each step."""
+    return np.asarray(recording.steps["first_sample"] + recording.steps["n_samples"])
+
+
+def _differ(a: ReducedStep, b: ReducedStep, by_s: float) -> bool:
+    """Whether two reductions of a step show other flights, or the same ones moved by more than ``by_s``."""
+    if a.label != b.label or not np.array_equal(a.mark, b.mark):
+        return True
+    pairs = ((a.duration_s, b.duration_s), (a.landing_s, b.landing_s), (a.residual_s, b.residual_s))
+    return any(not np.allclose(x, y, rtol=0.0, atol=by_s, equal_nan=True) for x, y in pairs)

@@ -148,6 +148,7 @@ class _Watcher:
         self._process.start()
         theirs.close()
         self._blocks = 0
+        self._printed: dict[int, str] = {}  # by step
 
     def look(self, status: Status) -> None:
         """Print what has come; never waits."""
@@ -171,7 +172,10 @@ class _Watcher:
                 if message["kind"] == "verdict":
                     _print(*verdict_lines(message))
                 elif message["kind"] == "flights":
-                    _print(f"step {message['step'] + 1}: gamma {message['gamma']:.4f}, {message['label']}")
+                    line = f"step {message['step'] + 1}: gamma {message['gamma']:.4f}, {message['label']}"
+                    if self._printed.get(message["step"]) != line:  # the end may correct it
+                        _print(line)
+                    self._printed[message["step"]] = line
         except (EOFError, OSError):
             return  # it is done, or gone: the run goes on without
 

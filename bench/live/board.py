@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from daq.files.tables import crc32
 from daq.recorder.shared_ring import NAME, clear_left_behind
 
-EVENT_SLOTS, EVENT_BYTES = 512, 4096
-COMMAND_SLOTS, COMMAND_BYTES = 64, 1024
+EVENT_SLOTS, EVENT_BYTES = 512, 8192
+COMMAND_SLOTS, COMMAND_BYTES = 64, 8192
+LONGEST_NOTE = 1900  # characters of a note, of up to four bytes each
 _HEAD = 8  # bytes: length and checksum of a message
 
 Message = dict[str, Any]
@@ -49,7 +50,8 @@ class Lane:
 
     def put(self, message: Mapping[str, Any]) -> bool:
         """Put a message on the lane; False for one that is too long, which is left out."""
-        text = np.frombuffer(json.dumps(message, separators=(",", ":")).encode(), np.uint8)
+        packed = json.dumps(message, separators=(",", ":"), ensure_ascii=False)
+        text = np.frombuffer(packed.encode(errors="replace"), np.uint8)
         if len(text) > self._room:
             return False
         slot = int(self._put[0]) % self._slots

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import multiprocessing
+import re
 import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
@@ -13,18 +14,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.live.board import Board, Message
+from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.decimate import MinMax, PlateHeight
-from bench.live.starting import run_check, run_profile
+from bench.live.starting import AskedRun, run_check, run_profile
 from bench.live.watch import Watch
 from bench.profiles.find import find_profile, load, scenario_names, shipped_names
+from bench.terminal.orders import free_keys
 from bench.web.hub import Browser, Hub
 from daq.setup.errors import InputError
 from rig.profile import Profile, load_profile
 
 TICK_S = 0.05
-COMMANDS = ("finish", "ramp_down", "now", "pause", "go_on", "note", "next")
-LONGEST_NOTE = 480
+COMMANDS = ("finish", "ramp_down", "pause", "go_on", "note", "next")
 
 
 class Desk:
@@ -112,7 +113,7 @@ class Desk:
         return self._watched is None and (self._run is None or not self._run.is_alive())
 
     def _obey(self, browser: Browser, said: Message) -> None:
-        """Do what a browser asks; commands are the holder's alone."""
+        """Do what a browser asks: anyone may stop the run at once; all else is for the browser with the controls."""
         wanted, lease, name = said.get("do"), self.hub.lease, browser.name
         if wanted == "ask":
             lease.ask(name, time.monotonic())
@@ -120,9 +121,13 @@ class Desk:
             lease.hand_over(name)
         elif wanted == "keep":
             lease.keep(name)
+        elif wanted == "now":
+            if self.watch is not None:
+                self.watch.command({"do": "now"})
+            return
         else:
             if not lease.may(name):
-                browser.send(json.dumps({"kind": "refused", "why": "another browser holds the controls"}))
+                _refuse(browser, "another browser holds the controls")
             elif wanted in COMMANDS and self.watch is not None:
                 self.watch.command({"do": wanted, "text": str(said.get("text", ""))[:LONGEST_NOTE]})
             elif wanted == "check":
@@ -146,7 +151,7 @@ class Desk:
         )
         self._check.start()
         theirs.close()
-        self.hub.tell({"kind": "checking", "profile": profile})
+        self.hub.tell({"kind": "checking", "key": self._checked})
 
     def _look_at_check(self) -> None:
         """Tell the outcome of a check once it is there."""
@@ -160,8 +165,7 @@ class Desk:
         passed = not found["error"] and all(one["passed"] is not False for one in found["findings"])
         if passed:
             self._passed.add(self._checked)
-        profile, _, scenario = self._checked.partition("|")
-        self._findings = {"kind": "checked", "profile": profile, "scenario": scenario, "passed": passed, **found}
+        self._findings = {"kind": "checked", "key": self._checked, "passed": passed, **found}
         self.hub.tell(self._findings)
 
     def _scenario(self, name: str) -> str | None:
@@ -171,25 +175,49 @@ class Desk:
         """Start a ramp whose check was green, in a process of its own that outlives this one."""
         profile, scenario = str(said.get("profile", "")), str(said.get("scenario", ""))
         if not self._can_start or f"{profile}|{scenario}" not in self._passed:
-            browser.send(json.dumps({"kind": "refused", "why": "a run starts once the check of its profile is green"}))
+            _refuse(browser, "a run starts once the check of its profile is green")
             return
         try:
             known, _ = load(profile)
+            asked = asked_of(said, self._folder, Path(profile).stem)
         except InputError as error:
-            browser.send(json.dumps({"kind": "refused", "why": str(error)}))
+            _refuse(browser, str(error))
             return
         if self.watch is not None:
             self.watch.close()
         board = Board()
-        stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-        out = self._folder / f"{Path(profile).stem}-{stamp}.h5"
-        note = str(said.get("note", ""))[:LONGEST_NOTE] or None
         self._run = multiprocessing.get_context("spawn").Process(
-            target=run_profile, args=(profile, str(out), board.name, self._scenario(scenario), note), name="run"
+            target=run_profile, args=(profile, board.name, self._scenario(scenario), asked), name="run"
         )
         self._run.start()
-        self.hub.tell({"kind": "started", "profile": profile, "out": out.name})
+        self.hub.tell({"kind": "started", "profile": profile, "out": asked.out.name})
         self.watch = Watch(known, board, self.hub.tell)
+
+
+def _refuse(browser: Browser, why: str) -> None:
+    browser.send(json.dumps({"kind": "refused", "why": why, "at": time.time()}))
+
+
+def asked_of(said: Message, folder: Path, stem: str) -> AskedRun:
+    """What the page asks of a run before it starts: name, note, keys and seed; the name is dated where none is given.
+
+    Raises
+    ------
+    InputError
+        For a name that is taken, or none of a file, keys that are none, and a seed that is no number.
+    """
+    name = str(said.get("name", "")).strip().removesuffix(".h5") or f"{stem}-{datetime.now():%Y%m%d-%H%M%S}"
+    if not re.fullmatch(r"[\w.+ -]{1,100}", name) or name.startswith("."):
+        raise InputError(f"name {name!r}: wanted at most 100 letters, digits and . _ + -, as run-12")
+    out = folder / f"{name}.h5"
+    if out.exists():
+        raise InputError(f"name {name}: {out.name} is there, and a recording is never overwritten; take another name")
+    seed = str(said.get("seed", "")).strip() or "0"
+    if not seed.isdecimal() or len(seed) > 9:
+        raise InputError(f"seed {seed!r}: wanted a whole number, as 7")
+    keys = free_keys([one.strip() for one in re.split(r"[,\n]", str(said.get("keys", ""))) if one.strip()])
+    note = str(said.get("note", "")).strip()[:LONGEST_NOTE]
+    return AskedRun(out, note or None, keys, int(seed))
 
 
 def offered_profiles(folder: Path, wanted: str | None) -> list[str]:

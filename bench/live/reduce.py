@@ -1,9 +1,10 @@
-"""Reduction of one step while it lasts: flights, cycle, tones and landing residuals, by the analysis' own functions."""
+"""A run so far as its page shows it, step by step: what `bench reprocess` finds in the same samples."""
 
 from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,15 +16,13 @@ from analysis.flights.classify import classify
 from analysis.flights.table import FlightFlag, Flights
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observed
-from bench.live.window import StepWindow
-from daq.setup.errors import InputError
+from daq.recording import Recording
 from daq.setup.setup import Setup
 from model.effects.registry import resolve
 
 Floats = NDArray[np.float64]
 
 PLAIN, DOUBTFUL, POOR = 0, 1, 2  # marks of a flight
-LEAST_CYCLES = 3.0  # of a step, before it is reduced
 _POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
 
 
@@ -33,8 +32,8 @@ class ReducedStep:
 
     Attributes
     ----------
-    gamma
-        Measured on the plate; NaN where it could not be.
+    asked, gamma
+        Asked for, and measured on the plate; NaN where it could not be.
     label
         Class of the motion.
     landing_s, duration_s
@@ -45,10 +44,9 @@ class ReducedStep:
         `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight), (n,).
     tones
         Of each tone: multiple, amplitude and phase (degrees) on the plate and asked for.
-    observations
-        For the verdict; None where there are none.
     """
 
+    asked: float
     gamma: float
     label: str
     landing_s: Floats
@@ -57,42 +55,54 @@ class ReducedStep:
     noise_s: Floats
     mark: NDArray[np.uint8]
     tones: list[dict[str, Any]]
-    observations: Observations | None
 
 
-def reduce_step(window: StepWindow, gamma: float, first_played: int) -> ReducedStep | None:
-    """Reduce the frames of a step so far; None where they are too few.
+def cut_to(recording: Recording, n_samples: int) -> None:
+    """Leave out of an open recording what came after its first ``n_samples``."""
+    recording.n_samples = min(recording.n_samples, n_samples)
+    recording.steps = recording.steps[recording.steps["first_sample"] < recording.n_samples]
+    recording.blocks = recording.blocks[recording.blocks["first_sample"] < recording.n_samples]
+    recording.gaps = recording.gaps[recording.gaps[:, 0] < recording.n_samples]
+
+
+def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[list[ReducedStep], Observations]:
+    """All steps of a run so far, and the observations for its verdict.
 
     Parameters
     ----------
-    window
-        The step's frames.
-    gamma
-        Asked for.
-    first_played
-        Index of the step's first sample among the played ones, from which phases count.
+    recording
+        Open: the run's, however long it is yet.
+    played_first
+        By step, the index of its first sample among the played ones, from which phases count; where it is not known,
+        that among the recorded ones.
+
+    Raises
+    ------
+    InputError
+        Where the samples are too few.
     """
-    if window.n_samples < LEAST_CYCLES * window.rate_hz / window.setup.forcing.frequency_hz:
-        return None
-    try:
-        flights = flights_of(window)
-    except InputError:
-        return None
-    plate = flights.plate.steps[0]
-    seen = observed(window, flights)
-    residual, noise = _residuals(flights, seen, window.setup)
+    flights = flights_of(recording)
+    seen = observed(recording, flights)
+    residual, noise = _residuals(flights, seen, recording.setup)
     mark = np.where(flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE), DOUBTFUL, PLAIN)
-    return ReducedStep(
-        gamma=math.nan if plate is None else plate.gamma,
-        label=classify(flights)[0].label,
-        landing_s=flights.landing_s,
-        duration_s=flights.duration_s,
-        residual_s=residual,
-        noise_s=noise,
-        mark=np.where(flights.has(_POOR), POOR, mark).astype(np.uint8),
-        tones=_tones(flights, window.setup, gamma, first_played),
-        observations=seen if len(seen.steps) else None,
-    )
+    mark = np.where(flights.has(_POOR), POOR, mark).astype(np.uint8)
+    labels, steps = {one.step: one.label for one in classify(flights)}, []
+    for k, row in enumerate(recording.steps):
+        own, plate, first = flights.step == k, flights.plate.steps[k], int(row["first_sample"])
+        steps.append(
+            ReducedStep(
+                asked=float(row["gamma"]),
+                gamma=math.nan if plate is None else plate.gamma,
+                label=labels.get(k, "undecided"),
+                landing_s=flights.landing_s[own] - first / recording.rate_hz,
+                duration_s=flights.duration_s[own],
+                residual_s=residual[own],
+                noise_s=noise[own],
+                mark=mark[own],
+                tones=_tones(flights, k, recording.setup, row, played_first.get(k, first)),
+            )
+        )
+    return steps, seen
 
 
 def _residuals(flights: Flights, seen: Observations, setup: Setup) -> tuple[Floats, Floats]:
@@ -108,22 +118,23 @@ def _residuals(flights: Flights, seen: Observations, setup: Setup) -> tuple[Floa
     return residual, noise
 
 
-def _tones(flights: Flights, setup: Setup, gamma: float, first_played: int) -> list[dict[str, Any]]:
-    """Amplitude and phase of each forcing tone, on the plate and asked for."""
-    plate = flights.plate.steps[0]
-    turn = 2.0 * math.pi * setup.forcing.frequency_hz * first_played / setup.sampling.rate_hz
-    rows = []
+def _tones(flights: Flights, step: int, setup: Setup, row: np.void, first_played: int) -> list[dict[str, Any]]:
+    """Amplitude and phase of each forcing tone of a step, on the plate and asked for."""
+    plate, rows, gamma = flights.plate.steps[step], [], float(row["gamma"])
+    # the plate's phases count from the first recorded sample, those asked for from the first played one
+    recorded_s = float(flights.plate.true_time_s(row["first_sample"] / setup.sampling.rate_hz))
+    turn = 2.0 * math.pi * setup.forcing.frequency_hz * (recorded_s - first_played / setup.sampling.rate_hz)
     for multiple, displacement in setup.forcing.displacement_tones():
-        wanted = -setup.g_mps2.value * gamma * multiple * multiple * displacement
-        row: dict[str, Any] = {
+        target = -setup.g_mps2.value * gamma * multiple * multiple * displacement
+        found: dict[str, Any] = {
             "multiple": multiple,
-            "target_mps2": abs(wanted),
-            "target_deg": math.degrees(cmath.phase(wanted)) if wanted else 0.0,
+            "target_mps2": abs(target),
+            "target_deg": math.degrees(cmath.phase(target)) if target else 0.0,
             "mps2": None,
             "deg": None,
         }
         if plate is not None and multiple in plate.multiples:
-            z = plate.acceleration.amplitudes[plate.multiples.index(multiple)] * cmath.exp(-1j * multiple * turn)
-            row["mps2"], row["deg"] = float(abs(z)), math.degrees(cmath.phase(z))
-        rows.append(row)
+            z = plate.acceleration.amplitudes[plate.multiples.index(multiple)] * cmath.exp(1j * multiple * turn)
+            found["mps2"], found["deg"] = float(abs(z)), math.degrees(cmath.phase(z))
+        rows.append(found)
     return rows

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.live.board import Board, Message
+from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.terminal.orders import steps_from
 from daq.recorder.recorder_process import RecorderProcess
 from daq.setup.errors import InputError
@@ -133,7 +133,7 @@ class RunSide:
                 wanted, text = "refused", str(error)
         else:
             return
-        self._board.events.put({"kind": "taken", "do": wanted, "text": text[:480]})
+        self._board.events.put({"kind": "taken", "do": wanted, "text": text[:LONGEST_NOTE]})
 
 
 def _silent(status: Status) -> None:
@@ -152,6 +152,7 @@ def state_of(status: Status, request: StopRequest) -> Message:
         "step_end": status.step.end_sample,
         "sample": status.sample,
         "n_samples": status.n_samples,
+        "left_samples": status.left_samples,
         "achieved_gamma": _json(status.achieved_gamma),
         "achieved_gamma_uncertainty": _json(status.achieved_gamma_uncertainty),
         "plate_mps2": _json(status.plate_mps2),

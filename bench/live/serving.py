@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import multiprocessing
-import signal
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from bench.live.board import Board
+from bench.terminal.signals import leave_keys_to_the_parent
 from bench.web.packages import require_packages
 from daq.setup.errors import InputError
 from rig.profile import Profile
@@ -90,7 +90,7 @@ def _serve_run(
     from bench.web.section import Place
     from bench.web.serve import bind, serve
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run's business
+    leave_keys_to_the_parent()
     try:
         listening, access = bind(host, port)
     except InputError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,17 @@ def run_check(pipe: Connection, profile: str, scenario: str | None) -> None:
     pipe.close()
 
 
-def run_profile(profile: str, out: str, board_name: str, scenario: str | None, note: str | None) -> None:
+@dataclass(frozen=True)
+class AskedRun:
+    """What a person gives a run before it starts: its file, a note, free keys, and the seed of a simulated rig."""
+
+    out: Path
+    note: str | None = None
+    keys: dict[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+
+def run_profile(profile: str, board_name: str, scenario: str | None, asked: AskedRun) -> None:
     """`bench ramp`, watched: the process of a run that was started from the page."""
     from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.find import load
@@ -45,8 +55,13 @@ def run_profile(profile: str, out: str, board_name: str, scenario: str | None, n
         faults = planned(checked)[2]
         if faults:
             raise InputError(refusal(profile, faults))
-        backend = make_backend(checked, scenario=Path(scenario) if scenario else None, real_time=True)
-        record(checked, text, backend, Path(out), note=note, quiet=True, paced=True, onlooker=side)
+        hidden = Path(scenario) if scenario else None
+        seed = asked.seed if checked.backend.kind == "simulated" else 0
+        backend = make_backend(checked, scenario=hidden, seed=seed, real_time=True)
+        record(
+            checked, text, backend, asked.out, note=asked.note, extra=asked.keys or None, quiet=True, paced=True,
+            onlooker=side,
+        )  # fmt: skip
     except (InputError, OSError) as error:
         side.end(None, str(error))
     finally:

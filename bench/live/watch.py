@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import time
@@ -19,9 +20,13 @@ from bench.live.messages import flights_piece, scope_piece, spectrum_piece
 from daq.recorder.shared_ring import RingReader
 from rig.profile import Profile
 from rig.programme.ramp import peaks, plan
+from rig.programme.sequencer import STILL
 
 SPECTRUM_S, SPECTRUM_SAMPLES = 1.0, 1 << 15
 HEIGHT_CODES = 30000.0  # for the largest displacement that the limits allow
+LONGEST_LOG = 200  # commands that a browser gets to see which opens the page late
+STANDING = tuple(state.value for state in STILL)
+UNKNOWN = -32768  # code of a displacement that is not known
 Tell = Callable[..., None]
 
 
@@ -52,8 +57,10 @@ class Watch:
         self._kept: dict[str, str] = {}  # the last message of each kind
         self._models: list[str] = []
         self._steps: dict[int, tuple[bytes, str]] = {}
-        self._notes: list[str] = []
+        self._taken: list[str] = []
+        self._stands = False  # the drive was cut or is over: the plate's displacement is not known any more
         self._ring: RingReader | None = None
+        self._out = ""  # name of the recording
         self._factor = gamma_scale(profile.forcing, profile.forcing.ratio).factor
         self._next_sample = -1
         self._shifted = 0  # samples lost so far
@@ -74,7 +81,7 @@ class Watch:
 
     def history(self) -> list[str | bytes]:
         """All that a browser needs which opens the page now."""
-        out: list[str | bytes] = [*self._kept.values(), *self._models, *self._notes]
+        out: list[str | bytes] = [*self._kept.values(), *self._models, *self._taken]
         for piece, words in self._steps.values():
             out += [piece, words]
         return out
@@ -131,24 +138,22 @@ class Watch:
         if kind == "run":
             self._begin(event)
         elif kind == "taken":
-            if event["do"] == "note":
-                self._notes.append(json.dumps(event))
+            event["at"] = time.time()
+            self._taken = [*self._taken[1 - LONGEST_LOG :], json.dumps(event)]
             self._tell(event)
         elif kind == "ended":
             self.ended = event
-            self._say(event)
+            self._say(event | {"at": time.time(), "out": self._out if event["n_samples"] else None})
         elif kind == "next":
             self.successor = event
         elif kind == "state":
+            self._stands = event["state"] in STANDING
             self._say(event)
 
     def _begin(self, event: Message) -> None:
         """The run tells where its frames are."""
         profile, channels = self.profile, event["channels"]
-        try:
-            self._ring = RingReader(*event["ring"])
-        except OSError:
-            return  # over before it was looked at
+        self._out = event["out"].replace("\\", "/").rsplit("/", 1)[-1]
         self._channels = list(channels)
         self._rate_hz = profile.sampling.rate_hz
         self._accelerometer = channels.index("accelerometer")
@@ -158,7 +163,9 @@ class Watch:
         self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
         self._bin = bin_for(self._rate_hz)
         self._extremes = MinMax(self._bin, len(channels) + 1)
-        self._say({**event, "out": event["out"].replace("\\", "/").rsplit("/", 1)[-1], "traces": self._traces(event)})
+        self._say({**event, "out": self._out, "traces": self._traces(event), "at": time.time()})
+        with contextlib.suppress(OSError):  # over before it was looked at
+            self._ring = RingReader(*event["ring"])
 
     def _traces(self, event: Message) -> list[Message]:
         """Name, volts and SI of each trace of the scope: ``value = code * scale + offset``."""
@@ -195,6 +202,8 @@ class Watch:
             if block.first_sample != self._next_sample or block.lost_before:
                 self._extremes.clear()
             height = self._height.add(np.ascontiguousarray(block.codes[:, self._accelerometer]))
+            if self._stands:
+                height[:] = UNKNOWN
             found = self._extremes.add(np.column_stack([block.codes, height]))
             self._next_sample = block.first_sample + len(block.codes)
             if len(found) and first < 0:

@@ -16,10 +16,11 @@ from typing import Any
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from bench.runs.catalogue import Catalogue, Row
+from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
 from bench.runs.query import ENDS, VERDICTS, Query
 from bench.runs.remarks import with_note, with_tags
@@ -43,6 +44,7 @@ def section(place: Place) -> Section:
     routes = [
         Route("/runs", pages.table),
         Route("/runs/compare", pages.compare),
+        Route("/runs/file", pages.named),
         Route("/runs/api/list", pages.rows),
         Route("/runs/api/quantities", pages.quantities),
         Route("/runs/api/{id}", pages.details),
@@ -115,6 +117,10 @@ class Pages:
         body = fill((TEMPLATES / "run.html").read_text(encoding="utf-8"), id=row["id"], path=row["path"])
         scripts = [f"/static/{NAME}/run.js"]
         return HTMLResponse(page(request, row["path"], body, scripts=scripts, styles=STYLES, name="wide"))
+
+    def named(self, request: Request) -> Response:
+        """The page of the run whose file the address names, by its path below the folder."""
+        return RedirectResponse(f"/runs/{run_id(request.query_params.get('path', ''))}")
 
     def compare(self, request: Request) -> Response:
         """The page of runs laid over each other."""

@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -54,6 +54,22 @@ def steps_from(text: str) -> NextSteps:
     if (ratio is not None and not gammas) or not all(0.0 < gamma < float("inf") for gamma in gammas):
         raise InputError(f"{text.strip()}: wanted positive gammas, as 0.8, 1.2 or c=2 0.8 1.2")
     return NextSteps(tuple(gammas), ratio, why.strip())
+
+
+def free_keys(settings: list[str]) -> dict[str, Any]:
+    """``KEY=VALUE`` texts as a mapping; a value that reads as a number is one. Raises `InputError`."""
+    keys: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not key.strip() or not equals:
+            raise InputError(f"--set {setting}: wanted KEY=VALUE, as amplifier_knob=3")
+        if key.strip() in keys:
+            raise InputError(f"--set {setting}: {key.strip()} was set before; give each key once")
+        try:
+            keys[key.strip()] = float(value)
+        except ValueError:
+            keys[key.strip()] = value.strip()
+    return keys
 
 
 def obey(request: StopRequest, line: str) -> str:

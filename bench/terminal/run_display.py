@@ -83,7 +83,7 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
     with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4) as live:
 
         def show(status: Status) -> None:
-            done = min(status.sample, status.n_samples)
+            done = status.n_samples - status.left_samples
             bar.update(task, total=status.n_samples, completed=done, description=step_line(status))
             lines.plain = narrow_lines(status) if narrow else f"{health_line(status)}\n{limits_line(status)}"
             if (status.state is State.PAUSED) is live.is_started:
@@ -96,7 +96,7 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
 
 def narrow_lines(status: Status) -> str:
     """The same for a narrow terminal, one figure a line, what must not be missed first."""
-    step = f"{step_line(status)}, {min(status.sample / max(status.n_samples, 1), 1.0):.0%}"
+    step = f"{step_line(status)}, {1.0 - status.left_samples / max(status.n_samples, 1):.0%}"
     gammas, contact, lost = health_line(status).split("; ")
     return "\n".join([step, lost, contact, *gammas.split(", "), *limits_line(status).split(", ")])
 

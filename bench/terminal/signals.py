@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP) as requests to stop a run softly.
+"""Ctrl-C, Ctrl-\\, SIGTERM and a closed terminal (SIGHUP) as requests to stop a run softly.
 
 The first signal ramps down, the second sets the drive to zero at once; the former handlers are restored.
 A closing terminal may send SIGHUP several times: that alone never makes a soft stop a hard one.
@@ -17,13 +17,20 @@ from rig.programme.sequencer import Stop
 
 
 def _numbers() -> list[signal.Signals]:
-    """Those of them that this system has (Windows has no SIGHUP)."""
-    return [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    """Those of them that this system has (Windows has no SIGHUP and no SIGQUIT)."""
+    return [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
+
+
+def leave_keys_to_the_parent() -> None:
+    """Ignore what the keys of a terminal send to all its processes: Ctrl-C, and Ctrl-\\ where there is SIGQUIT."""
+    for name in ("SIGINT", "SIGQUIT"):
+        if hasattr(signal, name):
+            signal.signal(signal.Signals[name], signal.SIG_IGN)
 
 
 @contextmanager
 def stop_on_signals(request: StopRequest | None = None) -> Iterator[StopRequest]:
-    """A `StopRequest` that SIGINT, SIGTERM and SIGHUP set while the block runs; in the main thread only."""
+    """A `StopRequest` that these signals set while the block runs; in the main thread only."""
     request = request or StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield request  # Python delivers signals to the main thread alone

@@ -22,7 +22,7 @@ import numpy as np
 from bench.jobs.run_ramp import make_backend, record
 from bench.live.board import Board
 from bench.live.messages import flights_piece
-from bench.live.starting import run_profile
+from bench.live.starting import AskedRun, run_profile
 from bench.profiles.find import load, shipped_folder
 
 STEPS, FLIGHTS = 100, 1000  # shown from the start: 1e5 flights
@@ -80,7 +80,7 @@ def measure(seconds: float) -> dict[str, Any]:
         url = ours.recv()[0]
         runs = {
             "watched": context.Process(
-                target=run_profile, args=(str(folder / "long.toml"), f"{name}/a.h5", board.name, None, None)
+                target=run_profile, args=(str(folder / "long.toml"), board.name, None, AskedRun(folder / "a.h5"))
             ),
             "alone": context.Process(target=_alone, args=(str(folder / "long.toml"), f"{name}/b.h5")),
         }

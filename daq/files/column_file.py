@@ -7,6 +7,8 @@ stored byte must still be what was compared. Layout in docs/reference/recording-
 
 from __future__ import annotations
 
+import sys
+import time
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -28,6 +30,7 @@ from daq.setup.setup import Setup
 FORMAT = "shakerbench recording"
 FORMAT_VERSION = 1
 CHUNK_SAMPLES = 65536
+RENAME_S = 20.0  # longest wait for readers of the file that is replaced
 PIECE_CHUNKS = 4  # written at a time, so that what each call of HDF5 costs counts little
 SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
 LONG_NAMES = {
@@ -243,7 +246,15 @@ class ColumnWriter:
 
     def rename(self) -> None:
         """Put the checked file into its final place, in one step."""
-        self.part.replace(self.path)
+        ends = time.monotonic() + RENAME_S
+        while True:
+            try:
+                self.part.replace(self.path)
+                return
+            except PermissionError:  # on Windows also while somebody reads the frames: a live page, a virus scanner
+                if sys.platform != "win32" or time.monotonic() > ends:
+                    raise
+                time.sleep(0.05)
 
     def _finish_attributes(self) -> None:
         time = self._sets["timestamp"]

@@ -36,7 +36,7 @@ SWITCH_S = 0.0005
 IDLE_S = 0.001
 START_S = 60.0
 CLOSE_S = 600.0
-NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP")  # words to the run, which then closes the recording
+NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")  # words to the run, which then closes the recording
 _BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

@@ -109,7 +109,8 @@ class Status:
     """State of a run after a block.
 
     ``achieved_gamma`` and its uncertainty are those of the last step held (NaN before). ``limits_in_use`` is the used
-    part of each limit, ``contact_age_cycles`` the time since the last contact or impact.
+    part of each limit that is known, ``contact_age_cycles`` the time since the last contact or impact.
+    ``left_samples`` are those still to be driven; they stand still through a pause.
     """
 
     state: State
@@ -117,6 +118,7 @@ class Status:
     n_steps: int
     sample: int
     n_samples: int
+    left_samples: int
     plate_mps2: float
     limits_in_use: Mapping[str, float]
     contact_age_cycles: float

@@ -28,9 +28,10 @@ from rig.execution.plate_monitor import Motion, MotionWatch
 from rig.execution.tone_meter import MeterBlock, ToneMeter
 from rig.profile import Profile
 from rig.programme.ramp import Programme, Step, plan
-from rig.programme.sequencer import LONGEST_PAUSE_S, Sequencer, State, Stop, change_rows, largest_block
+from rig.programme.sequencer import LONGEST_PAUSE_S, MOVING, STILL, Sequencer, State, Stop, change_rows, largest_block
 
 BATCH_SAMPLES = 8192  # of a simulated rig that are written together
+INTEGRATED = ("velocity_mps", "displacement_m")  # limits whose use is integrated from the accelerometer
 METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
 Recorder: TypeAlias = RecordingWriter | RecorderProcess
@@ -361,14 +362,21 @@ class _Run:
         )
 
     def _status(self) -> Status:
+        programme, step, position = self._instruments.programme, self._sequencer.step, self._sequencer.position
+        after = programme.n_samples - programme.steps[step.index].end_sample  # as planned, however late it is by now
+        moves = self._sequencer.state in MOVING or self._sequencer.state is State.PAUSED
+        limits = self._interlock.limits_in_use
+        if self._sequencer.state in STILL:  # after a cut the integrated accelerometer rings: the plate stands
+            limits = {name: part for name, part in limits.items() if name not in INTEGRATED}
         return Status(
             state=self._sequencer.state,
-            step=self._sequencer.step,
-            n_steps=len(self._instruments.programme.steps),
-            sample=self._sequencer.position,
-            n_samples=self._instruments.programme.n_samples,
+            step=step,
+            n_steps=len(programme.steps),
+            sample=position,
+            n_samples=programme.n_samples,
+            left_samples=max(0, step.end_sample - position) + after if moves else 0,
             plate_mps2=self._motion.acceleration_mps2,
-            limits_in_use=self._interlock.limits_in_use,
+            limits_in_use=limits,
             contact_age_cycles=self._interlock.contact_age_cycles,
             achieved_gamma=self._last_achieved[0],
             achieved_gamma_uncertainty=self._last_achieved[1],

@@ -63,9 +63,9 @@ class Stop(enum.IntEnum):
     NOW = 3
 
 
-_MOVING = (State.FADING, State.SETTLING, State.HOLDING)
-_DRIVEN = (*_MOVING, State.PAUSED)
-_STILL = (State.RESTING, State.DONE)
+MOVING = (State.FADING, State.SETTLING, State.HOLDING)
+_DRIVEN = (*MOVING, State.PAUSED)
+STILL = (State.RESTING, State.DONE)
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.FADING, Event.FADED): State.SETTLING,
@@ -76,7 +76,7 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.PAUSED, Event.NEXT): State.FADING,
     **{(state, Event.STOP): State.STOPPING for state in (*_DRIVEN, State.STOPPING)},
     **{(state, Event.CUT): State.RESTING for state in (*_DRIVEN, State.STOPPING)},
-    **{(state, event): state for state in _STILL for event in (Event.STOP, Event.CUT)},
+    **{(state, event): state for state in STILL for event in (Event.STOP, Event.CUT)},
     (State.STOPPING, Event.ZERO): State.RESTING,
     (State.RESTING, Event.RESTED): State.DONE,
 }
@@ -210,7 +210,7 @@ class Sequencer:
         self.fades.append(fade)
 
     def _piece(self, n_samples: int) -> Floats:
-        if self.state in _STILL:
+        if self.state in STILL:
             return np.zeros(n_samples)
         return synthesise(self.programme.clock, self._multiples, self._fade, self.position, n_samples)
 
@@ -234,7 +234,7 @@ class Sequencer:
         before, self.state = self.state, TRANSITIONS[self.state, event]
         if before is self.state and event in (Event.STOP, Event.CUT):
             return
-        if before in _MOVING and (before is State.HOLDING or self.state not in _MOVING):
+        if before in MOVING and (before is State.HOLDING or self.state not in MOVING):
             self._mark_end(held=before is State.HOLDING)
         clock = self.programme.clock
         if self.state is State.FADING:

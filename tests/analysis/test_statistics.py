@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 
-from analysis.statistics import mad_sigma, median, nearest
+from analysis.statistics import chance_of_squares, mad_sigma, median, nearest
 
 
 def test_the_robust_spread_is_the_standard_deviation_despite_outliers() -> None:
@@ -28,3 +29,15 @@ def test_the_median_of_a_short_array_is_that_of_numpy_to_the_last_bit() -> None:
     rng = np.random.default_rng(5)
     for values in (*(rng.normal(size=n) for n in range(1, 30)), np.array([1.0, np.inf]), np.array([2.0, np.nan])):
         np.testing.assert_array_equal(median(values), np.median(values))
+
+
+@pytest.mark.parametrize("n", [1, 5, 300])
+def test_the_chance_of_squares_is_never_stated_too_small(n: int) -> None:
+    """Of equal variances the bound lies above chi-square's tail, by a few tens of times down to 1e-12."""
+    for sigmas in (0.5, 2.0, 4.0, 6.0):
+        total = n + sigmas * np.sqrt(2.0 * n)
+        exact, bound = chdtrc(n, total), chance_of_squares(9.0 * total, np.full(n, 9.0))
+        assert exact <= bound <= 50.0 * exact
+    unequal = np.array([4.0] + [0.01] * 50)
+    drawn = (np.random.default_rng(1).standard_normal((20_000, 51)) ** 2 @ unequal > 16.0).mean()
+    assert drawn <= chance_of_squares(16.0, unequal) <= 10.0 * drawn

@@ -1,5 +1,6 @@
 // The live page: one websocket in, canvases and words out. No drawing happens unless something changed.
 import { showLease, socketAddress } from "/static/web/controls.js";
+import { savers } from "/static/web/save.js";
 import { Scope } from "./scope.js";
 import { Diagram, ReturnMap, Residuals, Spectrum } from "./pictures.js";
 
@@ -17,9 +18,10 @@ const scope = new Scope($("scope"));
 const diagram = new Diagram($("diagram")), map = new ReturnMap($("map"));
 const residuals = new Residuals($("residual")), spectrum = new Spectrum($("spectrum"));
 const pictures = [scope, diagram, map, residuals, spectrum];
-let socket = null, plan = null, run = null, mine = false, running = false, pausing = false, offer = null, checkedGreen = "", present = -1;
+let socket = null, plan = null, run = null, mine = false, running = false, pausing = false, offer = null, last = null, present = -1;
 export const counts = { updates: 0, draws: 0, flights: 0, since: performance.now() };
 window.deskCounts = counts; // for measurements
+window.deskTable = () => diagram.table();
 
 function send(command) { if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(command)); }
 
@@ -44,23 +46,25 @@ const handlers = {
   offer(m) {
     offer = m;
     fill($("profile"), m.profiles, m.profiles.map((p) => p.split(/[\\/]/).pop()));
-    fill($("scenario"), ["", ...m.scenarios], ["ideal", ...m.scenarios.filter((s) => s !== "ideal")].map((s) => s));
-    buttons();
+    const hidden = m.scenarios.filter((s) => s !== "ideal");
+    fill($("scenario"), ["", ...hidden], ["ideal", ...hidden]);
+    findings();
   },
   plan(m) {
     plan = m;
     diagram.plan(m); map.plan(m); residuals.plan(m);
     document.title = `${m.profile} - live - shakerbench`;
+    $("verdict-title").textContent = "Verdict so far";
     $("verdict").replaceChildren(el("span", "after the first step with flights", "faint"));
     $("tones").tBodies[0].replaceChildren();
     $("cycle").textContent = "";
   },
-  started(m) { reset(); run = null; running = true; log(m.why ? `next: ${m.why}` : `run started: ${m.out}`); buttons(); },
+  started(m) { reset(); $("given").open = false; run = null; running = true; $("state-run").hidden = true; log(m.why ? `next: ${m.why}` : `run started: ${m.out}`); buttons(); },
   run(m) {
     run = m; running = true;
     $("simulated").hidden = !m.simulated;
     scope.traces(m.traces);
-    log(`recording ${m.out}, back end ${m.backend}`);
+    log(`recording ${m.out}, back end ${m.backend}`, "", m.at);
     buttons();
   },
   state(m) { state(m); },
@@ -69,23 +73,38 @@ const handlers = {
     $("state-word").textContent = m.how;
     $("state-word").className = m.how === "complete" ? "good" : "bad";
     $("state-left").textContent = m.why || "";
-    log(`${m.how}${m.why ? `: ${m.why}` : ""}; ${m.n_samples} samples kept`);
+    log(`${m.how}${m.why ? `: ${m.why}` : ""}; ${m.n_samples} samples kept`, "", m.at);
+    if (m.out && offer && offer.profiles.length) { // a page beside a run in a terminal ends with it
+      log(`judge it: bench close-loop ${/\s/.test(m.out) ? `"${m.out}"` : m.out}`, "", m.at);
+      $("state-run").href = `/runs/file?path=${encodeURIComponent(m.out)}`;
+      $("state-run").hidden = false;
+    }
+    if (last) margins({ ...last, limits: {}, contact_age_cycles: NaN });
     if (offer) offer.can_start = true;
     buttons();
   },
   model(m) { diagram.model(m); },
   reduced(m) { reduced(m); },
   verdict(m) { verdict(m); },
-  taken(m) { log({ finish: "finishing this step", ramp_down: "ramping down", now: "stopped now", pause: "pausing after this step", go_on: "going on", note: `note: ${m.text}`, next: `finishing this step; next: ${m.text || "another choice"}`, refused: m.text }[m.do] ?? m.do, m.do === "refused" ? "bad" : ""); },
+  taken(m) { log({ finish: "finishing this step", ramp_down: "ramping down", now: "stopped now", pause: "pausing after this step", go_on: "going on", note: `note: ${m.text}`, next: `finishing this step; next: ${m.text || "another choice"}`, refused: m.text }[m.do] ?? m.do, m.do === "refused" ? "bad" : "", m.at); },
   lease(m) {
     mine = showLease(m, $);
     buttons();
   },
-  checking(m) {
-    checkedGreen = "";
-    buttons();
-    $("findings").replaceChildren(el("div", `checking ${m.profile.split(/[\\/]/).pop()} ...`)); },
-  checked(m) {
+  checking(m) { checked.delete(m.key); checking = m.key; findings(); },
+  checked(m) { checked.set(m.key, m); checking = ""; findings(); },
+  refused(m) { log(m.why, "bad", m.at); },
+};
+
+// What was found of the profile and the scenario that are chosen now, and of no other.
+const checked = new Map();
+let checking = "";
+const chosen = () => `${$("profile").value}|${$("scenario").value}`;
+function findings() {
+  const m = checked.get(chosen());
+  if (checking === chosen()) $("findings").replaceChildren(el("div", `checking ${$("profile").value.split(/[\\/]/).pop()} ...`));
+  else if (!m) $("findings").replaceChildren();
+  else {
     const rows = m.findings.map((f) => {
       const row = el("div");
       const mark = f.passed === true ? ["pass", "good"] : f.passed === false ? ["FAIL", "bad"] : ["?", "warn"];
@@ -93,12 +112,13 @@ const handlers = {
       return row;
     });
     if (m.error) rows.unshift(el("div", m.error, "bad"));
-    $("findings").replaceChildren(el("div", m.passed ? "check is green" : "check is not green: no start", m.passed ? "good" : "bad"), ...rows);
-    checkedGreen = m.passed ? `${m.profile}|${m.scenario}` : "";
-    buttons();
-  },
-  refused(m) { log(m.why, "bad"); },
-};
+    const all = el("details"), head = el("summary", m.passed ? "check is green" : "check is not green: no start", m.passed ? "good" : "bad");
+    all.open = !m.passed;
+    all.append(head, ...rows);
+    $("findings").replaceChildren(all);
+  }
+  buttons();
+}
 
 function words(m) { (handlers[m.kind] ?? (() => {}))(m); }
 
@@ -134,7 +154,8 @@ function state(m) {
   $("state-step").textContent = `step ${m.step + 1} of ${m.n_steps}`;
   const achieved = m.achieved_gamma === null ? "" : `, last achieved ${(f * m.achieved_gamma).toFixed(4)} \u00b1 ${(f * (m.achieved_gamma_uncertainty ?? 0)).toPrecision(1)}`;
   $("state-gamma").textContent = `\u0393${plan && plan.factor !== 1 ? " peak" : ""} commanded ${(f * m.gamma).toFixed(4)}${achieved}`;
-  const left = plan ? Math.max(0, (m.n_samples - m.sample) / plan.rate_hz) : 0;
+  const left = plan ? m.left_samples / plan.rate_hz : 0;
+  last = m;
   $("state-left").textContent = `${Math.floor(left / 60)} min ${String(Math.floor(left % 60)).padStart(2, "0")} s left`;
   $("state-lost").textContent = `${m.lost_samples} samples lost`;
   $("state-lost").className = m.lost_samples ? "bad" : "";
@@ -150,7 +171,7 @@ const NAMES = { drive_v: "drive", plate_mps2: "plate acceleration", velocity_mps
 const bars = new Map();
 function margins(m) {
   if (!plan) return;
-  for (const [key, part] of Object.entries(m.limits)) bar(key, `${NAMES[key] ?? key}`, part, plan.limits[key] ? `limits.${key} = ${plan.limits[key][0]} ${plan.limits[key][1]}` : key);
+  for (const [key, [limit, unit]] of Object.entries(plan.limits)) if (limit !== null) bar(key, NAMES[key] ?? key, m.limits[key] ?? NaN, `limits.${key} = ${limit} ${unit}`);
   if (plan.contact_cycles) bar("contact", "contact silent", m.contact_age_cycles / plan.contact_cycles, `limits.contact_cycles = ${plan.contact_cycles}`);
 }
 function bar(key, name, part, limit) {
@@ -166,8 +187,8 @@ function bar(key, name, part, limit) {
     one = { value, fillBar };
     bars.set(key, one);
   }
-  one.value.textContent = `${(100 * part).toFixed(0)} %`;
-  one.fillBar.style.width = `${Math.min(100, 100 * part)}%`;
+  one.value.textContent = isFinite(part) ? `${(100 * part).toFixed(0)} %` : "\u2013"; // a plate that stands: not known
+  one.fillBar.style.width = `${Math.min(100, 100 * (isFinite(part) ? part : 0))}%`;
   one.fillBar.className = `fill${part > 0.95 ? " over" : part > 0.75 ? " near" : ""}`;
 }
 
@@ -180,13 +201,15 @@ function reduced(m) {
     let turn = t.deg === null ? null : t.deg - t.target_deg;
     if (turn !== null) turn = ((turn + 540) % 360) - 180;
     row.append(el("td", `${hz.toPrecision(4)} Hz`));
-    for (const text of [`${fixed(t.mps2, 2)} / ${fixed(t.target_mps2, 2)}`, off === null ? "\u2013" : `${fixed(off, 2)} %`, `${fixed(t.deg, 1)} / ${fixed(t.target_deg, 1)}\u00b0`, `${fixed(turn, 2)}\u00b0`])
+    for (const text of [fixed(t.mps2, 2), off === null ? "\u2013" : `${fixed(off, 2)} %`, `${fixed(t.deg, 1)}\u00b0`, `${fixed(turn, 2)}\u00b0`])
       row.append(el("td", text, "number"));
+    row.title = `target: ${fixed(t.target_mps2, 2)} m/s\u00b2 at ${fixed(t.target_deg, 1)}\u00b0`;
     return row;
   }));
 }
 
 function verdict(m) {
+  $("verdict-title").textContent = m.last ? "Verdict at the end of the run" : "Verdict so far";
   const parts = [el("b", m.headline, m.within ? "good" : "warn")];
   if (m.candidates.length) {
     const list = el("ul");
@@ -199,32 +222,40 @@ function verdict(m) {
   $("floor").textContent = m.floor_us ? `noise floor ${m.floor_us.toPrecision(2)} \u00b5s` : "";
 }
 
-function log(text, name) {
-  const row = el("li", undefined, name), time = el("time", new Date().toLocaleTimeString([], { hour12: false }));
+// The latest line first; `at` (s, Unix time) is when it happened, which a reload does not change.
+function log(text, name, at = Date.now() / 1e3) {
+  const row = el("li", undefined, name), time = el("time", new Date(1e3 * at).toLocaleTimeString([], { hour12: false }));
+  row.dataset.at = at;
   row.append(time, el("span", text));
-  $("log").prepend(row);
+  const before = [...$("log").children].find((one) => Number(one.dataset.at) <= at);
+  $("log").insertBefore(row, before ?? null);
   while ($("log").children.length > 200) $("log").lastChild.remove();
 }
 
 function buttons() {
   const may = mine && running;
-  for (const id of ["now", "ramp_down", "finish", "pause", "note"]) $(id).disabled = !may;
+  $("now").disabled = !running; // whoever sees the page may stop the plate
+  for (const id of ["ramp_down", "finish", "pause", "note"]) $(id).disabled = !may;
   $("note-form").querySelector("button").disabled = !may;
   $("next-form").hidden = !(run && run.leads);
   for (const one of $("next-form").elements) one.disabled = !may;
   $("pause").firstChild.textContent = pausing ? "go on " : "pause after step ";
   const canStart = offer && offer.can_start && !running && offer.profiles.length > 0;
   $("start").hidden = !canStart;
+  $("margins-box").hidden = canStart;
   $("check").disabled = !mine;
-  $("go").disabled = !(mine && checkedGreen && checkedGreen === `${$("profile").value}|${$("scenario").value}`);
+  $("go").disabled = !(mine && checked.get(chosen())?.passed);
 }
 
 for (const id of ["now", "ramp_down", "finish"]) $(id).addEventListener("click", () => send({ do: id }));
 $("pause").addEventListener("click", () => send({ do: pausing ? "go_on" : "pause" }));
 for (const id of ["ask", "hand_over", "keep"]) $(id).addEventListener("click", () => send({ do: id }));
 $("check").addEventListener("click", () => send({ do: "check", profile: $("profile").value, scenario: $("scenario").value }));
-$("go").addEventListener("click", () => send({ do: "start", profile: $("profile").value, scenario: $("scenario").value }));
-for (const id of ["profile", "scenario"]) $(id).addEventListener("change", buttons);
+$("go").addEventListener("click", () => send({
+  do: "start", profile: $("profile").value, scenario: $("scenario").value,
+  name: $("run-name").value, note: $("run-note").value, keys: $("run-keys").value, seed: $("run-seed").value,
+}));
+for (const id of ["profile", "scenario"]) $(id).addEventListener("change", findings);
 $("note-form").addEventListener("submit", (event) => {
   event.preventDefault();
   const text = $("note").value.trim();
@@ -242,7 +273,7 @@ addEventListener("keydown", (event) => {
   const typing = event.target instanceof HTMLInputElement && event.target.type !== "checkbox";
   if (event.key === "Escape" || (event.key === " " && !typing && !(event.target instanceof HTMLSelectElement))) {
     event.preventDefault(); // also where a button has the focus: space is always the stop
-    if (mine && running) send({ do: "now" });
+    if (running) send({ do: "now" });
     return;
   }
   if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target instanceof HTMLSelectElement) return;
@@ -261,6 +292,11 @@ $("zoom-out").addEventListener("click", () => scope.whole());
 const legend = $("legend");
 for (const [name, text] of [["measured", "measured"], ["doubt", "unsure"], ["model", "model"], ["zone", "forbidden"]]) {
   legend.append(el("i", "", `k-${name}`), text);
+}
+
+for (const [box, picture, name] of [["scope-box", scope, "scope"], ["diagram-box", diagram, "bifurcation-diagram"],
+  ["map-box", map, "return-map"], ["residual-box", residuals, "landing-residuals"], ["plate-box", spectrum, "spectrum"]]) {
+  savers($(box).querySelector(".tools"), name, () => [picture.canvas], () => picture.table());
 }
 
 function paint() {

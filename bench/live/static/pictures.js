@@ -6,6 +6,7 @@ const POOR = 2, DOUBTFUL = 1;
 class Picture {
   constructor(canvas, options) { this.axes = new Axes(canvas, options); this.dirty = true; }
   stale() { this.dirty = true; this.layer = null; }
+  get canvas() { return this.axes.canvas; }
   paint() {
     if (this.axes.fit()) this.stale();
     if (!this.dirty) return false;
@@ -51,6 +52,12 @@ export class Diagram extends Picture {
       pen.fillRect(x, axes.py(s.tau[i]) - d / 2, d, d);
     }
   }
+  // Rows of all flights, for saving.
+  table() {
+    const rows = [["step", "gamma as shown", "flight time (ms)", "landing since the step began (s)", "mark (0 plain, 1 unsure, 2 not counted)"]];
+    for (const s of this.steps.values()) for (let i = 0; i < s.tau.length; i++) rows.push([s.step + 1, s.gamma, s.tau[i], s.landing[i], s.mark[i]]);
+    return rows;
+  }
   onLayer(s) {
     const pen = this.axes.pen;
     this.axes.pen = this.layer.getContext("2d");
@@ -93,6 +100,11 @@ export class ReturnMap extends Picture {
   clear() { this.s = null; this.stale(); }
   plan() { this.clear(); }
   step(s) { this.s = s; this.dirty = true; }
+  table() {
+    const rows = [["flight time (ms)", "next flight time (ms)"]], s = this.s;
+    for (let i = 0; s && i + 1 < s.tau.length; i++) if (s.mark[i] < POOR && s.mark[i + 1] < POOR) rows.push([s.tau[i], s.tau[i + 1]]);
+    return rows;
+  }
   draw() {
     const axes = this.axes, c = colours(), s = this.s;
     axes.clear();
@@ -139,12 +151,17 @@ export class Residuals extends Picture {
     this.steps.set(s.step, s);
     this.dirty = true;
   }
+  table() {
+    const rows = [["step", "gamma as shown", "landing less prediction (us)", "noise, 1 sigma (us)"]];
+    for (const s of this.steps.values()) for (let i = 0; i < s.residual.length; i++) if (isFinite(s.residual[i])) rows.push([s.step + 1, s.gamma, s.residual[i], s.noise[i]]);
+    return rows;
+  }
   draw() {
     const axes = this.axes, c = colours();
     axes.clear();
-    let size = 0;
-    for (const s of this.steps.values()) size = Math.max(size, s.size, 4 * s.floor);
-    size = size || 20;
+    // a step with a wide band, or with wild residuals, goes beyond the frame and leaves the others legible
+    const sizes = [...this.steps.values()].map((s) => Math.max(s.size, 4 * s.floor)).filter((x) => x > 0).sort((a, b) => a - b);
+    const size = sizes.length ? Math.min(sizes[sizes.length - 1], 3 * sizes[sizes.length >> 1]) : 20;
     axes.ylim = [-1.15 * size, 1.15 * size];
     axes.inside((pen) => {
       pen.fillStyle = c.band; // two standard deviations of the noise
@@ -170,7 +187,8 @@ export class Residuals extends Picture {
 }
 
 export class Spectrum extends Picture {
-  constructor(canvas) { super(canvas, { x: "log10 of frequency / Hz", y: "log10 of (m/s\u00b2)/\u221aHz", title: "spectrum of the accelerometer", top: 20 }); }
+  constructor(canvas) { super(canvas, { x: "frequency (Hz)", y: "(m/s\u00b2)/\u221aHz", title: "spectrum of the accelerometer", top: 20, log: true }); }
+  table() { return [["frequency (Hz)", "spectral density ((m/s^2)/sqrt(Hz))"], ...[...(this.f ?? [])].map((f, i) => [10 ** f, 10 ** this.d[i]])]; }
   set(frequency, density) { this.f = frequency.map(Math.log10); this.d = density.map((v) => Math.log10(Math.max(v, 1e-9))); this.dirty = true; }
   draw() {
     const axes = this.axes, c = colours();

@@ -2,10 +2,11 @@
 import { Axes, colours } from "/static/web/plot.js";
 
 const KEPT_S = 12;
+const UNKNOWN = -32768; // of a displacement that the accelerometer does not tell
 
 export class Scope {
   constructor(canvas) {
-    this.axes = new Axes(canvas, { x: "time (s)", left: 62, top: 6, bottom: 32 });
+    this.axes = new Axes(canvas, { x: "time (s)", left: 62, top: 18, bottom: 32 });
     this.canvas = canvas;
     this.names = []; this.spanS = 0.2; this.unit = "si"; this.onTakeoff = true;
     this.frozen = false; this.view = null; this.dirty = true; this.n = 0;
@@ -15,12 +16,18 @@ export class Scope {
     canvas.addEventListener("pointerup", (event) => {
       const to = this.axes.at(event)[0], from = this.from;
       this.from = undefined;
-      if (from !== undefined && Math.abs(to - from) > 0.01 * (this.axes.xlim[1] - this.axes.xlim[0])) this.look([Math.min(from, to), Math.max(from, to)]);
+      if (from === undefined) return;
+      if (Math.abs(to - from) > 0.01 * (this.axes.xlim[1] - this.axes.xlim[0])) this.look([Math.min(from, to), Math.max(from, to)]);
+      else this.mark(to);
     });
+    canvas.addEventListener("pointermove", (event) => { this.point(this.axes.at(event)[0]); });
+    canvas.addEventListener("pointerleave", () => { this.point(null); });
     canvas.addEventListener("keydown", (event) => {
       const [a, b] = this.axes.xlim, shift = 0.2 * (b - a);
       if (event.key === "+") this.zoom(0.8, (a + b) / 2);
       else if (event.key === "-") this.zoom(1.25, (a + b) / 2);
+      else if (event.key === "m") this.mark((this.cursor ?? (a + b) / 2));
+      else if (event.key === "," || event.key === ".") this.point((this.cursor ?? (a + b) / 2) + (event.key === "." ? 1 : -1) * 0.01 * (b - a));
       else if (event.key === "ArrowLeft") this.look([a - shift, b - shift]);
       else if (event.key === "ArrowRight") this.look([a + shift, b + shift]);
       else return;
@@ -28,7 +35,15 @@ export class Scope {
     });
   }
 
-  clear() { this.size = 0; this.n = 0; this.end = 0; this.bin = 0; this.dirty = true; }
+  clear() { this.size = 0; this.n = 0; this.end = 0; this.bin = 0; this.cursor = this.marked = null; this.dirty = true; }
+  point(at) { if (at !== this.cursor) { this.cursor = at; this.dirty = true; } }
+  // A second cursor that stays, from which times are measured; a click near it takes it away. The picture stands still.
+  mark(at) {
+    const near = 0.02 * (this.axes.xlim[1] - this.axes.xlim[0]);
+    this.marked = this.marked !== null && Math.abs(at - this.marked) < near ? null : at;
+    if (this.marked !== null && !this.frozen) this.look([...this.axes.xlim]);
+    this.dirty = true;
+  }
   stale() { this.dirty = true; }
   traces(list) { this.names = list; this.clear(); }
   span(seconds) { this.spanS = seconds; this.view = null; this.dirty = true; }
@@ -110,28 +125,50 @@ export class Scope {
     return true;
   }
 
+  // Extremes of a trace in the bins [a, b), in its unit; NaN where it is not known.
+  extremes(k, a, b) {
+    let low = 32767, high = -32768;
+    for (let i = a; i < b; i++) {
+      const at = i % this.size;
+      if (this.low[k][at] === UNKNOWN) return [NaN, NaN];
+      if (this.low[k][at] < low) low = this.low[k][at];
+      if (this.high[k][at] > high) high = this.high[k][at];
+    }
+    const scale = this.names[k][this.unit], ends = [low * scale.scale + scale.offset, high * scale.scale + scale.offset];
+    return scale.scale < 0 ? ends.reverse() : ends;
+  }
+
+  // What is shown, for saving: the extremes of each bin.
+  table() {
+    const names = this.names.flatMap((t) => ["lowest", "highest"].map((end) => `${t.name} ${end} (${t[this.unit].unit})`));
+    const rows = [["time (s)", ...names]], start = this.end - this.n * this.bin, [t0, t1] = this.axes.xlim;
+    for (let i = Math.max(0, this.n - this.size); i < this.n; i++) {
+      const t = start + i * this.bin;
+      if (t >= t0 && t <= t1) rows.push([t.toFixed(6), ...this.names.flatMap((_, k) => this.extremes(k, i, i + 1).map((x) => Number(x.toPrecision(6))))]);
+    }
+    return rows;
+  }
+
   // One panel a trace, over a common time axis.
   panels(start, zero) {
     const axes = this.axes, pen = axes.pen, c = colours(), [t0, t1] = axes.xlim;
-    const top = axes.top, height = axes.height, gap = 12 * axes.unit, each = (height - gap * (this.nTraces - 1)) / this.nTraces;
+    const top = axes.top, height = axes.height, gap = 1.6 * axes.font * axes.scale, each = (height - gap * (this.nTraces - 1)) / this.nTraces;
     const first = Math.max(Math.max(0, this.n - this.size), Math.floor((t0 - start) / this.bin)), last = Math.min(this.n, Math.ceil((t1 - start) / this.bin));
     const columns = Math.max(1, Math.floor(axes.width / Math.max(1, axes.scale)));
     const bottom = axes.options.bottom;
     const short = t1 - t0 < 0.5, unit = short ? 1e3 : 1, origin = zero || t0;
     for (let k = 0; k < this.nTraces; k++) {
       const trace = this.names[k]; if (!trace) continue;
-      const scale = trace[this.unit], flip = scale.scale < 0;
+      const scale = trace[this.unit];
       const count = last - first, per = Math.max(1, count / columns), n = Math.ceil(count / per);
       const xs = new Float64Array(n), lows = new Float64Array(n), highs = new Float64Array(n);
       let least = Infinity, most = -Infinity;
       for (let j = 0; j < n; j++) {
-        let low = 32767, high = -32768;
         const a = first + Math.floor(j * per), b = Math.max(a + 1, Math.min(last, first + Math.floor((j + 1) * per)));
-        for (let i = a; i < b; i++) { const at = i % this.size; if (this.low[k][at] < low) low = this.low[k][at]; if (this.high[k][at] > high) high = this.high[k][at]; }
         xs[j] = (start + a * this.bin - origin) * unit;
-        lows[j] = (flip ? high : low) * scale.scale + scale.offset;
-        highs[j] = (flip ? low : high) * scale.scale + scale.offset;
-        least = Math.min(least, lows[j]); most = Math.max(most, highs[j]);
+        [lows[j], highs[j]] = this.extremes(k, a, b);
+        if (lows[j] < least) least = lows[j];
+        if (highs[j] > most) most = highs[j];
       }
       if (!isFinite(least)) { least = 0; most = 1; }
       const range = trace.range ?? [least, most]; // grows at once, shrinks slowly: no jitter
@@ -146,16 +183,34 @@ export class Scope {
       axes.frame(k === this.nTraces - 1);
       const tone = c[["c0", "c1", "c4", "c3", "c5"][k % 5]];
       axes.inside(() => { if (per > 1) axes.envelope(xs, lows, highs, tone); else axes.line(xs, lows, tone, 1.3); });
+      // the name stands above its panel, where it hides no signal; behind it the value at the cursor
       pen.font = `bold ${axes.font * axes.scale}px sans-serif`;
-      const label = `${trace.name} (${scale.unit})`, width = pen.measureText(label).width;
-      pen.globalAlpha = 0.85; pen.fillStyle = c.paper;
-      pen.fillRect(axes.left + 3 * axes.unit, axes.top + 2 * axes.unit, width + 8 * axes.unit, axes.font * axes.scale * 1.3);
-      pen.globalAlpha = 1; pen.fillStyle = tone; pen.textAlign = "left"; pen.textBaseline = "top";
-      pen.fillText(label, axes.left + 7 * axes.unit, axes.top + 3 * axes.unit);
+      pen.fillStyle = tone;
+      pen.fillRect(axes.left, axes.top - 11 * axes.unit, 8 * axes.unit, 8 * axes.unit);
+      pen.fillStyle = c.ink; pen.textAlign = "left"; pen.textBaseline = "bottom";
+      pen.fillText(`${trace.name} (${scale.unit})${this.valueAt(k, start)}`, axes.left + 12 * axes.unit, axes.top - 2 * axes.unit);
       axes.xlim = real;
+      for (const [at, style] of [[this.cursor, c.ink], [this.marked, c.event]]) if (at !== null) axes.inside(() => axes.line([at, at], axes.ylim, style, 1));
     }
     axes.top = top; axes.height = height; axes.options.bottom = bottom;
-    if (zero) axes.shown = zero;
+    this.between(axes);
     // pointer positions are in the time of the run, not since take-off
+  }
+
+  valueAt(k, start) {
+    if (this.cursor === null) return "";
+    const i = Math.floor((this.cursor - start) / this.bin);
+    if (i < Math.max(0, this.n - this.size) || i >= this.n) return "";
+    const [low, high] = this.extremes(k, i, i + 1);
+    return isFinite(low) ? `  ${(0.5 * (low + high)).toPrecision(4).replace("-", "\u2212")}` : "  not known";
+  }
+
+  // Time at the cursor, and from the mark to it.
+  between(axes) {
+    if (this.cursor === null && this.marked === null) return;
+    const pen = axes.pen, at = this.cursor ?? this.marked, ms = 1e3 * (at - this.marked);
+    const since = this.marked === null ? "" : `, ${ms.toFixed(3)} ms from the mark${ms ? ` (${Math.abs(1e3 / ms).toPrecision(4)} Hz)` : ""}`;
+    pen.fillStyle = colours().ink; pen.textAlign = "right"; pen.textBaseline = "bottom";
+    pen.fillText(`${at.toFixed(5)} s${since}`.replace("-", "\u2212"), axes.left + axes.width, axes.top - 2 * axes.unit);
   }
 }

@@ -30,6 +30,19 @@ export function ticks(low, high, most) {
   return { at, step };
 }
 
+// Decades of an axis that carries logarithms: their exponents, and words as 0.001, 1, 100 or 10\u2074.
+const SUPERSCRIPTS = "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079";
+export function decades(low, high, most) {
+  const by = Math.max(1, Math.ceil((Math.floor(high) - Math.ceil(low) + 1) / Math.max(1, most)));
+  const at = [];
+  for (let k = Math.ceil(low - 1e-9); k <= high + 1e-9; k += by) at.push(k);
+  return { at, step: by };
+}
+function power(k) {
+  if (Math.abs(k) < 4) return k < 0 ? (10 ** k).toFixed(-k) : String(10 ** k);
+  return `10${k < 0 ? "\u207b" : ""}${[...String(Math.abs(k))].map((digit) => SUPERSCRIPTS[digit]).join("")}`;
+}
+
 export function number(value, step) {
   if (value === 0) return "0";
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
@@ -38,7 +51,7 @@ export function number(value, step) {
 }
 
 export class Axes {
-  // options: x, y (labels with units), title, left (room for numbers, css px)
+  // options: x, y (labels with units), title, left (room for numbers, css px), log (axes carry log10 of values)
   constructor(canvas, options = {}) {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d", { alpha: false });
@@ -90,8 +103,9 @@ export class Axes {
     const font = this.font * this.scale;
     pen.font = `${font}px ${getComputedStyle(document.body).fontFamily}`;
     pen.lineWidth = Math.max(1, s);
-    const xt = ticks(...this.xlim, Math.max(2, Math.floor(this.width / (5.2 * font))));
-    const yt = ticks(...this.ylim, Math.max(2, Math.min(4, Math.floor(this.height / (1.4 * font))), Math.floor(this.height / (2.6 * font))));
+    const find = o.log ? decades : ticks, words = o.log ? power : number;
+    const xt = find(...this.xlim, Math.max(2, Math.floor(this.width / (5.2 * font))));
+    const yt = find(...this.ylim, Math.max(2, Math.min(4, Math.floor(this.height / (1.4 * font))), Math.floor(this.height / (2.6 * font))));
     pen.strokeStyle = c.grid;
     pen.beginPath();
     for (const x of xt.at) { const p = Math.round(this.px(x)) + 0.5; pen.moveTo(p, this.top); pen.lineTo(p, this.top + this.height); }
@@ -101,9 +115,9 @@ export class Axes {
     pen.strokeRect(this.left, this.top, this.width, this.height);
     pen.fillStyle = c.ink;
     pen.textAlign = "center"; pen.textBaseline = "top";
-    if (below) for (const x of xt.at) pen.fillText(number(x, xt.step), this.px(x), this.top + this.height + 3 * s);
+    if (below) for (const x of xt.at) pen.fillText(words(x, xt.step), this.px(x), this.top + this.height + 3 * s);
     pen.textAlign = "right"; pen.textBaseline = "middle";
-    for (const y of yt.at) pen.fillText(number(y, yt.step), this.left - 4 * s, this.py(y));
+    for (const y of yt.at) pen.fillText(words(y, yt.step), this.left - 4 * s, this.py(y));
     pen.textAlign = "center"; pen.textBaseline = "alphabetic";
     pen.fillText(o.x, this.left + this.width / 2, this.canvas.height - 4 * s);
     if (o.title) { pen.textAlign = "left"; pen.fillStyle = c.faint; pen.fillText(o.title, this.left, this.top - 5 * s); }

@@ -63,11 +63,11 @@ def recorder_of(pid: int) -> int:
     return next(c for c in children(pid) if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes())
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_signal_to_the_whole_group_ramps_down(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"])
+def test_a_signal_to_the_whole_group_ramps_down(tmp_path: Path, name: str) -> None:
     """Run and recorder get the signal together: the drive ramps down, and the recording is closed with the reason."""
     with ramp(tmp_path) as process:
-        os.killpg(process.pid, number)
+        os.killpg(process.pid, signal.Signals[name])
         os.killpg(process.pid, signal.SIGHUP)  # a hang-up beside it makes no soft stop a hard one
         assert process.wait(60) == 1
     assert verify(tmp_path / "run.h5").state == "stopped"

@@ -15,28 +15,20 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+import numpy as np
 import pytest
 
+from analysis.flights.assemble import flights_of
 from bench.profiles.find import shipped_folder
 from daq.recording import open_recording, verify
+from tests.bench.contrast import too_pale
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+SMALLEST = """Math.min(...[...document.querySelectorAll("h2, label, button, th, td, li")]
+  .map((one) => parseFloat(getComputedStyle(one).fontSize)))"""
 PATIENCE_S = 60.0  # of a machine that runs tests beside
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A real browser; the test skips where there is none."""
-    if CHROMIUM is None:
-        pytest.skip("no chromium on this machine (Debian: apt-get install chromium)")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
@@ -92,7 +84,7 @@ def opened(chromium: Any, url: str) -> Any:
 def test_run_is_started_watched_noted_paused_and_stopped(
     chromium: Any, bench: Any, profile: Path, tmp_path: Path
 ) -> None:
-    """Check, start, flights, a note, a pause, going on and a stop; a second browser watches and takes over."""
+    """Check, start, a note, a pause and going on; whoever sees the page stops it; the log outlives a reload."""
     _, url = bench("live", profile, "--runs", tmp_path)
     page, other = opened(chromium, url), opened(chromium, url)
     wait_for(page, "#lease-word", "you hold the controls")
@@ -100,41 +92,88 @@ def test_run_is_started_watched_noted_paused_and_stopped(
     assert page.locator("#go").is_disabled()  # before the check
     page.click("#check")
     wait_for(page, "#findings", "check is green")
+    page.select_option("#scenario", "friction")
+    assert page.locator("#findings").inner_text() == "" and page.locator("#go").is_disabled()  # it was of another rig
+    page.select_option("#scenario", "")
+    page.click("#given summary")
+    for name, text in (("name", "first"), ("note", "before"), ("keys", "knob=3, ball=B2"), ("seed", "7")):
+        page.fill(f"#run-{name}", text)
     page.click("#go")
     wait_for(page, "#state-step", "of 6")
     assert page.locator("#simulated").is_visible() and "SIMULATED" in page.locator("#simulated").inner_text()
-    assert other.locator("#now").is_disabled()
-    other.keyboard.press("Escape")  # who only watches stops nothing
+    assert other.locator("#now").is_enabled() and other.locator("#ramp_down").is_disabled()
     page.keyboard.press("p")
     page.keyboard.press("n")
-    page.keyboard.type("a dusty ball <b>")
+    long = "a dusty ball <b>" + " \u00fcber" * 60
+    page.keyboard.insert_text(long)
     page.keyboard.press("Enter")
     wait_for(other, "#log", "note: a dusty ball <b>")
     wait_for(page, "#state-word", "paused")
+    left = page.locator("#state-left").inner_text()
     step = int(page.locator("#state-step").inner_text().split()[1])
     wait_for(other, "#cycle", f"step {step}: 1-cycle")
     assert page.evaluate("window.deskCounts.flights") > 10
+    assert page.locator("#state-word").inner_text() == "PAUSED" and page.locator("#state-left").inner_text() == left
+    assert too_pale(page) == []
+    log = page.locator("#log-panel").bounding_box()
+    assert log["height"] > 80 and log["y"] + log["height"] <= 800
     page.keyboard.press("p")
     wait_for(page, "#state-step", f"step {step + 1} of 6")
     other.click("#ask")
     wait_for(page, "#lease-word", "asks for the controls")
     page.click("#hand_over")
     wait_for(other, "#lease-word", "you hold")
-    assert page.locator("#now").is_disabled()
-    other.keyboard.press("Space")
+    page.keyboard.press("Space")  # without the controls
     wait_for(page, "#state-word", "stopped")
+    wait_for(page, "#verdict-title", "at the end of the run")
+    assert page.locator("#margins").inner_text().count("\u2013") == 4  # nothing is known of a plate that stands
     assert page.faults == other.faults == []
-    (recorded,) = tmp_path.glob("quick-*.h5")
+    recorded = tmp_path / "first.h5"
     assert verify(recorded).state == "stopped"
     with open_recording(recorded) as recording:
-        assert recording.attrs["why"].startswith("page: stopped now")
-        assert [text.decode() for text in recording.notes["text"]] == [
-            "page: hold after this step", "a dusty ball <b>", "page: go on"
-        ]  # fmt: skip
+        assert recording.attrs["why"].startswith("page: stopped now") and recording.attrs["note"] == "before"
+        assert recording.attrs["extra"] == {"knob": 3.0, "ball": "B2"}
         first, second = recording.steps[step - 1 : step + 1]
         assert second["first_sample"] > first["first_sample"] + first["n_samples"]  # the pause
+        found = flights_of(recording)
+    shown = np.array(page.evaluate("window.deskTable()")[1:])
+    durations_ms = (1e3 * found.duration_s[found.step >= 0]).astype(np.float32)
+    assert np.array_equal(shown[:, 2].astype(np.float32), durations_ms)
+    before = page.locator("#log li").all_inner_texts()
+    page.wait_for_timeout(1100)
+    page.reload()
+    wait_for(page, "#log", "recording first.h5")
+    assert [line for line in before if "run started" not in line] == page.locator("#log li").all_inner_texts()
+    page.click("#state-run")
+    page.wait_for_url("**/runs/*")
+    wait_for(page, "h1", "first.h5")
     for one in (page, other):
         one.context.close()
+
+
+def test_page_fits_screens_of_every_size(chromium: Any, bench: Any, profile: Path, tmp_path: Path) -> None:
+    """On a phone, a laptop and a 4K screen nothing lies beyond the right edge; plots are saved; words are legible."""
+    process, url = bench("live", profile, "--runs", tmp_path)
+    page = opened(chromium, url)
+    wait_for(page, "#connection", "^connected$")
+    for width, height in ((390, 844), (1280, 800), (3840, 2160)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_timeout(200)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(SMALLEST) >= 11
+        assert too_pale(page) == []
+    assert page.locator(".savers").count() == 5
+    with page.expect_download() as picture:
+        page.click("#residual-box .savers button:has-text('picture')")
+    assert picture.value.suggested_filename == "landing-residuals.png"
+    assert Path(picture.value.path()).read_bytes().startswith(b"\x89PNG")
+    with page.expect_download() as data:
+        page.click("#diagram-box .savers button:has-text('data')")
+    assert Path(data.value.path()).read_text(encoding="utf-8").startswith("step,gamma as shown,flight time (ms),")
+    process.terminate()
+    wait_for(page, "#connection", "server gone")
+    assert too_pale(page) == []
+    page.context.close()
 
 
 @pytest.mark.parametrize(

@@ -7,22 +7,27 @@ import struct
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from analysis.flights.assemble import flights_of
+from analysis.flights.classify import classify
+from analysis.residuals.observations import Observations
 from bench.jobs.blocks import Chosen, by_person
 from bench.jobs.run_ramp import make_backend, record
+from bench.live.analyst import Analyst
 from bench.live.board import EVENT_SLOTS, Board
 from bench.live.decimate import MinMax, PlateHeight
 from bench.live.messages import flights_piece, scope_piece, spectrum_piece
 from bench.live.prediction import predicted
-from bench.live.reduce import PLAIN, reduce_step
+from bench.live.reduce import DOUBTFUL, PLAIN, ReducedStep, cut_to, reduce_run
 from bench.live.run_side import RunSide
 from bench.live.verdict import verdict_of
-from bench.live.window import StepWindow
 from bench.profiles.find import load, shipped_folder
 from bench.web.hub import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
@@ -174,25 +179,17 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return out
 
 
-def reduced(path: Path) -> list:
-    """Every step of a recording as a page reduces it."""
-    found = []
+def so_far(path: Path, n_steps: int) -> tuple[list[ReducedStep], Observations]:
+    """The first steps of a recording as a page reduces them while the run lasts."""
     with open_recording(path) as recording:
-        codes = np.stack([recording.codes(name) for name in recording.channels], axis=1)
-        scales = {name: recording.scale(name) for name in recording.channels}
-        for row in recording.steps:
-            step = {name: row[name].item() for name in row.dtype.names}
-            first, end = step["first_sample"], step["first_sample"] + step["n_samples"]
-            blocks = [Block(i, codes[i : i + 197]) for i in range(max(0, first - 300), end, 197)]
-            window = StepWindow(recording.setup, recording.channels, scales, step, blocks)
-            assert np.array_equal(window.codes("drive"), codes[first:end, recording.channels.index("drive")])
-            found.append(reduce_step(window, step["gamma"], first))
-    return found
+        row = recording.steps[n_steps - 1]
+        cut_to(recording, int(row["first_sample"] + row["n_samples"]))
+        return reduce_run(recording, {})
 
 
 def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> None:
     """Cycle, tones on target, and residuals of the ideal ball at its noise; the prediction meets the flights."""
-    steps = reduced(recorded["ideal"])
+    steps, _ = so_far(recorded["ideal"], 4)
     assert [s.label for s in steps][:2] == ["1-cycle", "1-cycle"]
     for step in steps:
         (tone,) = step.tones
@@ -211,16 +208,54 @@ def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> N
     assert np.min(np.abs(near - measured)) < 0.3
 
 
+class Sent(list[dict[str, Any]]):
+    """A pipe that keeps what is sent."""
+
+    send = list.append
+
+
+def test_page_ends_with_the_flights_of_the_file(board: Board, tmp_path: Path) -> None:
+    """A page that is four steps behind shows at the end the flights, classes and residuals that `reprocess` finds."""
+    text = load("simulated")[1].replace("{ start = 0.4, stop = 2.6, steps = 23 }", "[0.8, 1.2, 1.6, 2.0, 2.2, 2.4]")
+    profile, path, sent, watching = parse_profile(text, "six.toml"), tmp_path / "six.h5", Sent(), Board(board.name)
+    analyst = Analyst(profile, Board(board.name), sent, pictures=True)
+    options = {"quiet": True, "paced": True, "onlooker": RunSide(board)}
+    run = Thread(target=record, args=(profile, text, make_backend(profile), path), kwargs=options)
+    run.start()
+    marks = 0
+    while run.is_alive() and marks < 9:  # as the fifth step begins
+        marks += sum(event["kind"] == "step" for event in watching.events.read()[0])
+    analyst.look()
+    run.join()
+    while not analyst.done:
+        analyst.look()
+    shown = {message["step"]: message for message in sent if message["kind"] == "flights"}
+    verdicts = [message for message in sent if message["kind"] == "verdict"]
+    with open_recording(path) as recording:
+        flights, labels = flights_of(recording), [one.label for one in classify(flights_of(recording))]
+        first_s = recording.steps["first_sample"] / recording.rate_hz
+    assert sorted(shown) == list(range(6)) and all(message["final"] for message in shown.values())
+    for k, message in shown.items():
+        duration_s, landing_s, residual_s, noise_s, mark = message["columns"]
+        own = flights.step == k
+        assert np.array_equal(duration_s, flights.duration_s[own])
+        assert np.allclose(landing_s, flights.landing_s[own] - first_s[k], rtol=0, atol=1e-12)
+        assert message["label"] == labels[k]
+        assert np.isfinite(residual_s).sum() > 5 and np.nanmedian(noise_s) < 5e-5
+        assert set(mark[np.isfinite(residual_s)]) <= {PLAIN, DOUBTFUL}
+    assert verdicts[-1]["step"] == 5 and verdicts[-1]["within"]
+    analyst.close()
+    watching.close()
+
+
 def test_verdict_while_it_runs(recorded: dict[str, Path]) -> None:
     """An ideal ball is within noise; friction that was not declared is more, and friction is among its candidates."""
-    ideal = [s.observations for s in reduced(recorded["ideal"])]
-    for n in range(1, len(ideal) + 1):
-        assert verdict_of(ideal[:n], n - 1, ())["within"]
-    rubbing = [s.observations for s in reduced(recorded["friction"])]
-    verdict = verdict_of(rubbing[:3], 2, (2.2,))
+    for n in range(1, 5):
+        assert verdict_of(so_far(recorded["ideal"], n)[1], n - 1, n, ())["within"]
+    verdict = verdict_of(so_far(recorded["friction"], 3)[1], 2, 3, (2.2,))
     assert not verdict["within"] and verdict["floor_us"] < 20
     assert any("friction" in one for one in verdict["candidates"])
-    assert verdict["lines"]
+    assert "by noise alone" in verdict["lines"][1]
 
 
 def test_messages_are_what_the_page_unpacks() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import subprocess
 import sys
@@ -17,11 +16,7 @@ from bench.runs.folder import run_id
 from bench.runs.remarks import change_remarks, with_note, with_tags
 from tests.bench.runs.recordings import record, save, verdict_json
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)"),
-]
+pytestmark = pytest.mark.slow
 HOSTILE = '</td><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
 SERVE = """
 from pathlib import Path
@@ -55,17 +50,13 @@ def server(folder: Path, tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def browser() -> Iterator[Any]:
-    """A page of a headless Chromium, which collects its errors."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = chromium.new_page(viewport={"width": 1280, "height": 800})
-        page.errors = []
-        page.on("pageerror", lambda error: page.errors.append(str(error)))
-        yield page
-        chromium.close()
+def browser(chromium: Any) -> Iterator[Any]:
+    """A page that collects its errors."""
+    page = chromium.new_page(viewport={"width": 1280, "height": 800})
+    page.errors = []
+    page.on("pageerror", lambda error: page.errors.append(str(error)))
+    yield page
+    page.close()
 
 
 def until(page: Any, condition: str) -> None:

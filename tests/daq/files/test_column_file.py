@@ -34,6 +34,25 @@ def test_every_type_is_read_back(tmp_path: Path, setup: Setup, dtype: str) -> No
         assert file["drive"][()].tobytes() == values.tobytes()
 
 
+def test_a_reader_of_the_growing_file_is_waited_for(
+    tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows refuses to replace a file that somebody reads: the closed one takes its place once it is let go."""
+    writer, tries, rename = writer_of(tmp_path / "a.h5", setup, np.zeros(9, np.int16)), [], Path.replace
+    writer.check(np.zeros(0, STEP_DTYPE), np.zeros(0, BLOCK_DTYPE))
+
+    def refused(path: Path, target: Path) -> Path:
+        tries.append(path)
+        if len(tries) < 3:
+            raise PermissionError(13, "The process cannot access the file because it is being used by another process")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "replace", refused)
+    monkeypatch.setattr("daq.files.column_file.sys.platform", "win32")
+    writer.rename()
+    assert len(tries) == 3 and [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+
+
 @pytest.mark.parametrize("place", [0.3, 0.6, 0.95])
 def test_a_byte_that_changes_before_the_seal_is_found(tmp_path: Path, setup: Setup, place: float) -> None:
     """A stored byte that differs from the one that was read back is an error, and the file is not renamed."""

@@ -1,0 +1,145 @@
+"""The judgement of a run that still goes on: is what it recorded so far more than noise of the declared model?
+
+A test after each step, each at the same level, accuses most innocent rigs sooner or later. The error rate of the *run*
+is held instead: its probability `RUN_P` is divided among the looks, so that a rig that does as declared is ever accused
+in one run of ``1 / RUN_P``, however many steps the run has (alpha spending; the sum over all looks is the bound of
+Bonferroni, which needs no independence between them).
+
+References
+----------
+K. K. G. Lan and D. L. DeMets, Biometrika 70, 659 (1983): spending an error rate over looks at growing data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.attribution.candidates import Candidate, candidates_of
+from analysis.attribution.fit import Fitted, Fitter
+from analysis.attribution.hypothesis import Refits
+from analysis.attribution.priors import null_value_of, parameter_of, priors_of
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.lack_of_fit import goodness_of_fit, plate_probability
+from analysis.residuals.observations import Observations
+from analysis.residuals.prediction_errors import landing_probability, noise_floors_us, scored_rows
+from analysis.residuals.values import TREND, ParameterId
+from analysis.residuals.whitening import Whitener
+from analysis.thresholds import FROZEN, RUN_P
+from model.effects.registry import resolve
+
+LISTED = 4  # candidates
+MOST_STARTS = 12  # of a candidate's shapes
+
+
+@dataclass(frozen=True)
+class Promising:
+    """A candidate that could explain what is more than noise, judged by a linear step and no more.
+
+    Attributes
+    ----------
+    names
+        Of its effects.
+    gain
+        In nats, were the residuals linear in it.
+    values
+        Of its free parameters, at the end of that step.
+    """
+
+    names: tuple[str, ...]
+    gain: float
+    values: dict[ParameterId, float]
+
+
+@dataclass(frozen=True)
+class SoFar:
+    """The judgement after a look.
+
+    Attributes
+    ----------
+    within
+        Whether flights and plate are within noise of the declared model, at the level of this look.
+    p, level
+        Probability of so much from noise alone, and that below which this look accuses.
+    landing_rms_us, floor_us
+        Error of the predicted landings, and the noise floor of it, as the closed loop states them.
+    flights
+        Number of flights judged.
+    promising
+        Empty within noise.
+    """
+
+    within: bool
+    p: float
+    level: float
+    landing_rms_us: float
+    floor_us: float
+    flights: int
+    promising: tuple[Promising, ...]
+
+
+def level_of_look(look: int) -> float:
+    """Part of the run's error rate that the look number ``look`` (1, 2, ...) may spend; all of them sum to `RUN_P`."""
+    return RUN_P / (look * (look + 1))
+
+
+def judge_so_far(seen: Observations, look: int) -> SoFar | None:
+    """Judge a run by what it has recorded so far; None without flights to judge.
+
+    Parameters
+    ----------
+    seen
+        Of all finished steps.
+    look
+        The number of this look at the run, from 1; looks may be left out.
+    """
+    if not seen.scored.any():
+        return None
+    model = ForwardModel(seen, resolve(seen.setup.declared_values()))
+    fitter = Fitter(model, priors_of(seen.setup), np.ones(len(seen.steps), bool))
+    # calibrations move within their priors, as in the closed loop
+    declared = Refits(fitter).converged((), Whitener.of(model, {}), (), {}).fitted
+    left, level = goodness_of_fit(model, declared.values), level_of_look(look)
+    rows, _ = scored_rows(model, declared.values, np.ones(len(seen.steps), bool))
+    p_landings, rms_us = landing_probability(model, declared.values, rows)
+    floor_us = noise_floors_us(model, declared.values, rows)[0]
+    # the three tests share the level; a trifle that many flights resolve is no discovery, as in the closed loop
+    tests = (
+        (left.p_lack_of_fit, left.ratio > FROZEN.lack_ratio),
+        (plate_probability(model, declared.values), not left.plate_passes(FROZEN)),
+        (p_landings, rms_us > FROZEN.most_rms_us(floor_us)),
+    )
+    within = not any(len(tests) * p < level and large for p, large in tests)
+    p = min(1.0, len(tests) * min(p for p, _ in tests))
+    return SoFar(within, p, level, rms_us, floor_us, len(rows), () if within else _promising(model, fitter, declared))
+
+
+def _promising(model: ForwardModel, fitter: Fitter, declared: Fitted) -> tuple[Promising, ...]:
+    """Candidates whose linearised gain is beyond doubt, the largest first, one for each set of names."""
+    found: dict[tuple[str, ...], Promising] = {}
+    for candidate in candidates_of(model):
+        free = tuple(key for key in candidate.free if key not in declared.free)
+        if not free or any(key[1].endswith(TREND) for key in free):
+            continue
+        gain, values = _linear(fitter, declared, candidate, free)
+        best = found.get(candidate.names)
+        if gain > FROZEN.gain_nats and (best is None or gain > best.gain):
+            found[candidate.names] = Promising(candidate.names, gain, {key: values[key] for key in free})
+    return tuple(sorted(found.values(), key=lambda one: -one.gain)[:LISTED])
+
+
+def _linear(
+    fitter: Fitter, declared: Fitted, candidate: Candidate, free: Sequence[ParameterId]
+) -> tuple[float, dict[ParameterId, float]]:
+    """The largest linearised gain over the candidate's shapes, and the values there."""
+    shapes = [key for key in free if parameter_of(key).is_shape]
+    if not shapes:
+        return fitter.linear_step(declared, free)
+    settings = {tuple(start.get(key, null_value_of(key)) for key in shapes) for start in candidate.starts}
+    steps = [
+        fitter.linear_step(declared, free, dict(zip(shapes, at, strict=True)))
+        for at in sorted(settings)[:: max(1, len(settings) // MOST_STARTS)]
+    ]
+    return max(steps, key=lambda one: one[0], default=(0.0, {key: null_value_of(key) for key in free}))

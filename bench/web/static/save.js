@@ -1,0 +1,38 @@
+// "picture" and "data": what every plot can be saved as. PNG of the canvas as it is drawn, CSV of the numbers behind it.
+function download(blob, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+// Several canvases one above the other as one picture.
+function joined(canvases) {
+  if (canvases.length === 1) return canvases[0];
+  const whole = document.createElement("canvas");
+  whole.width = Math.max(...canvases.map((one) => one.width));
+  whole.height = canvases.reduce((sum, one) => sum + one.height, 0);
+  let y = 0;
+  for (const one of canvases) { whole.getContext("2d").drawImage(one, 0, y); y += one.height; }
+  return whole;
+}
+
+// Two buttons at the end of `place`. `canvases` and `table` are functions: the latter gives rows, headings (with units)
+// first; `name` is that of the files, without ending.
+export function savers(place, name, canvases, table) {
+  const box = document.createElement("span");
+  box.className = "savers";
+  const add = (words, title, act) => {
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", textContent: words, title, className: "quiet" });
+    button.addEventListener("click", act);
+    box.append(button);
+  };
+  add("picture", `save ${name} as a picture (PNG)`, () => joined(canvases()).toBlob((blob) => download(blob, `${name}.png`)));
+  add("data", `save the numbers of ${name} (CSV)`, () => {
+    const lines = table().map((row) => row.map((x) => (typeof x === "number" && !isFinite(x) ? "" : x)).join(","));
+    download(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);
+  });
+  place.append(box);
+}
