@@ -218,7 +218,9 @@ def _own(chain: Chain, sizes: Mapping[str, float], rng: np.random.Generator, fol
     scenario = Scenario("chain", effects, dict(chain.parts))
     rig = _Watched(chain.rate_hz, scenario, int(rng.integers(2**31)))
     path = folder / "own.h5"
-    record(profile, text, rig, path, quiet=True)
+    summary = record(profile, text, rig, path, quiet=True)
+    if summary.how != "complete":
+        raise RuntimeError(f"the run was {summary.how}: {summary.why}")
     flights = np.array(rig.flights).reshape(-1, 2)
     if chain.after == Afterwards():
         return path, flights

@@ -97,8 +97,9 @@ def shown_acceleration(
 ) -> float:
     """What the converter takes of the accelerometer for the sample at the interval's end, m/s^2.
 
-    ``noise`` (`SUBSTEPS`,) is white, of unit variance; ``ring_re, ring_im`` the ringing at the interval's start;
-    ``rest`` what is felt at the end beside the driven acceleration and the ringing, straight from the last sample's.
+    ``noise`` (`SUBSTEPS`,), read where there is a low-pass, is white, of unit variance; ``ring_re, ring_im`` the
+    ringing at the interval's start; ``rest`` what is felt at its end besides drive and ringing, and runs there straight
+    from the last sample's.
     """
     before = s.felt_rest if s.sample > 0 else rest
     s.felt_rest = rest
@@ -112,7 +113,7 @@ def shown_acceleration(
     step_s, w = s.dt_s / SUBSTEPS, 2.0 * math.pi * p.ring_frequency_hz
     decay = math.exp(-step_s / p.ring_decay_s)
     turn_re, turn_im = decay * math.cos(w * step_s), decay * math.sin(w * step_s)
-    noise_mps2 = p.accelerometer_noise_g * G_MPS2 * math.sqrt(1.0 * SUBSTEPS) if p.low_pass_hz > 0.0 else 0.0
+    noise_mps2 = p.accelerometer_noise_g * G_MPS2 * math.sqrt(1.0 * SUBSTEPS)
     place = SUBSTEPS * (1.0 - min(p.between_channels_s / s.dt_s, 1.0))
     taken = s.filtered
     for j in range(1, SUBSTEPS + 1):
@@ -125,7 +126,9 @@ def shown_acceleration(
                 ring -= s.hit_mps[i] * math.exp(-since / p.ring_decay_s) * math.sin(w * since)
         x = s.a0 + u * (s.a1 + u * (s.a2 + u * s.a3)) + before + u * (rest - before) + G_MPS2 * p.ring_g_s_per_m * ring
         x = _clipped(p, _through(taps, memory, MOUNT, x + _through(taps, memory, SIDEWAYS, x)))
-        x = _through(taps, memory, COUPLING, x) + noise_mps2 * noise[j - 1]
+        x = _through(taps, memory, COUPLING, x)
+        if p.low_pass_hz > 0.0:
+            x += noise_mps2 * noise[j - 1]
         for k in range(LOW_PASS, SECTIONS):
             x = _through(taps, memory, k, x)
         if j - 1 < place <= j:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from rig.sim.catalogue import RIG_DEFAULTS
+from rig.sim.instrument import SECTIONS, sections, shown_acceleration
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
+from rig.sim.state import initial_state
 
 RATE = 20e3
 FINE = {"accelerometer_noise_g": 0.0, "accelerometer_v_per_g": 2.0, "drive_noise_v": 0.0, "continuity_noise_v": 0.0}
@@ -164,6 +166,20 @@ def test_film_and_hysteresis_of_the_contact() -> None:
     falls = np.flatnonzero(np.diff(two) < -1.0)
     assert (plain[rises] <= 3.501).all() and (plain[rises + 1] >= 3.499).all() and len(rises) > 10
     assert (plain[falls] >= 1.499).all() and (plain[falls + 1] <= 1.501).all()
+
+
+def test_only_a_low_pass_reads_noise_between_samples() -> None:
+    """Without one there is one number a sample, and none beyond it is read."""
+    scenario = Scenario("x", {}, {"mount_hz": 4e3})
+    params, _ = scenario.parameters()
+    state = initial_state(1, 2, -1.0 / RATE).view(np.recarray)
+    state.dt_s, state.a0 = 1.0 / RATE, 2.0
+    taps = sections({**RIG_DEFAULTS, "mount_hz": 4e3}, RATE)
+    for noise in (np.zeros(1), np.array([np.nan])):
+        seen = shown_acceleration.py_func(
+            state[0], params.view(np.recarray)[0], taps, np.zeros((SECTIONS, 2)), noise, 0.0, 0.0, 1.0
+        )
+        assert seen == pytest.approx(3.0)
 
 
 def test_a_low_pass_with_a_strange_number_of_poles_is_refused() -> None:
