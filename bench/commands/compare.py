@@ -34,6 +34,7 @@ def command(
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
     from bench.terminal.console import EXIT_USAGE, fail, write_json
+    from daq.instrument.stored import instrument_of
     from daq.recording import open_recording
     from daq.setup.errors import InputError
 
@@ -53,7 +54,7 @@ def command(
             held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
             if figures is not None:
                 draw(opened, table, figures, None if ideal else held)
-            odd = plausibility_warnings(opened, table.plate)
+            odd = plausibility_warnings(opened, table.plate, instrument_of(opened))
             write_json(as_json(held) | {"warnings": odd}, json)
             if json != "-":
                 scale = gamma_scale(opened.setup.forcing, held.ratio)

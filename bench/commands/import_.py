@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
 from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, write_json
+
+if TYPE_CHECKING:
+    from daq.instrument.instrument import Instrument
 
 
 def command(
@@ -66,7 +69,7 @@ def command(
         fail(f"{out}: {error.strerror or error}")
     payload = _payload(summary)
     if json_out != "-":
-        _print(payload)
+        _print(payload, summary.instrument)
     write_json(payload, json_out)
 
 
@@ -125,10 +128,11 @@ def _payload(summary: Any) -> dict[str, Any]:
         "columns": summary.columns,
         "steps": steps,
         "remarks": summary.remarks,
+        "instrument": summary.instrument.as_json(),
     }
 
 
-def _print(payload: dict[str, Any]) -> None:
+def _print(payload: dict[str, Any], instrument: Instrument) -> None:
     """The summary as a person reads it."""
     from rich.console import Console
     from rich.table import Table
@@ -143,8 +147,12 @@ def _print(payload: dict[str, Any]) -> None:
     )
     roles = [f"{role} from {listed([name])}" for role, name in payload["columns"].items()]
     console.print(", ".join(roles), soft_wrap=True)
+    for line in instrument.in_words():
+        console.print(line, soft_wrap=True)
     for remark in payload["remarks"]:
         console.print(f"note: {remark}", soft_wrap=True)
+    for doubt in instrument.doubts:
+        console.print(f"doubt: {doubt.sentence}", soft_wrap=True)
     if not payload["steps"]:
         return
     table = Table("step", "from s", "hold s", "frequency Hz", "gamma", "at the plate")

@@ -57,9 +57,10 @@ def command(
 def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
     from daq.files.tables import STEP_DTYPE
+    from daq.instrument.stored import instrument_of
     from model.effects.kept import kept_files
 
-    setup = opened.setup
+    setup, instrument = opened.setup, instrument_of(opened)
     return {
         "file": opened.path,
         "state": report.state,
@@ -87,6 +88,7 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             for row in opened.notes
         ],
         "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
+        "instrument": None if instrument is None else instrument.as_json(),
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
     }
 
@@ -102,6 +104,7 @@ def _print(told: dict[str, Any]) -> None:
     from rich.table import Table
 
     from bench.terminal.console import print_lines, print_table
+    from daq.instrument.instrument import Instrument
 
     print_lines(f"{told['file']}", f"  verdict   {told['state']}", *(f"            {line}" for line in told["where"]))
     if "steps" not in told:
@@ -124,6 +127,10 @@ def _print(told: dict[str, Any]) -> None:
         "steps": str(len(told["steps"])),
     }  # fmt: skip
     print_lines(*(f"  {key:<9} {value}" for key, value in lines.items()))
+    if told["instrument"] is not None:
+        instrument = Instrument.from_json(told["instrument"])
+        print_lines(*(f"  measured  {line}" for line in instrument.in_words()))
+        print_lines(*(f"  doubt     {doubt.sentence}" for doubt in instrument.doubts))
     print_lines(*(f"  noted     at {note['at_s']:.3f} s: {note['text']}" for note in told["notes"]))
     if not told["steps"]:
         return

@@ -34,6 +34,7 @@ def command(
     from bench.jobs.reprocess import draw, flights_with_progress
     from bench.outputs import CSV, JSON, File, Folder, check_outputs
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from daq.instrument.stored import instrument_of
     from daq.recording import open_recording
     from daq.setup.errors import InputError
 
@@ -49,10 +50,14 @@ def command(
                 write_csv(table, flights)
             if figures is not None:
                 draw(opened, table, figures)
-            odd = plausibility_warnings(opened, table.plate)
-            write_json(as_json(opened, table, classes) | {"warnings": odd}, json)
+            instrument = instrument_of(opened)
+            odd = plausibility_warnings(opened, table.plate, instrument)
+            own = None if instrument is None else instrument.as_json()
+            write_json(as_json(opened, table, classes) | {"instrument": own, "warnings": odd}, json)
             if json != "-":
                 _print(opened, table, classes)
+                for line in () if instrument is None else instrument.in_words():
+                    typer.echo(line)
                 for line in odd:
                     typer.echo(f"note: {line}")
     except InputError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.background import Digest
-from daq.importers.diagnostics import contact_warnings, plate_warnings, range_warnings, rate_warnings, remarks
+from daq.importers.diagnostics import range_warnings, rate_warnings, remarks
 from daq.importers.formats.columns import (
     ACCELERATION_UNITS,
     CHANNEL_ROLES,
@@ -32,8 +32,11 @@ from daq.importers.formats.columns import (
 )
 from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
+from daq.importers.lost_rows import lost_rows
 from daq.importers.scratch import Scratch
 from daq.importers.timebase import Timebase, timebase_of
+from daq.instrument.instrument import STORED, Instrument
+from daq.instrument.stored import examine
 from daq.recording.reader import timestamps_ns
 from daq.recording.writer import now_utc, root_attributes
 from daq.setup.errors import InputError
@@ -53,7 +56,7 @@ SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; sh
 
 @dataclass(frozen=True)
 class ImportSummary:
-    """Outcome of an import: size, time base, steps, column of each role, remarks."""
+    """Outcome of an import: size, time base, steps, column of each role, remarks, instrument and its doubts."""
 
     path: Path
     n_samples: int
@@ -61,6 +64,7 @@ class ImportSummary:
     steps: NDArray[np.void]
     columns: dict[str, str]
     remarks: list[str]
+    instrument: Instrument
 
 
 @dataclass(frozen=True)
@@ -125,21 +129,27 @@ def import_recording(
             with Digest(source.path, source.sha256) as digest:
                 volts = _Volts(scratch, scales)
                 base = _timebase(source, writer, scratch, intake, columns.get("time"), setup, rate_hz)
-                steps, from_drive = _find(volts, writer.n_samples, setup, base, intake, progress)
+                found, channel = _find(volts, writer.n_samples, setup, base, intake, progress)
+                if "time" not in columns and len(lost := lost_rows(volts.of(channel), found, base.rate_hz)):
+                    base = replace(base, gaps=lost)
+                    found, channel = _find(volts, writer.n_samples, setup, base, intake, progress)
+                steps = _table(found, volts, channel, setup, base.rate_hz)
                 warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
-                warnings += plate_warnings(steps, setup) if from_drive else []
-                if "continuity" in scales:
-                    warnings += contact_warnings(volts.of("continuity"), setup, steps)
                 setup = _at_rate(setup, base.rate_hz)
+                read = {role: volts.of(role) for role in channels}
+                instrument = examine(read, writer.n_samples, base.rate_hz, steps, base.gaps, setup)
                 late = _late_attributes(source, columns, setup, base, intake, options.extra)
+                late[STORED] = json.dumps(instrument.as_json())
                 writer.check(steps, _blocks(base, writer.n_samples), **late, imported_sha256=digest.result())
     except BaseException:
         writer.abandon()
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    found = left_out_remarks(source) + remarks(base, steps, channels, from_drive) + warnings
-    return ImportSummary(out, writer.n_samples, base, steps, named, found)
+    said = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
+    return ImportSummary(
+        out, writer.n_samples, base, steps, named, [*left_out_remarks(source), *said, *warnings], instrument
+    )
 
 
 def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column], float | None]:
@@ -274,23 +284,26 @@ def _find(
     base: Timebase,
     intake: Intake,
     progress: Progress | None,
-) -> tuple[NDArray[np.void], bool]:
-    """Step table, and whether it comes from the drive: a drive that is absent or flat leaves the accelerometer."""
-    found: list[FoundStep] = []
-    for role in ("drive", "accelerometer"):
-        if role in volts.scales and not found:
-            from_drive = role == "drive"
-            found = _found(volts.of(role), n_samples, setup, base, intake, progress)
-            if not from_drive and not intake.set_values:
-                shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
-                found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
-    achieved = np.array([_achieved(volts.of("accelerometer"), s, base.rate_hz, setup) for s in found]).reshape(-1, 2)
+) -> tuple[list[FoundStep], str]:
+    """Steps, and the channel that shows them: a drive that is absent or flat leaves the accelerometer."""
+    if "drive" in volts.scales and (found := _found(volts.of("drive"), n_samples, setup, base, intake, progress)):
+        return found, "drive"
+    found = _found(volts.of("accelerometer"), n_samples, setup, base, intake, progress)
+    if not intake.set_values:
+        shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
+        found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
+    return found, "accelerometer"
+
+
+def _table(found: list[FoundStep], volts: _Volts, channel: str, setup: Setup, rate_hz: float) -> NDArray[np.void]:
+    """Step table; gamma is the drive's where its steps and its scale are known, else the plate's."""
+    achieved = np.array([_achieved(volts.of("accelerometer"), s, rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt
-    if from_drive and g_per_volt is not None:
+    if channel == "drive" and g_per_volt is not None:
         gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
     else:
         gammas = achieved[:, 0]
-    return step_table(found, setup.forcing, base.rate_hz, gammas, achieved), from_drive
+    return step_table(found, setup.forcing, rate_hz, gammas, achieved)
 
 
 def _found(

@@ -135,7 +135,7 @@ def _sealed(path: Path, later: _Later, *, all_bytes: bool) -> Header | Unread | 
 def header_of(recording: Recording, *, all_bytes: bool) -> Header:
     """Header of an open recording."""
     report, steps = report_of(recording), recording.steps
-    attrs = {k: v for k, v in recording.attrs.items() if k not in ("setup_json", "profile_text", "scales_json")}
+    attrs = {k: v for k, v in recording.attrs.items() if not k.endswith("_json") and k != "profile_text"}
     return Header(
         stored_id(recording), report.state, tuple(report.where), all_bytes, attrs,
         recording.setup.model_dump(mode="json"), recording.rate_hz, recording.n_samples, report.lost_samples,

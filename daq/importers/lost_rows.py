@@ -1,0 +1,124 @@
+"""Rows that are missing in a file without times, by jumps of the forcing's phase."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.steps.find_steps import SAME_FREQUENCY, FoundStep
+from daq.steps.forcing_detection import Read
+
+Floats = NDArray[np.float64]
+
+RUNS_ON_RAD = 0.03  # median jump of the phase at borders of steps, up to which a forcing runs on through them
+FEWEST_BORDERS = 4
+SURE_RAD = 1e-4  # to which phases agree, at best
+SIGMAS = 5.0
+LEAST_SAMPLES = 1.5  # jump of the phase that is a loss, at least
+
+
+def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> NDArray[np.int64]:
+    """Places where rows are missing: ``(k, 3)``, row before which, how many, and their uncertainty.
+
+    A forcing that runs on through the steps keeps its phase at most of their borders; where it jumps by what a number
+    of samples explains in all tones, these are missing. Whole cycles more leave no trace.
+
+    Parameters
+    ----------
+    read
+        Gives volts of samples ``a .. b`` of the channel in which the steps were found.
+    found, rate_hz
+        The steps.
+    """
+    borders = [
+        (last, step)
+        for last, step in pairwise(found)
+        if abs(last.frequency_hz - step.frequency_hz) < SAME_FREQUENCY * step.frequency_hz
+    ]
+    if len(borders) < FEWEST_BORDERS:
+        return np.zeros((0, 3), np.int64)
+    jumps = [_Jump.at(*border, rate_hz) for border in borders]
+    usual_rad = float(np.median([np.abs(jump.angles(np.zeros(1))).max() for jump in jumps]))
+    if usual_rad > RUNS_ON_RAD:
+        return np.zeros((0, 3), np.int64)
+    out = []
+    for (last, step), jump in zip(borders, jumps, strict=True):
+        lost = jump.lost(max(usual_rad, SURE_RAD))
+        if lost is not None:
+            out.append((jump.place(read, last, step, lost[0]), *lost))
+    return np.array(out, np.int64).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class _Jump:
+    """Phases of the tones before and after a border of two steps.
+
+    Attributes
+    ----------
+    before, after
+        Unit phasors of the tones at sample 0 by the mean frequency, (k,).
+    sigma_rad
+        Uncertainty of the phase between them, (k,).
+    turns
+        Cycles of each tone in a sample, (k,).
+    """
+
+    before: NDArray[np.complex128]
+    after: NDArray[np.complex128]
+    sigma_rad: Floats
+    turns: Floats
+
+    @classmethod
+    def at(cls, last: FoundStep, step: FoundStep, rate_hz: float) -> Self:
+        """The jump between two steps; each is carried to their border by its own frequency."""
+        border_s = 0.5 * (last.stop + step.hold) / rate_hz
+        mean_hz = 0.5 * (last.tones.frequencies_hz + step.tones.frequencies_hz)
+        units, variance = [], np.zeros(len(mean_hz))
+        for one in (last, step):
+            tones = one.tones
+            carried = tones.amplitudes * np.exp(2j * np.pi * (tones.frequencies_hz - mean_hz) * border_s)
+            units.append(carried / np.abs(carried))
+            away_s = abs(border_s - 0.5 * (one.hold + one.stop) / rate_hz)
+            slope = 2.0 * np.pi * away_s * one.frequency_sigma_hz * tones.frequencies_hz / one.frequency_hz
+            variance += (tones.amplitude_sigma() / np.abs(tones.amplitudes)) ** 2 + slope**2
+        return cls(units[0], units[1], np.sqrt(variance), mean_hz / rate_hz)
+
+    def angles(self, lost: Floats) -> Floats:
+        """Jump of each tone's phase that is left if so many samples (n,) are missing, (n, k)."""
+        advanced = self.before * np.exp(2j * np.pi * np.outer(lost, self.turns))
+        return np.asarray(np.angle(self.after / advanced))
+
+    def lost(self, sure_rad: float) -> tuple[int, int] | None:
+        """Number of samples missing and its uncertainty; None where none are, or no number explains all tones."""
+        sigma_rad = np.hypot(self.sigma_rad, sure_rad)
+        least = np.maximum(SIGMAS * sigma_rad, 2.0 * np.pi * LEAST_SAMPLES * self.turns)
+        if np.all(np.abs(self.angles(np.zeros(1))) < least):
+            return None
+        counts = np.arange(1.0, 1.0 / self.turns.min())
+        misfit = np.abs(self.angles(counts)).max(axis=1)
+        best = int(np.argmin(misfit))
+        sigma = float(np.min(sigma_rad / self.turns)) / (2.0 * np.pi)
+        return (int(counts[best]), math.ceil(3.0 * sigma)) if misfit[best] < least.max() else None
+
+    def place(self, read: Read, last: FoundStep, step: FoundStep, lost: int) -> int:
+        """Sample before which they are missing: the old phase fits best up to it, the new one from it on."""
+        cycle = round(1.0 / self.turns.min())
+        start, stop = max(last.stop - 2 * cycle, last.hold), min(step.hold + 2 * cycle, step.stop)
+        x, index = read(start, stop), np.arange(start, stop)
+        x = x - x.mean()
+        models = np.zeros((2, len(x)))
+        for u, turns in zip(self.before, self.turns, strict=True):
+            wave = np.exp(2j * np.pi * turns * index)
+            sums = np.concatenate([[0.0], np.cumsum(x * wave.conj())])
+            low, high = np.maximum(index - start - cycle // 2, 0), np.minimum(index - start + cycle // 2, len(x))
+            size = 2.0 * np.abs(sums[high] - sums[low]) / (high - low)
+            models += size * (np.array([[u], [u * np.exp(2j * np.pi * turns * lost)]]) * wave).real
+        misfit = (x - models) ** 2
+        before = np.concatenate([[0.0], np.cumsum(misfit[0])])
+        after = np.concatenate([np.cumsum(misfit[1][::-1])[::-1], [0.0]])
+        return int(start + np.argmin(before + after))

@@ -1,0 +1,288 @@
+"""Contradictions between what was measured of the instruments and what the profile says of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.instrument.instrument import Doubt
+from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
+from daq.setup.setup import ContinuityChannel, Setup
+
+Floats = NDArray[np.float64]
+
+OFTEN = 0.7  # part of the steps that must show the same tones
+HIGHEST = 4  # ratio up to which the first tone is strong enough to be found beside the second
+OTHER_SCALE = 1.5  # ratio of gamma at the plate to gamma commanded, up or down, that is a doubt
+DEAD = 0.05  # ratio of the two gammas below which the accelerometer counts as dead
+NOISE_SIGMAS = 4.0  # uncertainties within which gamma counts as zero
+CONTACT_MOVES = 0.1  # part of the contact circuit's declared swing below which it does not change at all
+THROWN = 1.5  # peak of the plate's acceleration in g beyond which the ball certainly leaves it
+TWO_LEVELS, NOT_TWO_LEVELS = 0.06, 0.15  # part of the samples between the extremes: of a contact, of a motion
+FEWEST_EDGES = 8
+TIGHTER = 0.4  # spread over that of landings, below which edges are take-offs
+TAKEOFF_G = (0.2, 3.0)  # accelerations of the plate at take-offs between which the scale is believed
+BIAS_G = 0.5  # of the accelerometer's zero
+BIAS_SIGMAS = 5.0
+OPPOSED_DEG = 120.0  # phase from which drive and plate move against each other
+
+
+def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
+    """Contradictions between recording and profile; a channel that is another's silences what follows from it."""
+    for grave in (_exchanged, _dead):
+        if found := tuple(grave(seen, setup)):
+            return found
+    found = (*_tones(seen, setup), *_senses(seen, setup), *_contact(seen, setup))
+    kinds = {doubt.kind for doubt in found}
+    if not kinds & {"tones", "scale"}:
+        found += tuple(_scale(seen, setup))
+    if "accelerometer_sense" not in kinds:
+        found += tuple(_bias(seen, setup))
+    return (*found, *_resampled(seen))
+
+
+def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """A motion where the contact should be, and a contact where a motion should be."""
+    if not seen.holds or "continuity" not in seen.holds[0].middle:
+        return
+    middle = {role: float(np.median([hold.middle[role] for hold in seen.holds])) for role in seen.holds[0].middle}
+    others = [role for role, part in middle.items() if role != "continuity" and part < TWO_LEVELS]
+    if middle["continuity"] > NOT_TWO_LEVELS and len(others) == 1:
+        yield Doubt(
+            "exchanged",
+            f"the {others[0]} stands at two levels as a contact does, and the continuity at none",
+            f"exchange the columns of continuity and {others[0]} (--map) and import again",
+            True,
+        )
+
+
+def _dead(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """An accelerometer that shows nothing of the drive."""
+    plates = [hold.plate for hold in seen.holds if hold.drive is not None]
+    if (
+        plates
+        and np.median([np.abs(fit.amplitudes).max() / fit.amplitude_sigma().max() for fit in plates]) < NOISE_SIGMAS
+    ):
+        yield Doubt(
+            "dead",
+            "the accelerometer shows nothing of the drive's motion: it is dead, unplugged, or another column",
+            "name its column (--map accelerometer=COLUMN), or record again",
+            True,
+        )
+
+
+def _tones(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """Tones of the forcing other than the profile's."""
+    forcing = setup.forcing
+    if not seen.holds:
+        yield Doubt(
+            "tones",
+            f"nothing holds still near the profile's forcing, {forcing.frequency_hz:g} Hz with ratio = {forcing.ratio}",
+            "correct frequency_hz and ratio in [forcing], or the columns (--map), and import again",
+            True,
+        )
+        return
+    ratios, often = Counter(tuple(round(f / h.tones_hz[0], 2) for f in h.tones_hz) for h in seen.holds).most_common(1)[
+        0
+    ]
+    wanted = [m for m, z in forcing.displacement_tones() if abs(z) > 1e-12]
+    if often < OFTEN * len(seen.holds) or ratios == tuple(m / wanted[0] for m in wanted) or wanted[-1] > HIGHEST:
+        return
+    first_hz = float(np.median([h.tones_hz[0] for h in seen.holds if len(h.tones_hz) == len(ratios)]))
+    names = " and ".join(f"{first_hz * x:.5g} Hz" for x in ratios)
+    said = "one tone" if len(ratios) == 1 else f"{len(ratios)} tones"
+    if len(ratios) <= 2 and ratios[-1] == round(ratios[-1]):
+        cure = f"write frequency_hz = {first_hz:.5g}, ratio = {round(ratios[-1])} in [forcing] and import again"
+    else:
+        cure = "the model knows one tone, or two of which one is a whole multiple of the other"
+    finding = f"the plate is driven with {said} at {names}, where the profile's forcing has ratio = {forcing.ratio}"
+    yield Doubt("tones", finding, cure, True)
+
+
+def _pooled(seen: Measured, which: str) -> Floats:
+    """Accelerations beside all rises or falls of the contact, (n, delays)."""
+    return np.concatenate([np.zeros((0, len(DELAYS_S))), *(getattr(hold, which) for hold in seen.holds)])
+
+
+def edges_g(seen: Measured, contact: ContinuityChannel | None) -> tuple[Floats, Floats]:
+    """The plate's acceleration beside openings and closings of the contact, by the profile, in g, (n, delays)."""
+    rises, falls = _pooled(seen, "rises_g"), _pooled(seen, "falls_g")
+    return (rises, falls) if contact is None or contact.swing_v > 0.0 else (falls, rises)
+
+
+def at_edges_g(beside: Floats) -> float | None:
+    """Median acceleration at edges (n, delays); None where there are few."""
+    return float(np.median(beside[:, len(DELAYS_S) // 2])) if len(beside) >= FEWEST_EDGES else None
+
+
+def _spread(beside: Floats) -> float:
+    """Relative spread of the accelerations at edges (n, delays), for the delay at which it is least."""
+    low, middle, high = np.quantile(beside, [0.25, 0.5, 0.75], axis=0)
+    return float(np.min((high - low) / np.maximum(np.abs(middle), 1e-9)))
+
+
+def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """Sense of accelerometer, contact and drive.
+
+    A ball at rest leaves where the plate falls at about g: take-offs lie close together at -1 g, landings are spread
+    over positive accelerations.
+    """
+    sensor, contact = setup.channels.accelerometer, setup.channels.continuity
+    opens, closes = edges_g(seen, contact)
+    at, other, rest_g = at_edges_g(opens), at_edges_g(closes), _rest_g(seen, setup)
+    turned = False
+    if at is not None and other is not None and contact is not None:
+        if at * other < 0.0 and _spread(closes) < TIGHTER * _spread(opens):
+            at = other
+            yield Doubt(
+                "contact_sense",
+                f"the contact's {len(closes)} closings are the ball's take-offs: flight and contact are exchanged",
+                f"write open_v = {contact.closed_v.value:g}, closed_v = {contact.open_v.value:g} in "
+                "[channels.continuity]",
+                True,
+            )
+        turned = at > 0.0 and at * other <= at * at
+    turned_at_rest = at is None and sensor.reads_gravity and rest_g is not None and abs(rest_g + 1.0) < BIAS_G
+    if turned or turned_at_rest:
+        shown = (
+            f"{at:+.2f} g where the ball leaves it, not at -1 g" if turned else f"{rest_g:+.2f} g at rest, not at +1 g"
+        )
+        yield Doubt(
+            "accelerometer_sense",
+            f"the accelerometer is inverted: it shows the plate at {shown}",
+            f"write sign = {-sensor.sign:d} in [channels.accelerometer]",
+            True,
+        )
+    phase_deg = drive_phase_deg(seen, setup)
+    if phase_deg is not None and abs(phase_deg) > OPPOSED_DEG and at is not None and not turned:
+        yield Doubt(
+            "drive_sense",
+            f"the plate moves {phase_deg:+.0f} degrees after the drive",
+            "turn its leads, or write phase_deg = 180 in [drive]",
+            False,
+        )
+
+
+def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:
+    """Phase of the plate after the drive beyond the declared one, at the strongest tone; None without a drive."""
+    turns = []
+    for hold in seen.holds:
+        if hold.drive is not None:
+            k = int(np.argmax(np.abs(hold.drive.amplitudes)))
+            turns.append(hold.plate.amplitudes[k] / hold.drive.amplitudes[k])
+    if not turns:
+        return None
+    sense = np.sign(setup.channels.accelerometer.volts_per_mps2)
+    declared = np.exp(-1j * np.radians(setup.drive.phase_deg.value))
+    units = np.array(turns) / np.abs(turns) * sense * declared
+    return float(np.degrees(np.angle(units.sum())))
+
+
+def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """A contact that never opens though the plate throws the ball, or is open where it rests."""
+    contact = setup.channels.continuity
+    if contact is None or seen.levels_v is None:
+        return
+    low, high = seen.levels_v
+    declared = f"the profile says open_v = {contact.open_v.value:g}, closed_v = {contact.closed_v.value:g}"
+    if high - low < CONTACT_MOVES * abs(contact.swing_v):
+        most_g = max((hold.peak_g for hold in seen.holds), default=0.0)
+        if most_g > THROWN:
+            yield Doubt(
+                "contact",
+                f"the contact circuit stays between {low:.3g} and {high:.3g} V while the plate reaches {most_g:.2g} g",
+                f"no flight can be seen: look for a broken wire, or another column ({declared})",
+                True,
+            )
+        return
+    resting = [hold.high for hold in seen.holds if hold.peak_g < RESTS and "continuity" in hold.middle]
+    open_part = np.median(resting) if resting else np.nan
+    if contact.swing_v < 0.0:
+        open_part = 1.0 - open_part
+    if min(map(len, edges_g(seen, contact))) < FEWEST_EDGES and open_part > 0.5:
+        yield Doubt(
+            "contact_sense",
+            f"the contact circuit says flight while the plate moves by less than {RESTS:g} g, where the ball rests",
+            f"{declared}: exchange them",
+            True,
+        )
+
+
+def _scale(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """Gamma at the plate far from gamma commanded, or from what the take-offs say."""
+    table = np.array([hold.gammas(setup) for hold in seen.holds]).reshape(-1, 3)
+    known = np.isfinite(table).all(axis=1) & (table[:, 0] > 0.0)
+    at_g = abs(at_edges_g(edges_g(seen, setup.channels.continuity)[0]) or 1.0)
+    if not known.any() or setup.drive.g_per_volt is None:
+        if not TAKEOFF_G[0] < at_g < TAKEOFF_G[1]:
+            yield Doubt(
+                "scale",
+                f"the ball leaves where the accelerometer shows the plate falling at {at_g:.2g} g instead of 1 g",
+                "correct sensitivity or unit in [channels.accelerometer], or the column's unit (--map ...:mV)",
+                True,
+            )
+        return
+    commanded, shown = (float(x) for x in np.median(table[known, :2], axis=0))
+    ratio = float(np.median(table[known, 1] / table[known, 0]))
+    if 1.0 / OTHER_SCALE < ratio < OTHER_SCALE:
+        return
+    both = f"the drive asks for gamma {commanded:.3g}, the accelerometer shows {shown:.3g} (medians over the steps)"
+    exchanged = ratio * (abs(volts_per_g(setup)) * setup.drive.g_per_volt.value) ** 2  # ratio, were they exchanged
+    if abs(np.log(max(exchanged, 1e-300))) < np.log(OTHER_SCALE):
+        cure = "exchanged they would agree: exchange the columns of accelerometer and drive (--map) and import again"
+        yield Doubt("exchanged", both, cure, True)
+    elif ratio < DEAD:
+        yield Doubt("scale", both, "it is dead or unplugged, or its sensitivity is wrong by far", True)
+    elif at_g != 1.0 and abs(np.log(at_g)) < np.log(OTHER_SCALE):
+        cure = (
+            f"the ball's take-offs bear the accelerometer out: correct g_per_volt in [drive] (about {ratio:.3g} times)"
+        )
+        yield Doubt("scale", both, cure, True)
+    else:
+        cure = "correct g_per_volt in [drive], or sensitivity and unit in [channels.accelerometer]"
+        yield Doubt("scale", both, cure, True)
+
+
+def _rest_g(seen: Measured, setup: Setup) -> float | None:
+    """What the accelerometer reads at rest by the profile, in units of g; None where that is not known."""
+    sensor = setup.channels.accelerometer
+    if seen.bias_v is None or sensor.coupling == "ac" or sensor.offset_v is None:
+        return None
+    return (seen.bias_v - sensor.offset_v.value) / volts_per_g(setup)
+
+
+def _bias(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """A zero of the accelerometer other than the declared one."""
+    sensor, rest_g = setup.channels.accelerometer, _rest_g(seen, setup)
+    if rest_g is None or sensor.offset_v is None or seen.bias_v is None:
+        return
+    off_g = rest_g - float(sensor.reads_gravity)
+    sigma_g = sensor.offset_v.uncertainty / abs(volts_per_g(setup))
+    if abs(off_g) < max(BIAS_G, BIAS_SIGMAS * sigma_g):
+        return
+    zero_v = seen.bias_v - float(sensor.reads_gravity) * volts_per_g(setup)
+    cure = f"write offset_v = {zero_v:.4g} in [channels.accelerometer], or leave it out (unknown)"
+    if abs(abs(off_g) - 1.0) < 0.1:
+        cure = f"write reads_gravity = {str(not sensor.reads_gravity).lower()}, or offset_v = {zero_v:.4g}"
+    yield Doubt(
+        "bias",
+        f"the accelerometer rests at {seen.bias_v:.4g} V, {off_g:+.3g} g from where the profile's offset_v = "
+        f"{sensor.offset_v.value:g} puts it",
+        cure,
+        True,
+    )
+
+
+def _resampled(seen: Measured) -> Iterator[Doubt]:
+    """Noise that comes and goes as linear interpolation makes it."""
+    if seen.interpolation_hz is not None:
+        yield Doubt(
+            "resampled",
+            f"the noise of several channels comes and goes at {1e-3 * seen.interpolation_hz:.3g} kHz, as where a file "
+            "was brought to another rate by linear interpolation",
+            "import the file as it was recorded: impacts are blurred, and their times with them",
+            False,
+        )

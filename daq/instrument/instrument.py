@@ -1,0 +1,128 @@
+"""The instruments of a recording as values: what was measured of them, doubts about the profile, and both in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+STORED = "instrument_json"  # root attribute of a recording
+DOUBT_KINDS = (
+    "accelerometer_sense", "contact_sense", "drive_sense", "exchanged", "tones", "bias", "scale", "dead", "contact",
+    "resampled",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A contradiction between a recording and its profile.
+
+    Attributes
+    ----------
+    kind
+        One of `DOUBT_KINDS`.
+    finding
+        What was found, with its numbers.
+    cure
+        What to write or to do.
+    makes_meaningless
+        Whether a verdict on the model would be one on this contradiction.
+    """
+
+    kind: str
+    finding: str
+    cure: str
+    makes_meaningless: bool
+
+    @property
+    def sentence(self) -> str:
+        """Finding and cure."""
+        return f"{self.finding}; {self.cure}"
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Properties of the instruments, as the recording shows them; None where it does not.
+
+    Attributes
+    ----------
+    rate_hz, steps
+        Samples a second; steps of the recording.
+    noise_mps2, noise_mps2_rthz
+        The accelerometer's noise away from impacts: rms over its whole band, and density at its low end,
+        m/s^2 and m/s^2/Hz^0.5.
+    bandwidth_hz
+        Frequency at which the power of that noise has fallen by half for good; None: flat to half the rate.
+    bias_v
+        The accelerometer's mean over whole cycles.
+    tones_hz, tones_g
+        The forcing's tones in the loudest step, and their amplitudes in the accelerometer, units of g.
+    phase_deg
+        Plate after drive at the strongest tone, by the profile's sense; None without a drive.
+    takeoffs, takeoff_g
+        Openings of the contact after a rest, and the median acceleration of the plate there, by the profile's sense and
+        scale: -1 where both are right.
+    levels_v
+        Lower and upper level of the contact circuit.
+    doubts
+        What contradicts the profile.
+    """
+
+    rate_hz: float
+    steps: int
+    noise_mps2: float | None
+    noise_mps2_rthz: float | None
+    bandwidth_hz: float | None
+    bias_v: float | None
+    tones_hz: tuple[float, ...]
+    tones_g: tuple[float, ...]
+    phase_deg: float | None
+    takeoffs: int
+    takeoff_g: float | None
+    levels_v: tuple[float, float] | None
+    doubts: tuple[Doubt, ...] = ()
+
+    @property
+    def grave(self) -> tuple[Doubt, ...]:
+        """Doubts that make a verdict meaningless."""
+        return tuple(doubt for doubt in self.doubts if doubt.makes_meaningless)
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything for a machine."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> Self:
+        """The instrument that `as_json` gave."""
+        values: dict[str, Any] = {k: tuple(x) if isinstance(x, list) else x for k, x in stored.items()}
+        return cls(**values | {"doubts": tuple(Doubt(**doubt) for doubt in values["doubts"])})
+
+    def in_words(self) -> tuple[str, ...]:
+        """What the instruments are, a line each for recording, accelerometer and contact."""
+        lines = [f"{self.rate_hz:.6g} samples/s, {self.steps} steps, {_tones_in_words(self.tones_hz, self.tones_g)}"]
+        sensor = []
+        if self.noise_mps2 is not None and self.noise_mps2_rthz is not None:
+            flat = f"flat to {0.5e-3 * self.rate_hz:.3g} kHz"
+            band = flat if self.bandwidth_hz is None else f"falling from {1e-3 * self.bandwidth_hz:.2g} kHz on"
+            sensor.append(f"noise {self.noise_mps2:.2g} m/s^2 rms, {self.noise_mps2_rthz:.2g} m/s^2/Hz^0.5, {band}")
+        if self.bias_v is not None:
+            sensor.append(f"{self.bias_v:.4f} V on average")
+        if self.phase_deg is not None:
+            sensor.append(f"{self.phase_deg:+.1f} degrees after the drive")
+        if sensor:
+            lines.append(f"accelerometer: {', '.join(sensor)}")
+        if self.levels_v is not None:
+            low, high = self.levels_v
+            seen = f"{self.takeoffs} take-offs" + (
+                "" if self.takeoff_g is None else f", the plate then at {self.takeoff_g:.2f} g"
+            )
+            lines.append(f"contact: {low:.3g} and {high:.3g} V, {seen}")
+        return tuple(lines)
+
+
+def _tones_in_words(tones_hz: tuple[float, ...], tones_g: tuple[float, ...]) -> str:
+    """The forcing's tones."""
+    if not tones_hz:
+        return "no tones found"
+    each = [f"{hz:.5g} Hz ({g:.3g} g)" for hz, g in zip(tones_hz, tones_g, strict=True)]
+    return f"{'a tone' if len(each) == 1 else f'{len(each)} tones'} at {' and '.join(each)} in the loudest step"

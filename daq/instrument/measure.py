@@ -1,0 +1,245 @@
+"""Measure the instruments of a recording from the holds of a few of its steps, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.instrument.noise import described, interpolation_hz, spectrum, window_samples
+from daq.lock_in import ToneFit, fit_tones
+from daq.setup.setup import ContinuityChannel, Setup
+from daq.steps.find_steps import gamma_of
+from daq.steps.forcing_detection import Read
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+STEPS, SAMPLES = 24, 1 << 16  # steps that are looked at, spread over the recording, and samples of each
+POINTS_A_CYCLE = 64  # of a step's frequency, at which tones are looked for
+PADDING = 8  # of the spectrum in which they are
+SAME_TONE = 0.5  # difference in cycles over a hold within which a tone found is one of the profile's
+FEWEST_CYCLES = 6.0  # of a hold that is looked at
+TONE_BELOW, TONE_ABOVE = 0.03, 0.1  # part of the strongest tone from which one below or above it is a tone of the drive
+FELT_BELOW, FELT_ABOVE = 0.08, 0.3  # the same in the accelerometer, where impacts and a bent table make lines as well
+LEVELS = (0.01, 0.99)  # quantiles of the contact's volts that count as its levels
+BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
+BOUNCE_S = 1e-3  # shorter contacts and openings are bounce
+REST_CYCLES, REST_S = 0.08, 3e-3  # contact before a take-off and flight after it, at least
+DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # at which the plate is looked at beside an edge: either may be late
+RESTS = 0.9  # peak below which it certainly rests
+SHOCK_S = (1e-3, 8e-3)  # before and after an edge of the contact, left out of the noise
+
+
+@dataclass(frozen=True)
+class Hold:
+    """What the hold of a step shows; accelerations by the profile's sense and scale, in units of g.
+
+    Attributes
+    ----------
+    frequency_hz, tones_hz
+        Of the step, and of the tones found in the drive (the accelerometer where there is none).
+    plate, drive
+        Fits in volts of the profile's tones, first, and of others that were found; ``drive`` is None where it was not
+        recorded.
+    peak_g
+        Largest acceleration of the plate, up or down, by its tones.
+    middle
+        By channel, part of the samples between its extremes.
+    high
+        Part of the time that the contact is at its higher level; NaN without one.
+    rises_g, falls_g
+        The plate's acceleration at `DELAYS_S` after the contact's voltage rises or falls, after standing still, (n, 7).
+    """
+
+    frequency_hz: float
+    tones_hz: tuple[float, ...]
+    plate: ToneFit
+    drive: ToneFit | None
+    peak_g: float
+    middle: Mapping[str, float]
+    high: float = np.nan
+    rises_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))
+    falls_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))
+
+    def gammas(self, setup: Setup) -> tuple[float, float, float]:
+        """Gamma by the drive (NaN: unknown), gamma at the plate, and the latter's uncertainty."""
+        rows = slice(len(setup.forcing.displacement_tones()))
+        per_g = abs(volts_per_g(setup))
+        seen = gamma_of(self.plate.amplitudes[rows] / per_g, setup.forcing)
+        sigma = gamma_of(self.plate.amplitude_sigma()[rows] / per_g + 0j, setup.forcing)
+        if self.drive is None or setup.drive.g_per_volt is None:
+            return np.nan, seen, sigma
+        return gamma_of(self.drive.amplitudes[rows], setup.forcing) * setup.drive.g_per_volt.value, seen, sigma
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Everything that was measured: by step, and of the noise of all of them."""
+
+    holds: tuple[Hold, ...]
+    levels_v: tuple[float, float] | None
+    bias_v: float | None
+    noise: tuple[float, float, float | None] | None
+    interpolation_hz: float | None
+
+
+def volts_per_g(setup: Setup) -> float:
+    """Volts of the accelerometer for one g of the place, by the profile's sense."""
+    return setup.channels.accelerometer.volts_per_mps2 * setup.g_mps2.value
+
+
+def measure(
+    read: Mapping[str, Read],
+    n_samples: int,
+    rate_hz: float,
+    steps: NDArray[np.void],
+    gaps: NDArray[np.int64],
+    setup: Setup,
+) -> Measured:
+    """Measure the instruments.
+
+    Parameters
+    ----------
+    read
+        Gives volts of samples ``a .. b``, by channel; ``accelerometer`` is there.
+    n_samples, rate_hz
+    steps
+        `STEP_DTYPE` rows.
+    gaps
+        ``(k, 2)``: sample before which samples were lost, and how many.
+    setup
+        Sense and scale in which the accelerations are given, and the contact's coupling.
+    """
+    spans = _spans(steps, gaps, n_samples, rate_hz)
+    pieces = [(a, {role: own(a, b) for role, own in read.items()}, hz) for a, b, hz in spans]
+    contact = setup.channels.continuity if "continuity" in read else None
+    levels = _levels([volts["continuity"] for _, volts, _ in pieces], contact)
+    holds, windows, bias = [], list[Floats](), list[float]()
+    for first, volts, hz in pieces:
+        high = None if levels is None else volts["continuity"] > 0.5 * (levels[0] + levels[1])
+        hold, rest = _hold(first, volts, hz, rate_hz, high, setup)
+        holds.append(hold)
+        bias.append(hold.plate.offset)
+        windows += _quiet(rest, high, rate_hz)
+    found = spectrum(windows, rate_hz)
+    channels = [[volts[role] for _, volts, _ in pieces] for role in read]
+    return Measured(
+        tuple(holds),
+        levels,
+        float(np.median(bias)) if bias else None,
+        None if found is None else described(*found),
+        interpolation_hz(channels, rate_hz),
+    )
+
+
+def _spans(
+    steps: NDArray[np.void], gaps: NDArray[np.int64], n_samples: int, rate_hz: float
+) -> list[tuple[int, int, float]]:
+    """First sample, end and frequency of the holds that are looked at; of one with a gap, the longer part."""
+    out = []
+    chosen = np.unique(np.linspace(0, len(steps) - 1, min(STEPS, len(steps))).round().astype(np.int64))
+    for row in steps[chosen]:
+        hz = float(row["frequency_hz"])
+        first, stop = int(row["first_sample"] + row["settle_samples"]), int(row["first_sample"] + row["n_samples"])
+        cuts = [first, *(int(g) for g in gaps[:, 0] if first < g < stop), min(stop, n_samples)]
+        a = max(range(len(cuts) - 1), key=lambda i: cuts[i + 1] - cuts[i])
+        first, stop = cuts[a], min(cuts[a + 1], cuts[a] + SAMPLES)
+        if hz > 0.0 and (stop - first) * hz / rate_hz >= FEWEST_CYCLES:
+            whole = int((stop - first) * hz / rate_hz)
+            out.append((first, first + round(whole * rate_hz / hz), hz))
+    return out
+
+
+def _levels(volts: list[Floats], contact: ContinuityChannel | None) -> tuple[float, float] | None:
+    """Lower and upper level of a contact circuit with direct coupling; None where its voltage never changes."""
+    if contact is None or contact.coupling == "ac" or not volts:
+        return None
+    low, high = (float(x) for x in np.quantile(np.concatenate(volts), LEVELS))
+    return low, high
+
+
+def _hold(
+    first: int, volts: Mapping[str, Floats], hz: float, rate_hz: float, high: Bools | None, setup: Setup
+) -> tuple[Hold, Floats]:
+    """One hold, and the accelerometer's volts less the motion."""
+    driven = "drive" in volts and float(np.ptp(volts["drive"])) > 0.0
+    n, limits = len(volts["accelerometer"]), (TONE_BELOW, TONE_ABOVE) if driven else (FELT_BELOW, FELT_ABOVE)
+    found = _tones_hz(volts["drive" if driven else "accelerometer"], rate_hz, hz, limits)
+    own = [m * hz for m, _ in setup.forcing.displacement_tones()]
+    others = [f for f in found if min(abs(f - x) for x in own) > SAME_TONE * rate_hz / n]
+    plate = fit_tones(volts["accelerometer"], first, rate_hz, own + others)
+    turns = 2j * np.pi * np.outer(plate.frequencies_hz / rate_hz, np.arange(first, first + n))
+    motion = np.asarray((plate.amplitudes[:, None] * np.exp(turns)).real.sum(axis=0))
+    acceleration = motion / volts_per_g(setup)
+    edges = () if high is None else _at_edges(high, acceleration, rate_hz, hz)
+    hold = Hold(
+        hz, tuple(found), plate, fit_tones(volts["drive"], first, rate_hz, own + others) if driven else None,
+        float(np.abs(acceleration).max()), {role: _between(x) for role, x in volts.items()},
+        np.nan if high is None else float(high.mean()), *edges,
+    )  # fmt: skip
+    return hold, volts["accelerometer"] - plate.offset - motion
+
+
+def _tones_hz(volts: Floats, rate_hz: float, hz: float, limits: tuple[float, float]) -> list[float]:
+    """Frequencies of the lines that reach a part of the strongest one: ``limits`` below it and above it."""
+    width = max(int(rate_hz / (POINTS_A_CYCLE * hz)), 1)
+    x = volts[: len(volts) // width * width].reshape(-1, width).mean(axis=1)
+    n = PADDING * len(x)
+    size = np.abs(np.fft.rfft((x - x.mean()) * np.blackman(len(x)), n))
+    inner = size[1:-1]
+    k = np.flatnonzero((inner > size[:-2]) & (inner >= size[2:]) & (np.arange(1, len(size) - 1) > 2 * PADDING)) + 1
+    strongest = k[np.argmax(size[k])]
+    k = k[size[k] > np.where(k < strongest, *limits) * size[strongest]]
+    left, middle, right = (np.log(size[k + i] + 1e-300) for i in (-1, 0, 1))
+    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    return [float(f) for f in (k + shift) * rate_hz / (width * n)]
+
+
+def _between(volts: Floats) -> float:
+    """Part of the samples that lie between the extremes: near zero for a contact circuit, a quarter for a sine."""
+    low, high = np.quantile(volts, [0.005, 0.995])
+    place = (volts - low) / max(high - low, 1e-300)
+    return float(np.mean((place > BETWEEN[0]) & (place < BETWEEN[1])))
+
+
+def _at_edges(high: Bools, acceleration: Floats, rate_hz: float, hz: float) -> tuple[Floats, Floats]:
+    """Acceleration beside the rises of a level, and beside its falls, between two states of some length."""
+    starts = np.flatnonzero(np.diff(high)) + 1
+    bounds = np.concatenate([[0], starts, [len(high)]])
+    state, length = high[bounds[:-1]], np.diff(bounds)
+    lasting = length > BOUNCE_S * rate_hz
+    at, state = bounds[:-1][lasting], state[lasting]
+    changes = np.concatenate([[True], state[1:] != state[:-1]])[: len(at)]
+    at, state = at[changes], state[changes]
+    least = max(REST_S, REST_CYCLES / hz) * rate_hz
+    length = np.diff(np.append(at, len(high)))
+    sound = np.zeros(len(at), np.bool_)
+    sound[1:-1] = (length[:-2] > least) & (length[1:-1] > least)
+    shifts = np.rint(DELAYS_S * rate_hz).astype(np.int64)
+    rises, falls = (
+        acceleration[np.clip(at[own, None] + shifts, 0, len(high) - 1)] for own in (sound & state, sound & ~state)
+    )
+    return rises, falls
+
+
+def _quiet(rest: Floats, high: Bools | None, rate_hz: float) -> list[Floats]:
+    """Windows of the accelerometer less the motion that lie away from every edge of the contact."""
+    n = window_samples(rate_hz)
+    loud = np.zeros(len(rest) + 1)
+    if high is not None:
+        before, after = (round(s * rate_hz) for s in SHOCK_S)
+        for edge in np.flatnonzero(np.diff(high)) + 1:
+            loud[max(int(edge) - before, 0)] += 1.0
+            loud[min(int(edge) + after, len(rest))] -= 1.0
+    shaken = np.concatenate([[0.0], np.cumsum(np.cumsum(loud[:-1]) > 0.0)])
+    out, at = list[Floats](), 0
+    while at + n <= len(rest):
+        if shaken[at + n] == shaken[at]:
+            out.append(rest[at : at + n])
+            at += n
+        else:
+            at += n // 4
+    return out
