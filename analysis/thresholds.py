@@ -109,6 +109,8 @@ FROZEN = Thresholds()
 
 # likelihood of an event
 OUTLIER_FRACTION = 0.03  # share of events that may be other ones than predicted, anywhere within a period
+FAR_CYCLES = 0.1  # median error of take-offs from rest and landings, in cycles, that no effect explains
+FEWEST_TAKEOFFS = 8  # from rest, for that test
 LEAST_EXCESS_S = 3e-7  # error of the integration and of the edge's own physics
 SHARED_S = 1e-6  # common error of all edges of one kind in a step: the contact circuit's own physics
 FARTHEST_PERIODS = 0.5  # cap of a residual, in periods: beyond, another event was met

@@ -16,6 +16,9 @@ import typer
 
 from daq.setup.errors import InputError
 
+Anyway = Annotated[
+    bool, typer.Option("--anyway", help="Go on where a recording contradicts its profile (bench info says how).")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there; never an input.")]
 
 

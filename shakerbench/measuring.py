@@ -292,7 +292,9 @@ def compare(
     return ComparisonTable(columns, COMPARISON_UNITS, {"effects": ", ".join(held.effects)}, "step", held, summary)
 
 
-def close_loop(recordings: Sequence[str | Path] | str | Path, *, profile: str | Path | None = None) -> LoopResult:
+def close_loop(
+    recordings: Sequence[str | Path] | str | Path, *, profile: str | Path | None = None, anyway: bool = False
+) -> LoopResult:
     """Find where measurement and model part, name the missing effect, and tell the error before and after.
 
     Parameters
@@ -301,6 +303,8 @@ def close_loop(recordings: Sequence[str | Path] | str | Path, *, profile: str | 
         Of one rig; their steps are judged together.
     profile : str or Path, optional
         Replaces the recordings' own measuring part.
+    anyway : bool
+        Go on where a recording contradicts its profile so far that a verdict means nothing.
 
     Returns
     -------
@@ -310,7 +314,7 @@ def close_loop(recordings: Sequence[str | Path] | str | Path, *, profile: str | 
     Raises
     ------
     InputError
-        Where a file is no recording, or holds too few steps.
+        Where a file is no recording, contradicts its profile, or holds too few steps.
 
     Examples
     --------
@@ -319,7 +323,7 @@ def close_loop(recordings: Sequence[str | Path] | str | Path, *, profile: str | 
     """
     paths = tuple(Path(p) for p in ([recordings] if isinstance(recordings, str | Path) else recordings))
     setup = None if profile is None else load_measuring(profile)[0]
-    return LoopResult(close_loop_of(paths, setup=setup), paths)
+    return LoopResult(close_loop_of(paths, setup=setup, anyway=anyway), paths)
 
 
 def drop(

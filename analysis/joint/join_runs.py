@@ -219,7 +219,7 @@ class _Search:
             return state
         worst = max(odd, key=lambda s: (s.lost, s.ratio))
         path = next(p for p, s in zip(self.passes.recordings, state.summaries, strict=True) if s is worst)
-        loop, fitted = fit_loop([path], setup=self.passes.setup, limits=self.limits)
+        loop, fitted = fit_loop([path], setup=self.passes.setup, limits=self.limits, anyway=True)
         best = fitted.selection.best
         free = {k: v for k, v in best.fitted.values.items() if k in best.free and not k[1].endswith(TREND)}
         if not free:

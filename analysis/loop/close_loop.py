@@ -38,7 +38,8 @@ from analysis.residuals.prediction_errors import (
 )
 from analysis.residuals.values import TREND
 from analysis.residuals.whitening import step_losses
-from analysis.thresholds import FROZEN, Thresholds
+from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
+from daq.instrument.stored import refuse_doubtful
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.effects.registry import effect, resolve
@@ -66,6 +67,7 @@ def close_loop(
     setup: Setup | None = None,
     limits: Thresholds = FROZEN,
     progress: Progress | None = None,
+    anyway: bool = False,
 ) -> ClosedLoop:
     """Close the loop on recordings of one rig.
 
@@ -79,15 +81,17 @@ def close_loop(
         Thresholds of the verdict.
     progress
         Called with what is being done and the fraction done.
+    anyway
+        Go on where a recording contradicts its profile so far that a verdict means nothing.
 
     Raises
     ------
     InputError
-        Where a file is no recording, or there is too little in it to hold steps out.
+        Where a file is no recording, contradicts its profile, or holds too little to hold steps out.
     ValueError
         For declared effects that do not exist or are out of bounds.
     """
-    return fit_loop(recordings, setup=setup, limits=limits, progress=progress)[0]
+    return fit_loop(recordings, setup=setup, limits=limits, progress=progress, anyway=anyway)[0]
 
 
 def fit_loop(
@@ -96,6 +100,7 @@ def fit_loop(
     setup: Setup | None = None,
     limits: Thresholds = FROZEN,
     progress: Progress | None = None,
+    anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop]:
     """`close_loop`, with the fitted model beside its result: next runs are ranked by it."""
     say = progress or (lambda what, part: None)
@@ -105,7 +110,9 @@ def fit_loop(
         if not scans:
             scans.append(flights)
 
-    loop, fitted = judge_loop(recordings, setup=setup, limits=limits, progress=progress, on_flights=keep_first)
+    loop, fitted = judge_loop(
+        recordings, setup=setup, limits=limits, progress=progress, on_flights=keep_first, anyway=anyway
+    )
     say("first bifurcations", 0.98)
     return completed(loop, fitted, scans[0]), fitted
 
@@ -118,12 +125,15 @@ def judge_loop(
     progress: Progress | None = None,
     on_flights: Callable[[Recording, Flights], None] | None = None,
     known: MutableMapping[Path, Observations] | None = None,
+    anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop]:
     """`fit_loop` without what no verdict depends on, the discovered term and the bifurcations: see `completed`.
 
     ``on_flights`` and ``known`` are those of `analysis.residuals.observations.observations_from`.
     """
     say = progress or (lambda what, part: None)
+    if not anyway:
+        refuse_doubtful(recordings, setup)
     observations = observations_from(
         recordings,
         setup=setup,
@@ -138,6 +148,8 @@ def judge_loop(
             f"{len(observations.steps)}; record a ramp of more steps or pass more recordings"
         )
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
+    if not anyway:
+        _refuse_far_off(model, recordings)
     train = np.arange(len(observations.steps)) % limits.reserve_every != limits.reserve_every // 2
     fitter = Fitter(model, priors_of(observations.setup), train)
     stepwise = StepwiseSelection(model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
@@ -161,6 +173,29 @@ def judge_loop(
         notes=_notes(observations, selection),
     )
     return result, FittedLoop(model, selection)
+
+
+def _refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:
+    """Refuse landings and take-offs from rest that the declared model both misses by a good part of a cycle.
+
+    An effect may move landings as far (a restitution does), but no take-off of a resting ball.
+    """
+    left, measured = model.residuals({}), model.evidence.measured
+    period_s = model.evidence.steps.plate.period_s[measured.step]
+    rows = model.evidence.scored & model.from_rest
+    if rows.sum() < FEWEST_TAKEOFFS:
+        return
+    opening, landing = (
+        np.median(np.where(np.isfinite(x), np.abs(x) / period_s, 0.5)[rows]) for x in (left.opening_s, left.landing_s)
+    )
+    if opening > FAR_CYCLES and landing > FAR_CYCLES:
+        missed_ms = [1e3 * part * float(np.median(period_s)) for part in (opening, landing)]
+        raise InputError(
+            f"{', '.join(str(p) for p in recordings)}: the declared model misses take-offs by "
+            f"{missed_ms[0]:.0f} ms and landings by {missed_ms[1]:.0f} ms, "
+            "farther than any effect moves both, so a channel is not what the profile says; check sign, sensitivity, "
+            "open_v, closed_v and ratio against bench info; --anyway goes on all the same"
+        )
 
 
 def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedLoop:

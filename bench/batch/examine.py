@@ -26,7 +26,13 @@ Row = dict[str, Any]
 PARTS = ("reprocess", "compare", "close-loop")
 
 
-def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, verdicts: Path | None = None) -> Row:
+def examine(
+    path: Path,
+    parts: tuple[str, ...],
+    profile: Path | None = None,
+    verdicts: Path | None = None,
+    anyway: bool = False,
+) -> Row:
     """The row of one recording.
 
     Parameters
@@ -39,6 +45,8 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, ver
         Replaces the recording's own.
     verdicts
         Folder for the whole verdict as JSON, as `close-loop` writes it: the catalogue of runs finds it there.
+    anyway
+        As in `analysis.loop.close_loop.close_loop`.
 
     Returns
     -------
@@ -48,13 +56,15 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, ver
     began = time.process_time()
     row: Row = {"failed": None}
     try:
-        _fill(row, path, parts, profile, verdicts)
+        _fill(row, path, parts, profile, verdicts, anyway)
     except (InputError, ValueError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
         row["failed"] = f"{type(error).__name__}: {error}" if not isinstance(error, InputError) else str(error)
     return row | {"processor_s": time.process_time() - began}
 
 
-def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, verdicts: Path | None) -> None:
+def _fill(
+    row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, verdicts: Path | None, anyway: bool
+) -> None:
     """Add columns part by part, so that what was found before a failure stays."""
     from analysis.flights.assemble import flights_of
     from bench.profiles.find import load_measuring
@@ -71,7 +81,7 @@ def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, ve
             if "compare" in parts and "continuity" in opened.channels:
                 row |= compared(table, opened)
     if "close-loop" in parts:
-        row |= closed(path, setup, verdicts)
+        row |= closed(path, setup, verdicts, anyway=anyway)
 
 
 def described(opened: Recording) -> Row:
@@ -118,13 +128,13 @@ def compared(table: Flights, opened: Recording) -> Row:
     }
 
 
-def closed(path: Path, setup: Setup | None, verdicts: Path | None) -> Row:
+def closed(path: Path, setup: Setup | None, verdicts: Path | None, *, anyway: bool = False) -> Row:
     """The verdict of the closed loop; the values of what it names, each with its interval."""
     from analysis.loop.close_loop import close_loop
     from analysis.loop.verdict_json import as_json
     from daq.files.whole_file import write_whole
 
-    loop = close_loop([path], setup=setup)
+    loop = close_loop([path], setup=setup, anyway=anyway)
     if verdicts is not None:
         verdicts.mkdir(parents=True, exist_ok=True)
         name = f"{path.stem}-{loop.sources[0].identity[:8]}.json"

@@ -33,12 +33,15 @@ class Batch:
         Replaces the recordings' own.
     verdicts
         Folder for the verdicts as JSON.
+    anyway
+        Whether recordings that contradict their profile get a verdict, too.
     """
 
     recordings: Sequence[Path]
     parts: tuple[str, ...]
     profile: Path | None = None
     verdicts: Path | None = None
+    anyway: bool = False
 
     def key(self, path: Path) -> str:
         """What a row depends on: the file as it is now, what is done, the profile, and the software."""
@@ -49,7 +52,7 @@ class Batch:
             file = [path.as_posix()]
         text = "" if self.profile is None else self.profile.read_text(encoding="utf-8")
         made = [software_version(), software_commit()]
-        return hashlib.sha256(repr([file, self.parts, text, made]).encode()).hexdigest()[:24]
+        return hashlib.sha256(repr([file, self.parts, text, made, self.anyway]).encode()).hexdigest()[:24]
 
 
 def run_batch(
@@ -85,7 +88,7 @@ def _examined(batch: Batch, todo: list[Path], workers: int, cluster: str | None)
     """Rows as they come in; a worker that died is the reason in its recording's row."""
     here = None if batch.profile is None else batch.profile.resolve()
     verdicts = None if batch.verdicts is None else batch.verdicts.resolve()
-    tasks = ((path, (path.resolve(), batch.parts, here, verdicts)) for path in todo)
+    tasks = ((path, (path.resolve(), batch.parts, here, verdicts, batch.anyway)) for path in todo)
     for outcome in outcomes(examine, tasks, workers=workers, cluster=cluster):
         row = outcome.result
         yield outcome.key, row if row is not None else {"failed": str(outcome.error), "processor_s": None}

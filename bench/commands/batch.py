@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import Anyway, Overwrite
 
 if TYPE_CHECKING:
     from bench.batch.examine import Row
@@ -21,6 +21,7 @@ def command(
     workers: int = typer.Option(1, "--workers", min=1, help="Processes."),
     cluster: str | None = typer.Option(None, "--cluster", help="Dask scheduler: tcp://host:port, or 'local'."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The rows for a machine; - prints them."),
+    anyway: Anyway = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Examine every recording of a laboratory; a table with one row each.
@@ -53,7 +54,7 @@ def command(
         if profile is not None:
             load_measuring(profile)
         recordings, others = find_recordings(places)
-        batch = Batch(recordings, _parts(do, PARTS), profile, out.with_name(f"{out.stem}-verdicts"))
+        batch = Batch(recordings, _parts(do, PARTS), profile, out.with_name(f"{out.stem}-verdicts"), anyway)
         rows = run_batch(batch, Journal(rows_file), workers=workers, cluster=cluster, told=None if quiet else _tell)
         write_table(rows, out)
     except (InputError, ValueError) as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import Anyway, Overwrite
 
 if TYPE_CHECKING:
     from analysis.loop.close_loop import FittedLoop
@@ -39,6 +39,7 @@ def command(
     summaries: Path | None = typer.Option(
         None, "--summaries", metavar="FILE", help="With --runs-differ: keep each run's summary there, to go on."
     ),
+    anyway: Anyway = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Find where measurement and model part, name the missing effect, and report the error before and after.
@@ -57,7 +58,7 @@ def command(
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
     from daq.setup.errors import InputError
 
-    wanted = _Wanted(json, report, improved, next_run, keep_term, overwrite)
+    wanted = _Wanted(json, report, improved, next_run, keep_term, overwrite, anyway)
     failure, complete = "", True
     try:
         again = (scenario, seed) if until_clear else None
@@ -65,7 +66,7 @@ def command(
             recordings, profile, summaries, scenario, wanted, until_clear=until_clear, runs_differ=runs_differ
         )
         if runs_differ:
-            complete = judge_runs(recordings, profile, summaries, json, report)
+            complete = judge_runs(recordings, profile, summaries, json, report, anyway=anyway)
         else:
             writers, failure = _closed(recordings, profile, wanted, again)
     except (InputError, ValueError) as error:
@@ -90,6 +91,7 @@ class _Wanted:
     next_run: Path | None
     keep_term: str | None
     overwrite: bool
+    anyway: bool
 
     @property
     def quiet(self) -> bool:
@@ -111,11 +113,11 @@ def _closed(
 
     say: Callable[[str], None] = _nothing if wanted.quiet else typer.echo
     if again is not None:
-        loop, fitted, made, failure = until_clear(recordings, *again, say=say, quiet=wanted.quiet)
+        loop, fitted, made, failure = until_clear(recordings, *again, say=say, quiet=wanted.quiet, anyway=wanted.anyway)
         return _Writers(loop, fitted, made, None, say), failure
     setup, text = (None, None) if profile is None else load_measuring(profile)
     with progress_bar(wanted.quiet) as bar:
-        loop, fitted = fit_loop(recordings, setup=setup, progress=bar)
+        loop, fitted = fit_loop(recordings, setup=setup, progress=bar, anyway=wanted.anyway)
     return _Writers(loop, fitted, recordings, text, say), ""
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import Anyway, Overwrite
 
 if TYPE_CHECKING:
     from bench.jobs.blocks import Chosen, Driven
@@ -38,6 +38,7 @@ def command(
     scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
     seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The outcome for a machine; - prints it."),
+    anyway: Anyway = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Let the rig choose its own steps: each block is the one that tells most for a second of rig time.
@@ -75,7 +76,7 @@ def command(
         typed = typed_lines()
         with OnePage(out, (host, port) if live else None) as page:
             driver = Driver(scenario, seed, quiet, real_time or live, typed, page)
-            found = explore(text, out, aims, driver, say=say, ask=Asker(typed) if ask else None)
+            found = explore(text, out, aims, driver, say=say, ask=Asker(typed) if ask else None, anyway=anyway)
         complete = quiet or _report(found, out, run_seconds(checked))
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)

@@ -24,6 +24,7 @@ def until_clear(
     say: Callable[[str], None],
     quiet: bool,
     limits: Thresholds = FROZEN,
+    anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would tell them apart.
 
@@ -41,6 +42,8 @@ def until_clear(
         Without a progress bar.
     limits
         Thresholds of the verdict.
+    anyway
+        As in `analysis.loop.close_loop.close_loop`.
 
     Returns
     -------
@@ -60,7 +63,7 @@ def until_clear(
     text = profile_text(made[0])
     while True:
         with progress_bar(quiet) as bar:
-            loop, fitted = fit_loop(made, limits=limits, progress=bar)
+            loop, fitted = fit_loop(made, limits=limits, progress=bar, anyway=anyway)
         if len(loop.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
             return loop, fitted, made, ""
         tied = "; ".join(" + ".join(names) for names in loop.ties)

@@ -77,7 +77,14 @@ Asked = Callable[[Chosen], Chosen | None]
 
 
 def explore(
-    text: str, folder: Path, aims: Aims, drive: Drive, *, say: Callable[[str], None], ask: Asked | None = None
+    text: str,
+    folder: Path,
+    aims: Aims,
+    drive: Drive,
+    *,
+    say: Callable[[str], None],
+    ask: Asked | None = None,
+    anyway: bool = False,
 ) -> Explored:
     """Choose, drive and judge blocks until an aim is reached.
 
@@ -96,6 +103,8 @@ def explore(
         Told each choice and what came of it, a line at a time.
     ask
         Asked before each block; None goes on unasked.
+    anyway
+        Judge recordings that contradict the profile, too.
 
     Raises
     ------
@@ -117,7 +126,7 @@ def explore(
     own: Chosen | None = None
     while True:
         if own is None:
-            judged = _judge(made, known) if made else None
+            judged = _judge(made, known, anyway=anyway) if made else None
             own, why = _next(text, judged, blocks, offered, aims)
             if own is None:
                 return ended(why)
@@ -171,7 +180,7 @@ class _Judged:
             return completed(self.loop, self.fitted, flights_of(opened))
 
 
-def _judge(made: Sequence[Path], known: dict[Path, Observations]) -> _Judged:
+def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: bool) -> _Judged:
     """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
     from analysis.attribution.fit import Fitter
     from analysis.attribution.priors import priors_of
@@ -180,15 +189,18 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations]) -> _Judged:
     from analysis.residuals.forward_model import ForwardModel
     from analysis.residuals.observations import observations_from
     from analysis.thresholds import FROZEN
+    from daq.instrument.stored import refuse_doubtful
     from model.effects.registry import resolve
 
+    if not anyway:
+        refuse_doubtful([path for path in made if path not in known])
     observations = observations_from(made, known=known)
     if len(observations.steps) < 2 * FROZEN.reserve_every:
         world = ForwardModel(observations, resolve(observations.setup.declared_values()))
         fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
         found = StepwiseSelection(world, fitter).run()
         return _Judged(world, found.best, found.ties)
-    loop, fitted = judge_loop(made, known=known)
+    loop, fitted = judge_loop(made, known=known, anyway=anyway)
     return _Judged(fitted.model, fitted.selection.best, fitted.selection.ties, loop, fitted)
 
 

@@ -17,6 +17,8 @@ def judge_runs(
     summaries: Path | None,
     json: str | None,
     report: Path | None,
+    *,
+    anyway: bool = False,
 ) -> bool:
     """Judge the runs, show the verdict and write what is asked for.
 
@@ -30,6 +32,8 @@ def judge_runs(
         Keeps the summary of each run, to go on after an interruption.
     json, report
         Where the verdict and its pictures go.
+    anyway
+        Judge recordings that contradict their profiles, too.
 
     Returns
     -------
@@ -51,9 +55,12 @@ def judge_runs(
     from bench.terminal.joint_display import show
     from bench.terminal.loop_display import keep
     from bench.terminal.progress import progress_bar
+    from daq.instrument.stored import refuse_doubtful
 
     quiet = json == "-"
     setup = None if profile is None else load_measuring(profile)[0]
+    if not anyway:
+        refuse_doubtful(recordings, setup)
     journal = None if summaries is None else Journal(summaries)
     with progress_bar(quiet) as bar:
         found = join_runs(recordings, setup=setup, journal=journal, progress=bar)

@@ -104,7 +104,7 @@ def _again(recordings: list[Path], profile: Path | None, improved: Path | None, 
 
     setup, text = (None, None) if profile is None else load_measuring(profile)
     with progress_bar(quiet) as bar:
-        loop = close_loop(recordings, setup=setup, progress=bar)
+        loop = close_loop(recordings, setup=setup, progress=bar, anyway=True)
     lines = [] if improved is None else write_improved(loop, recordings[0], improved, text)
     words = (loop.verdict, verdict_line(loop), loop.effects, loop.before, loop.after, loop.noise_floor_us)
     return words, lines

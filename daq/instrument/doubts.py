@@ -35,12 +35,14 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
     for grave in (_exchanged, _dead):
         if found := tuple(grave(seen, setup)):
             return found
-    found = (*_tones(seen, setup), *_senses(seen, setup), *_contact(seen, setup))
+    found = (*_tones(seen, setup), *_senses(seen, setup))
     kinds = {doubt.kind for doubt in found}
-    if not kinds & {"tones", "scale"}:
-        found += tuple(_scale(seen, setup))
+    scale = () if "tones" in kinds else tuple(_scale(seen, setup))
+    if not scale and "contact_sense" not in kinds:
+        found += tuple(_contact(seen, setup))
     if "accelerometer_sense" not in kinds:
-        found += tuple(_bias(seen, setup))
+        scale += tuple(_bias(seen, setup))
+    found += scale
     return (*found, *_resampled(seen))
 
 
@@ -202,7 +204,7 @@ def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     open_part = np.median(resting) if resting else np.nan
     if contact.swing_v < 0.0:
         open_part = 1.0 - open_part
-    if min(map(len, edges_g(seen, contact))) < FEWEST_EDGES and open_part > 0.5:
+    if open_part > 0.5:
         yield Doubt(
             "contact_sense",
             f"the contact circuit says flight while the plate moves by less than {RESTS:g} g, where the ball rests",

@@ -116,7 +116,7 @@ def measure(
     spans = _spans(steps, gaps, n_samples, rate_hz)
     pieces = [(a, {role: own(a, b) for role, own in read.items()}, hz) for a, b, hz in spans]
     contact = setup.channels.continuity if "continuity" in read else None
-    levels = _levels([volts["continuity"] for _, volts, _ in pieces], contact)
+    levels = None if contact is None else _levels([volts["continuity"] for _, volts, _ in pieces], contact)
     holds, windows, bias = [], list[Floats](), list[float]()
     for first, volts, hz in pieces:
         high = None if levels is None else volts["continuity"] > 0.5 * (levels[0] + levels[1])

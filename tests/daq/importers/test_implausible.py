@@ -103,9 +103,10 @@ def test_volts_a_little_outside_the_range_are_told(tmp_path: Path, setup: Setup,
 def test_exchanged_channels_are_told(tmp_path: Path, setup: Setup, columns: Columns) -> None:
     """Accelerometer and drive the wrong way round: both gammas are told, and that exchanged they would agree."""
     columns["accelerometer_v"], columns["drive_v"] = columns["drive_v"], columns["accelerometer_v"]
-    (said,) = bring_in(write_csv(tmp_path / "a.csv", columns), setup).remarks
-    assert "asks for gamma 0.06, the accelerometer shows 1.5" in said
-    assert "mapped the wrong way round" in said
+    (doubt,) = bring_in(write_csv(tmp_path / "a.csv", columns), setup).instrument.doubts
+    assert doubt.kind == "exchanged" and doubt.makes_meaningless
+    assert "asks for gamma 0.06, the accelerometer shows 1.5" in doubt.finding
+    assert "exchange the columns of accelerometer and drive" in doubt.cure
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -115,9 +116,8 @@ def test_a_dead_accelerometer_is_called_dead(tmp_path: Path, setup: Setup, colum
     columns["continuity_v"] = 5.0 - columns["continuity_v"]
     if not known:
         setup = setup.model_copy(update={"drive": setup.drive.model_copy(update={"g_per_volt": None})})
-    said = bring_in(write_csv(tmp_path / "a.csv", columns), setup).remarks
-    assert any("it is dead, unplugged" in s for s in said)
-    assert not any("exchanged" in s for s in said)
+    (doubt,) = bring_in(write_csv(tmp_path / "a.csv", columns), setup).instrument.doubts
+    assert doubt.kind == "dead" and "it is dead, unplugged" in doubt.finding
 
 
 def test_many_pauses_are_one_remark(tmp_path: Path, setup: Setup, columns: Columns) -> None:
