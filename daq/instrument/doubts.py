@@ -64,10 +64,8 @@ def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
 def _dead(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     """An accelerometer that shows nothing of the drive."""
     plates = [hold.plate for hold in seen.holds if hold.drive is not None]
-    if (
-        plates
-        and np.median([np.abs(fit.amplitudes).max() / fit.amplitude_sigma().max() for fit in plates]) < NOISE_SIGMAS
-    ):
+    above = [np.abs(fit.amplitudes).max() - NOISE_SIGMAS * fit.amplitude_sigma().max() for fit in plates]
+    if plates and np.median(above) <= 0.0:
         yield Doubt(
             "dead",
             "the accelerometer shows nothing of the drive's motion: it is dead, unplugged, or another column",
@@ -175,12 +173,11 @@ def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:
         if hold.drive is not None:
             k = int(np.argmax(np.abs(hold.drive.amplitudes)))
             turns.append(hold.plate.amplitudes[k] / hold.drive.amplitudes[k])
-    if not turns:
+    if not np.any(turns):
         return None
     sense = np.sign(setup.channels.accelerometer.volts_per_mps2)
     declared = np.exp(-1j * np.radians(setup.drive.phase_deg.value))
-    units = np.array(turns) / np.abs(turns) * sense * declared
-    return float(np.degrees(np.angle(units.sum())))
+    return float(np.degrees(np.angle(np.sum(np.exp(1j * np.angle(turns))) * sense * declared)))
 
 
 def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
@@ -242,7 +239,7 @@ def _scale(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         cure = (
             f"the ball's take-offs bear the accelerometer out: correct g_per_volt in [drive] (about {ratio:.3g} times)"
         )
-        yield Doubt("scale", both, cure, True)
+        yield Doubt("scale", both, cure, False)
     else:
         cure = "correct g_per_volt in [drive], or sensitivity and unit in [channels.accelerometer]"
         yield Doubt("scale", both, cure, True)

@@ -191,10 +191,12 @@ def _tones_hz(volts: Floats, rate_hz: float, hz: float, limits: tuple[float, flo
     size = np.abs(np.fft.rfft((x - x.mean()) * np.blackman(len(x)), n))
     inner = size[1:-1]
     k = np.flatnonzero((inner > size[:-2]) & (inner >= size[2:]) & (np.arange(1, len(size) - 1) > 2 * PADDING)) + 1
+    if not len(k):
+        return [hz]
     strongest = k[np.argmax(size[k])]
     k = k[size[k] > np.where(k < strongest, *limits) * size[strongest]]
     left, middle, right = (np.log(size[k + i] + 1e-300) for i in (-1, 0, 1))
-    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    shift = 0.5 * (left - right) / np.minimum(left - 2.0 * middle + right, -1e-12)
     return [float(f) for f in (k + shift) * rate_hz / (width * n)]
 
 

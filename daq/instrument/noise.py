@@ -48,10 +48,12 @@ def described(hz: Floats, power: Floats) -> tuple[float, float, float | None]:
     rms = float(np.sqrt(power[1:].sum() * hz[1]))
     low = (hz >= max(PLATEAU_HZ[0], hz[2])) & (hz <= max(PLATEAU_HZ[1], hz[4]))
     plateau = float(np.median(power[low]))
+    if plateau <= 0.0:
+        return rms, 0.0, None
     smooth = np.array([power[(hz >= f / OCTAVE) & (hz <= f * OCTAVE)].mean() for f in hz[1:-1]])
     above = np.flatnonzero(smooth > 0.5 * plateau)
     edge = int(above[-1]) + 1 if len(above) else 0
-    if plateau <= 0.0 or edge >= len(smooth):
+    if edge >= len(smooth):
         return rms, plateau**0.5, None
     far = min(4 * (edge + 1) - 1, len(smooth) - 1)
     falls = smooth[far] / smooth[edge] < (hz[1:-1][far] / hz[1:-1][edge]) ** -STEEPER
@@ -103,6 +105,7 @@ def _line(stretches: Sequence[Floats]) -> float | None:
     ratio = float(sizes[k] / np.median(sizes[first:]))
     chance = len(sizes) * np.exp(-count * (ratio - 1.0 - np.log(ratio)))  # Chernoff's bound for a sum of exponentials
     tones = [
-        float(bends[q - 1 : q + 2].max() / np.median(bends[q - 32 : q + 33])) for q in (k // 2, (SAMPLES - k) // 2)
+        float(bends[q - 1 : q + 2].max() / max(float(np.median(bends[q - 32 : q + 33])), 1e-300))
+        for q in (k // 2, (SAMPLES - k) // 2)
     ]
     return None if modulation < LINE_PART or chance > LINE_ODDS or max(tones) > PICKED_UP else k / SAMPLES
