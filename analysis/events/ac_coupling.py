@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.impact_template import white_noise
 from analysis.events.levels import Levels
 from analysis.signals.stream import PAD, Piece
+from analysis.statistics import mad_sigma
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
@@ -90,6 +90,14 @@ def _edges(y: Floats, swing_v: float, rate_hz: float) -> npt.NDArray[np.int64]:
     at = np.flatnonzero(rise > EDGE * abs(swing_v))
     groups = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
     return np.array([int(g[np.argmax(rise[g])]) + step // 2 for g in groups], np.int64)
+
+
+def white_noise(x: Floats) -> float:
+    """Standard deviation of the white part, from the median of second differences, which levels and edges spare."""
+    if x.size < 8:
+        return 0.0
+    second = np.diff(x, 2)
+    return float(mad_sigma(second - np.median(second)) / np.sqrt(6.0))
 
 
 def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float) -> Floats:

@@ -26,7 +26,6 @@ SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong
-THRESHOLD = 6.0  # standard deviations of the filter's output that make a candidate
 ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
@@ -61,20 +60,21 @@ class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
     In order of time, the ringing of earlier impacts is subtracted first; a candidate no larger than that echo is
-    dropped. Uncertainties are those of the fit in white noise. All works on means over ``template.width`` samples.
+    dropped. Uncertainties are those of the fit in the noise as measured. All works on means over ``template.width`` samples.
     """
 
     def __init__(self, template: ImpactTemplate, rate_hz: float) -> None:
         self.template, self.rate_hz = template, rate_hz  # of the recording
         shifts = np.arange(-SHIFTS, SHIFTS + 1)
         points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, len(template.fine) - 1)
-        bank = template.fine[points] @ template.projector
+        bank = template.fine[points] @ template.whitener.T
         self._norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
-        self._bank = bank / self._norms[:, None]
-        self._columns = np.ascontiguousarray(self._bank.T)
-        slope = np.gradient(self._bank, axis=0) * FINE
+        bank = bank / self._norms[:, None]
+        self._columns = np.ascontiguousarray((bank @ template.whitener).T)
+        self._white = np.ascontiguousarray(template.whitener.T)
+        slope = np.gradient(bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
-        # columns: place (samples), size (units of fine), score and echo (V)
+        # columns: place (samples), size (units of fine), score and echo (standard deviations of the noise)
         self._found = np.zeros((0, 4))
 
     def add(self, volts: Volts, first: int, pad: int, count: int) -> Ints:
@@ -90,7 +90,7 @@ class ImpactScan:
         )  # echoes of these: early in the next piece
         score = np.empty(count + beyond, np.float32)
         found = np.empty(score.size // 4 + 2, dtype=np.int64)
-        limit = THRESHOLD * self.template.noise_v
+        limit = self.template.threshold
         n = _match(volts, pad, score.size, self.template.taps, np.float32(limit), score, found)
         own = int(np.searchsorted(found[:n], pad + count))
         out = np.zeros((RECENT + own, 4))
@@ -104,7 +104,7 @@ class ImpactScan:
             self.template.fine,
             self._columns,
             self._norms,
-            self.template.projector,
+            self._white,
             limit,
             out,
             len(recent),
@@ -127,13 +127,12 @@ class ImpactScan:
     def impacts(self) -> Impacts:
         """All impacts so far."""
         place, _, score, echo = self._found.T
-        noise = self.template.noise_v
-        error_v = np.sqrt(noise**2 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
+        error = np.sqrt(1.0 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
         sample_s = self.template.width / self.rate_hz
-        sigma = error_v / np.maximum(score, noise) / self._steep[SHIFTS] * sample_s
+        sigma = error / np.maximum(score, 1.0) / self._steep[SHIFTS] * sample_s
         onset_s = float(np.hypot(ONSET_S, ONSET_PART * sample_s * (self.template.width > 1)))
         time_s = self._recorded(place) / self.rate_hz
-        return Impacts(time_s, np.minimum(sigma, sample_s), score / noise, onset_s)
+        return Impacts(time_s, np.minimum(sigma, sample_s), score, onset_s)
 
 
 @njit(error_model="numpy", fastmath=True)
@@ -193,7 +192,7 @@ def _products(columns, x, out):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _time(x, offset, found, count, fine, columns, norms, projector, limit, out, n):  # type: ignore[no-untyped-def]
+def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n):  # type: ignore[no-untyped-def]
     """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
 
     Candidates after them belong to the next piece; these may be echoes of them.
@@ -219,7 +218,7 @@ def _time(x, offset, found, count, fine, columns, norms, projector, limit, out, 
             continue
         loud = 0.0
         if n > 0 and index + offset - out[n - 1, 0] <= longest:
-            _products(projector, echo, later)
+            _products(white, echo, later)
             loud = np.sqrt(np.sum(later**2))
         if middle < ECHO_MARGIN * loud:
             continue

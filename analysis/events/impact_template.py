@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.statistics import mad_sigma
+from analysis.events.accelerometer_noise import NoiseSpectrum
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,11 +27,12 @@ LOUD = 2.2  # rms over two samples, in the noise of a point, from which it is wa
 SLOW_S = 1e-3  # averaging time that removes the ringing
 ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is placed
 MIN_LANDINGS = 6  # landings needed for a template
-MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a sample
+MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a landing
 MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of the landings and of the other
 MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
 TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
 SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
+THRESHOLD = 6.0  # least threshold of the filter's output, in standard deviations of the noise
 MEDIAN_ERROR = 1.2533  # standard error of the median of normal values over that of their mean
 
 
@@ -44,31 +45,24 @@ class ImpactTemplate:
     fine : array, shape (n * FINE,)
         Mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``.
     taps : float32 array, shape (LENGTH,)
-        Matched filter, blind to constants, slopes and curvature (so to the tones), unit response to unit noise.
-    projector : array, shape (LENGTH, LENGTH)
-        Projection that removes constants, slopes, curvature and tones from a snippet.
-    noise_v : float
-        White noise of the accelerometer.
+        Filter matched to the waveform in the noise as measured, blind to constants, slopes and curvature (so to the
+        tones); the noise leaves it with a standard deviation of 1.
+    whitener : array, shape (LENGTH, LENGTH)
+        Makes the noise of a snippet white, of unit variance, and removes constants, slopes, curvature and tones.
     ring_s : float
         Time after an impact that is masked in the tone fits.
+    threshold : float
+        Output of the filter from which an impact is taken for one, in standard deviations of the noise.
     width : int
         Recorded samples averaged to one of the template's, see `thinning`.
     """
 
     fine: Floats
     taps: npt.NDArray[np.float32]
-    projector: Floats
-    noise_v: float
+    whitener: Floats
     ring_s: float
+    threshold: float = THRESHOLD
     width: int = 1
-
-
-def white_noise(x: Floats) -> float:
-    """Standard deviation of the white part, from the median of second differences, which tones and spikes spare."""
-    if x.size < 8:
-        return 0.0
-    second = np.diff(x, 2)
-    return float(mad_sigma(second - np.median(second)) / np.sqrt(6.0))
 
 
 def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:
@@ -99,8 +93,15 @@ def echo_samples(rate_hz: float) -> int:
     return max(MIN_ECHO, round(ECHO_S * rate_hz))
 
 
+def whitener(noise: NoiseSpectrum, tones_hz: Floats) -> Floats:
+    """Matrix that makes a snippet's noise white, of unit variance, and its motion nothing, shape (LENGTH, LENGTH)."""
+    white = noise.whitener(LENGTH)
+    basis = np.linalg.qr(white @ motion_basis(LENGTH, 4, tones_hz / noise.rate_hz))[0]
+    return np.asarray(white - basis @ (basis.T @ white))
+
+
 def template_from_snippets(
-    snippets: Floats, fractions: Floats, noise_v: float, rate_hz: float, tones_hz: Floats
+    snippets: Floats, fractions: Floats, noise: NoiseSpectrum, tones_hz: Floats
 ) -> ImpactTemplate | None:
     """Impact template from snippets around known landings; None where the accelerometer shows no impacts.
 
@@ -110,41 +111,37 @@ def template_from_snippets(
         Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
     fractions : array, shape (n,)
         Time from the landing to column ``LEAD``, in samples, in [0, 1).
-    noise_v : float
-    rate_hz : float
+    noise : NoiseSpectrum
+        Of the accelerometer, at the snippets' rate.
     tones_hz : array
         Tones of the plate's motion.
     """
-    if snippets.shape[0] < MIN_LANDINGS or noise_v <= 0:
+    if snippets.shape[0] < MIN_LANDINGS:
         return None
-    basis = motion_basis(LENGTH, 4, tones_hz / rate_hz)
-    projector = np.eye(LENGTH) - basis @ basis.T
-    flat = snippets[:, :LENGTH] @ projector
+    white = whitener(noise, tones_hz)
+    flat = snippets[:, :LENGTH] @ white.T
     mean = np.median(flat, axis=0)
     strength = np.linalg.norm(mean)
-    scatter = MEDIAN_ERROR * noise_v * np.sqrt(LENGTH / snippets.shape[0])
+    scatter = MEDIAN_ERROR * np.sqrt(LENGTH / snippets.shape[0])
     # a template repeats in both halves of the landings; a residue of the motion or of noise does not
     halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
     agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
-    if strength < max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE * noise_v) or agreement < MIN_AGREEMENT:
+    if strength < max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE) or agreement < MIN_AGREEMENT:
         return None
-    direction = mean / strength
-    size = flat @ direction
-    fine, sigma_v = _oversample(snippets, fractions, size, noise_v)
-    known = ringing_part(fine, sigma_v, rate_hz)
+    size = flat @ (mean / strength)
+    fine, sigma_v = _oversample(snippets, fractions, size, noise.rms_v)
+    known = ringing_part(fine, sigma_v, noise.rate_hz)
     if known is None:
         return None
     fine = _from_onset(known, sigma_v)
     # matched to the whole waveform, blind to the motion
-    taps = fine[: LENGTH * FINE : FINE] @ projector
-    norm = float(np.linalg.norm(taps))
-    if not norm > MIN_FAST_PART * float(
-        np.linalg.norm(fine[: LENGTH * FINE : FINE])
-    ):  # as slow as the motion: no impact
+    own = fine[: LENGTH * FINE : FINE]
+    seen = white @ own
+    norm = float(np.linalg.norm(seen))
+    if not norm > MIN_FAST_PART * float(np.linalg.norm(noise.whitener(LENGTH) @ own)):  # as slow as the motion
         return None
-    return ImpactTemplate(
-        fine, (taps / norm).astype(np.float32), projector, noise_v, _ring_s(fine, size, noise_v, rate_hz)
-    )
+    taps = (seen / norm) @ white
+    return ImpactTemplate(fine, taps.astype(np.float32), white, _ring_s(fine, size, noise))
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -> tuple[Floats, float]:
@@ -171,7 +168,7 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
 
 
 def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
-    """The waveform up to the end of significant ringing, its slow part removed; None where nothing is significant.
+    """The waveform where its ringing is significant, its slow part removed; None where nothing is significant.
 
     Noise left in the mean of a few landings would be added to the recording after every impact. Slow motion after a
     landing is that of the plate under another load and must not be subtracted.
@@ -183,8 +180,9 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:
         return None
-    last = int(np.flatnonzero(loud).max()) + FINE
-    return np.where(np.arange(fine.size) <= last, fine - _slow_part(fine, peak, width), 0.0)
+    ends_at = np.flatnonzero(loud)[[0, -1]] + (-FINE, FINE)
+    grid = np.arange(fine.size)
+    return np.where((grid >= ends_at[0]) & (grid <= ends_at[1]), fine - _slow_part(fine, peak, width), 0.0)
 
 
 def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
@@ -203,7 +201,10 @@ def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:
-    """The waveform shifted so that its rise, extrapolated to zero, begins at ``LEAD * FINE``; zero before it."""
+    """The waveform shifted so that its rise, extrapolated to zero, begins at ``LEAD * FINE``.
+
+    A converter's linear-phase filter rings before that as well.
+    """
     size = np.abs(fine)
     top = float(size.max())
     low, high = (min(max(part * top, ONSET_SIGMAS * sigma_v), 0.7 * top) for part in (0.1, 0.3))
@@ -212,9 +213,7 @@ def _from_onset(fine: Floats, sigma_v: float) -> Floats:
     early = _rise(size, low, int(quiet[-1]) if quiet.size else 0)
     onset = early - 0.5 * max(late - early, 0.0)
     grid = np.arange(fine.size)
-    moved = np.interp(grid + onset - LEAD * FINE, grid, fine, left=0.0, right=0.0)
-    moved[: LEAD * FINE] = 0.0
-    return np.asarray(moved)
+    return np.asarray(np.interp(grid + onset - LEAD * FINE, grid, fine, left=0.0, right=0.0))
 
 
 def _rise(size: Floats, level: float, first: int) -> float:
@@ -223,15 +222,15 @@ def _rise(size: Floats, level: float, first: int) -> float:
     return k - (float(size[k]) - level) / max(float(size[k] - size[k - 1]), 1e-300)
 
 
-def _ring_s(fine: Floats, size: Floats, noise_v: float, rate_hz: float) -> float:
+def _ring_s(fine: Floats, size: Floats, noise: NoiseSpectrum) -> float:
     """Length of the mask after a strong impact.
 
     The residue of the subtraction (`RESIDUAL_PART` of the waveform) adds its time integral to a tone's amplitude,
     `TYPICAL_HZ` times a second. It must stay below the noise of the amplitude in one second.
     """
     after = fine[LEAD * FINE :] * np.quantile(size, 0.9)
-    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1])))[::-1] / FINE / rate_hz  # V s still to come
-    allowed = noise_v * np.sqrt(2.0 / rate_hz) / (2.0 * TYPICAL_HZ * RESIDUAL_PART)
+    left = np.maximum.accumulate(np.abs(np.cumsum(after[::-1])))[::-1] / FINE / noise.rate_hz  # V s still to come
+    allowed = np.sqrt(noise.slow_v2phz) / (2.0 * TYPICAL_HZ * RESIDUAL_PART)
     end = np.flatnonzero(left > allowed)
-    last = (end.max() + 1) / FINE / rate_hz if end.size else 0.0
+    last = (end.max() + 1) / FINE / noise.rate_hz if end.size else 0.0
     return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))

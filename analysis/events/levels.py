@@ -17,6 +17,8 @@ Floats = npt.NDArray[np.float64]
 
 LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
 MIN_DIP, DIP_SIGMAS, MAX_DIP = 0.02, 10.0, 0.3  # depth of a visible dip: bounds, and in standard deviations of noise
+RIPPLE_SAMPLES, RIPPLE_PART = (3, 20), 1.5  # distances from an edge, times the stretch; ripples that a dip must exceed
+MIN_RIPPLES = 8  # edges needed to measure a ripple
 PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the longer first; times the stretch
 PLATEAU_AFTER = 5  # samples that stay on that side, its own included
 MIN_PLATEAU = 50  # samples needed to measure a level
@@ -33,13 +35,15 @@ class Levels:
 
     ``noise_v`` is the standard deviation on a plateau. Behind a coupling capacitor they are the levels
     restored by `analysis.events.ac_coupling`. ``rise_samples`` is the time that an edge takes from 10 to 90 % of the
-    swing, in samples.
+    swing, in samples. ``ripple`` is how far the voltage typically swings back from the open level near an edge, as a
+    fraction of the swing: what a linear-phase filter of a converter or of a resampling leaves.
     """
 
     closed_v: float
     open_v: float
     noise_v: float
     rise_samples: float = 0.0
+    ripple: float = 0.0
 
     @property
     def stretch(self) -> int:
@@ -54,7 +58,8 @@ class Levels:
     def thresholds(self) -> Floats:
         """``(low, high, dip)`` as fractions of the swing: hysteresis, and the upper bound of a visible dip."""
         noise = self.noise_v / abs(self.swing_v)
-        return np.array([LOW, HIGH, 1.0 - min(max(DIP_SIGMAS * noise, MIN_DIP), MAX_DIP)])
+        dip = max(DIP_SIGMAS * noise, RIPPLE_PART * self.ripple, MIN_DIP)
+        return np.array([LOW, HIGH, 1.0 - min(dip, MAX_DIP)])
 
 
 def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, declared_open_v: float) -> Levels:
@@ -66,10 +71,23 @@ def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, dec
     step_v, volts = _step_v(read), read.astype(np.float64, copy=False)
     found = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, 1)
     found = replace(found, rise_samples=_rise_samples(volts, found.closed_v, found.swing_v))
-    if found.stretch == 1:
-        return found
-    settled = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, found.stretch)
-    return replace(settled, rise_samples=found.rise_samples)
+    if found.stretch > 1:
+        settled = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, found.stretch)
+        found = replace(settled, rise_samples=found.rise_samples)
+    return replace(found, ripple=_ripple((volts - found.closed_v) / found.swing_v, found.stretch))
+
+
+def _ripple(fraction: Floats, stretch: int) -> float:
+    """Median depth to which the open voltage swings back near an edge; the larger of after openings and before closings."""
+    is_open = fraction > 0.5
+    change = np.flatnonzero(np.diff(is_open)) + 1
+    depths = []
+    for own, sign in ((change[is_open[change]], 1), (change[~is_open[change]] - 1, -1)):
+        index = own[:, None] + sign * stretch * np.arange(RIPPLE_SAMPLES[0], RIPPLE_SAMPLES[1])
+        index = index[(index.min(axis=1) >= 0) & (index.max(axis=1) < fraction.size)] if own.size else index
+        near = fraction[index][is_open[index].all(axis=1)]
+        depths.append(1.0 - float(np.median(near.min(axis=1))) if len(near) >= MIN_RIPPLES else 0.0)
+    return max(*depths, 0.0)
 
 
 def _rise_samples(volts: Floats, closed_v: float, swing_v: float) -> float:

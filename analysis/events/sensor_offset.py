@@ -21,6 +21,7 @@ from analysis.statistics import mad_sigma, nearest
 Floats = npt.NDArray[np.float64]
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
+LONGEST_DELAY_S = 6e-3  # longest delay of the accelerometer by a converter's filter
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 MIN_PAIRS = 3  # landings needed
@@ -78,13 +79,14 @@ def calibrate(
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
-    begin = np.searchsorted(impacts.time_s, takeoff_s - REACH_S + SHORTEST_MASK_S)
-    end = np.searchsorted(impacts.time_s, landing_s + REACH_S)
+    delay_s = _delay_s(impacts.time_s, landing_s)
+    begin = np.searchsorted(impacts.time_s, takeoff_s + delay_s - REACH_S + SHORTEST_MASK_S)
+    end = np.searchsorted(impacts.time_s, landing_s + delay_s + REACH_S)
     lone = np.flatnonzero(end - begin == 1)
     partner = begin[lone]
     d = impacts.time_s[partner] - landing_s[lone]
     own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
-    near = np.abs(d) < REACH_S
+    near = np.abs(d - delay_s) < REACH_S
     d, own = d[near], own[near]
     if d.size < MIN_PAIRS:
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
@@ -103,6 +105,26 @@ def calibrate(
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
     offset = SensorOffset(centre, own_sigma, int(core.sum()))
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
+
+
+def _delay_s(impact_s: Floats, landing_s: Floats) -> float:
+    """Delay of the accelerometer by its converter's filter, to `REACH_S`; 0 where most landings have an impact nearer.
+
+    The delay is the one at which most landings have an impact within `MAX_SPREAD_S`.
+    """
+    begin, end = (np.searchsorted(impact_s, landing_s + far) for far in (-REACH_S, LONGEST_DELAY_S))
+    index = (
+        np.repeat(begin, end - begin)
+        + np.arange((end - begin).sum())
+        - np.repeat(np.cumsum(end - begin) - end + begin, end - begin)
+    )
+    d = np.sort(impact_s[index] - np.repeat(landing_s, end - begin))
+    if not d.size:
+        return 0.0
+    within = np.searchsorted(d, d + 2.0 * MAX_SPREAD_S, side="right") - np.arange(d.size)
+    best = int(np.argmax(within))
+    far = d[best] > REACH_S - 2.0 * MAX_SPREAD_S and within[best] > 0.5 * landing_s.size
+    return float(np.median(d[best : best + within[best]])) if far else 0.0
 
 
 def _rounding_s(impacts: Impacts, sampling_s: float) -> float:
@@ -126,9 +148,9 @@ def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
     """Whether a late edge may be the end of a chatter rather than a slow circuit.
 
     A chatter's length grows with the impact's speed; a circuit's delay does not. Where all impacts are equally strong
-    the two cannot be told apart, and a long delay is not accepted.
+    the two cannot be told apart, and a long delay is not accepted. An accelerometer behind the edges is late itself.
     """
-    if abs(offset_s) < SMALL_OFFSET_S:
+    if offset_s > -SMALL_OFFSET_S:
         return False
     low, middle, high = np.quantile(strength, [0.1, 0.5, 0.9])
     variety = (high - low) / middle

@@ -167,12 +167,19 @@ def refine_short_contacts(
         rises, doubts = (start + np.array(fit[::2])) / rate_hz, np.array(fit[1::2]) / rate_hz
         closing, opening = (s.circuit(rises[i], doubts[i]) for s, i in ((shapes[1], 0), (shapes[0], 1)))
         if kind[k] == DIP:
+            if added and closing[0] <= added[-1][0]:
+                continue
             added.append((*closing, CLOSES))
             added.append((*opening, OPENS))
         else:
             (time_s[k], sigma[k]), (time_s[k + 1], sigma[k + 1]) = closing, opening
     left = kind != DIP
-    more = np.array(added).reshape(-1, 3)
+    time_s[left] = np.maximum.accumulate(time_s[left])  # a fit may pass the edge before
+    more = np.array(added).reshape(-1, 2, 3)
+    before = np.searchsorted(time_s[left], more[:, :, 0])
+    in_air = np.append(CLOSES if kind[left][:1] == OPENS else OPENS, kind[left])[before] == OPENS
+    # ringing of the voltage after an edge is no contact: one lies within a single interval in the air
+    more = more[in_air.all(axis=1) & (before[:, 0] == before[:, 1])].reshape(-1, 3)
     merged = np.concatenate([time_s[left], more[:, 0]])
     order = np.argsort(merged, kind="stable")
     return Edges(

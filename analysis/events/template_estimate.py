@@ -13,14 +13,16 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from analysis.events.accelerometer_noise import PREDICTED_FROM, NoiseSpectrum, measure_noise, scale_and_threshold
 from analysis.events.impact_detection import ImpactScan
 from analysis.events.impact_template import (
     LEAD,
+    LENGTH,
+    THRESHOLD,
     ImpactTemplate,
     echo_samples,
     template_from_snippets,
     thinning,
-    white_noise,
 )
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
 from analysis.plate.step_state import multiples_of
@@ -31,12 +33,12 @@ from kernels import njit
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 MASK_S = 8e-3  # mask after an impact in the tone fits made here
 QUIET_SAMPLES = 60  # samples without an onset before an onset
 ONSET_SIGMAS = 6.0  # standard deviations of noise that make an onset
 STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
-PAST_SAMPLES = 6  # mean of the past that an onset is compared with
 N_ALIGNMENTS = 3
 MAX_IMPACTS = 400  # strongest impacts used
 N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
@@ -55,9 +57,9 @@ class _Stretch:
 
 
 def estimate_template(
-    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, noise_v: float, gaps: Ints | None = None
-) -> ImpactTemplate | None:
-    """Impact template from a few pieces of a recording.
+    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, gaps: Ints | None = None
+) -> tuple[NoiseSpectrum | None, ImpactTemplate | None]:
+    """Noise of the accelerometer and impact template from a few pieces of a recording.
 
     Parameters
     ----------
@@ -67,50 +69,82 @@ def estimate_template(
         Frequencies filled in.
     rate_hz
         Sampling rate.
-    noise_v
-        White noise of the accelerometer, see `noise_of`.
     gaps : int array, shape (k, 2)
         Sample before which samples were lost, and how many: the motion's phase jumps there.
 
     Returns
     -------
+    NoiseSpectrum or None
+        Of means over `thinning` samples; None where the pieces are too short, or the channel stands still.
     ImpactTemplate or None
         None where the accelerometer shows no impacts.
     """
     width = thinning(rate_hz)
     if width > 1:
         pieces, rate_hz = [piece.thinned(width) for piece in pieces], rate_hz / width
-        noise_v = noise_of(pieces)
     steps = _unbroken(steps, np.zeros(0, np.int64) if gaps is None else gaps[:, 0], width)
     tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
     few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, N_BASIS_TONES).astype(int))]
     stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
-    still = [_without_motion(*both, np.zeros(0), rate_hz) for both in zip(pieces, stretches, strict=True)]
-    places = [_onsets(volts, fitted, noise_v) for volts, fitted in still]
-    template = None
-    for turn in range(N_ALIGNMENTS):
-        echo = echo_samples(rate_hz)
+    nothing = [np.zeros(0) for _ in pieces]
+    still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, nothing, strict=True)]
+    noise, template = _noise(still, nothing, rate_hz), None
+    if noise is None:
+        return None, None
+    places, echo = [_onsets(volts, fitted, noise) for volts, fitted in still], echo_samples(rate_hz)
+    for _ in range(N_ALIGNMENTS):
         rows = [_snippets(volts, fitted, own, echo) for (volts, fitted), own in zip(still, places, strict=True)]
         snippets, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
         strong = np.argsort(-np.abs(snippets).max(axis=1))[:MAX_IMPACTS] if len(snippets) else np.zeros(0, np.int64)
-        template = template_from_snippets(snippets[strong], fractions[strong], noise_v, rate_hz, few)
+        template = template_from_snippets(snippets[strong], fractions[strong], noise, few)
         if template is None:
-            return None
-        if turn == N_ALIGNMENTS - 1:
-            break
-        places = []
-        for k, piece in enumerate(pieces):
-            detector = ImpactScan(template, rate_hz)
-            detector.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
-            own = detector.impacts().time_s * rate_hz + piece.pad
-            places.append(own)
-            still[k] = _without_motion(piece, stretches[k], own, rate_hz)
-    return None if template is None else replace(template, width=width)
+            return noise, None
+        places = [_detected(piece, template, rate_hz) for piece in pieces]
+        still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, places, strict=True)]
+        noise = _noise(still, places, rate_hz) or noise
+    return noise, replace(_with_threshold(template, pieces, still, places, rate_hz), width=width)
 
 
-def noise_of(pieces: list[Piece]) -> float:
-    """White noise of the accelerometer, in volts: the median of the pieces'."""
-    return float(np.median([white_noise(piece.own("accelerometer").astype(np.float64)) for piece in pieces]))
+def _quiet(fitted: Mask, places: Floats, rate_hz: float) -> Mask:
+    """Samples of a piece whose motion is known and that no impact in it reaches."""
+    quiet = fitted.copy()
+    for place in places.astype(np.int64):
+        quiet[max(place - LENGTH, 0) : max(place + echo_samples(rate_hz), 0)] = False
+    return quiet
+
+
+def _noise(still: list[tuple[Floats, Mask]], places: list[Floats], rate_hz: float) -> NoiseSpectrum | None:
+    quiet = [_quiet(fitted, own, rate_hz) for (_, fitted), own in zip(still, places, strict=True)]
+    return measure_noise([volts for volts, _ in still], quiet, rate_hz)
+
+
+def _detected(piece: Piece, template: ImpactTemplate, rate_hz: float) -> Floats:
+    """Places in a piece of the impacts that the template detects."""
+    detector = ImpactScan(template, rate_hz)
+    detector.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
+    return detector.impacts().time_s * rate_hz + piece.pad
+
+
+def _with_threshold(
+    template: ImpactTemplate,
+    pieces: list[Piece],
+    still: list[tuple[Floats, Mask]],
+    places: list[Floats],
+    rate_hz: float,
+) -> ImpactTemplate:
+    """The template with unit and threshold from its filter's own output where nothing happens."""
+    outputs = []
+    for piece, (_, fitted), own in zip(pieces, still, places, strict=True):
+        found = np.correlate(piece.channels["accelerometer"].astype(np.float64), template.taps.astype(np.float64))
+        reached = np.convolve(~_quiet(fitted, own, rate_hz), np.ones(LENGTH))[LENGTH - 1 :][: found.size] > 0.5
+        outputs.append(found[~reached])
+    scale, threshold = scale_and_threshold(np.concatenate(outputs), rate_hz)
+    return replace(
+        template,
+        taps=template.taps / np.float32(scale),
+        whitener=template.whitener / scale,
+        threshold=max(threshold, THRESHOLD),
+    )
 
 
 def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDArray[np.void]:
@@ -129,17 +163,17 @@ def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDAr
     return np.array(rows, dtype=steps.dtype)
 
 
-def _onsets(volts: Floats, fitted: npt.NDArray[np.bool_], noise_v: float) -> Floats:
+def _onsets(volts: Floats, fitted: Mask, noise: NoiseSpectrum) -> Floats:
     """Places in a piece where a strong signal begins after a quiet interval."""
-    past = np.convolve(volts, np.ones(PAST_SAMPLES) / PAST_SAMPLES)[: volts.size]
-    error = np.abs(volts[1:] - past[:-1]) / (noise_v * np.sqrt((PAST_SAMPLES + 1.0) / PAST_SAMPLES))
-    known = np.convolve(fitted, np.ones(PAST_SAMPLES + 2))[: volts.size] > PAST_SAMPLES + 1.5  # its past is fitted, too
-    loud = np.flatnonzero((error > ONSET_SIGMAS) & known[1:]) + 1
+    surprise = np.abs(noise.innovations(volts))
+    span = PREDICTED_FROM + 1
+    known = np.convolve(fitted, np.ones(span))[: volts.size] > span - 0.5  # its past is fitted, too
+    loud = np.flatnonzero((surprise > ONSET_SIGMAS) & known)
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
-    peak = np.array([np.abs(volts[n : n + LEAD]).max() for n in first])
+    peak = np.array([surprise[n : n + LEAD].max() for n in first])
     if not first.size:
         return np.zeros(0)
-    enough = peak > max(STRONG_SIGMAS * noise_v, STRONG_PART * float(np.quantile(peak, 0.9)))
+    enough = peak > max(STRONG_SIGMAS, STRONG_PART * float(np.quantile(peak, 0.9)))
     return np.asarray(first[enough] - 0.5, dtype=np.float64)
 
 

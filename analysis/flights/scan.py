@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
+from analysis.events.accelerometer_noise import NoiseSpectrum
 from analysis.events.crossings import OPENS, Crossings, CrossingScan
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
 from analysis.events.impact_template import ImpactTemplate
 from analysis.events.levels import Levels, measure_levels
-from analysis.events.template_estimate import estimate_template, noise_of
+from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.coloured_noise import with_coloured_noise
 from analysis.plate.motion import PlateMotion
@@ -43,8 +44,8 @@ class Survey:
     ----------
     levels : Levels or None
         None without a contact circuit.
-    noise_v : float
-        White noise of the accelerometer.
+    noise : NoiseSpectrum or None
+        Of the accelerometer; None where the recording is too short to tell.
     template : ImpactTemplate or None
         None where the accelerometer shows no impacts.
     coupling : Coupling or None
@@ -52,7 +53,7 @@ class Survey:
     """
 
     levels: Levels | None
-    noise_v: float
+    noise: NoiseSpectrum | None
     template: ImpactTemplate | None
     coupling: Coupling | None = None
 
@@ -133,8 +134,7 @@ def survey(recording: Recording) -> Survey:
         )
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
-    noise = noise_of(looked)
-    template = estimate_template(looked, resolved_steps(recording), recording.rate_hz, noise, recording.gaps)
+    noise, template = estimate_template(looked, resolved_steps(recording), recording.rate_hz, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
         return Survey(None, noise, template)
@@ -234,5 +234,6 @@ def _filled_spans_s(recording: Recording) -> npt.NDArray[np.float64]:
 
 
 def _noise_mps2(recording: Recording, known: Survey) -> float:
-    """White noise of the accelerometer in m/s^2."""
-    return known.noise_v / abs(recording.setup.channels.accelerometer.volts_per_mps2)
+    """Noise of the accelerometer in m/s^2; 0 where it is unknown."""
+    noise_v = 0.0 if known.noise is None else known.noise.rms_v
+    return noise_v / abs(recording.setup.channels.accelerometer.volts_per_mps2)

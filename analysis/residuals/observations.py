@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import Scatter, raised_together
-from analysis.events.impact_detection import ECHO_MARGIN, THRESHOLD
+from analysis.events.impact_detection import ECHO_MARGIN
+from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
 from analysis.residuals.fades import RINGING_S, Fades, pushes

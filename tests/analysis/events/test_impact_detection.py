@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.events.accelerometer_noise import NoiseSpectrum
 from analysis.events.impact_detection import ImpactScan, _match
 from analysis.events.impact_template import LEAD, ImpactTemplate, echo_samples, template_from_snippets
 from analysis.signals.stream import PAD
@@ -27,7 +28,7 @@ def waveform() -> ImpactTemplate:
     volts = ringing(29000, at, rng)
     first = np.ceil(at).astype(int)
     snippets = np.array([volts[b - LEAD : b - LEAD + echo_samples(RATE_HZ)] for b in first], dtype=np.float64)
-    learnt = template_from_snippets(snippets, first - at, 0.003, RATE_HZ, np.array([25.37]))
+    learnt = template_from_snippets(snippets, first - at, NoiseSpectrum.white(0.003, RATE_HZ), np.array([25.37]))
     assert learnt is not None
     return learnt
 
@@ -47,7 +48,7 @@ def test_no_impact_is_detected_before_itself_at_the_end_of_a_piece(waveform: Imp
 def test_the_filter_is_the_correlation_with_its_taps(waveform: ImpactTemplate) -> None:
     """What the filter gives at every sample, over tiles whole and broken, is NumPy's correlation."""
     rng = np.random.default_rng(8)
-    volts = rng.normal(0.0, 1.0, 2 * PAD + 777).astype(np.float32)
+    volts = rng.normal(0.0, 0.003, 2 * PAD + 777).astype(np.float32)
     out, found = np.empty(777, np.float32), np.empty(800, np.int64)
     _match(volts, PAD, 777, waveform.taps, np.float32(1e9), out, found)
     own = volts[PAD - LEAD : PAD - LEAD + 777 + waveform.taps.size - 1]
