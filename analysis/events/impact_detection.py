@@ -25,8 +25,10 @@ TAPS = 8  # of the filter, applied in one pass over a tile; the filter's length 
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
+ECHO_END = 0.1  # most of an impact's ringing that is left at the template's end, as a part of its score
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong
 ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
+PRECURSOR, PRECURSOR_PART = 20, 0.5  # samples within which no ball gains so much speed: the next impact's own ringing
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
 
@@ -220,10 +222,12 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
         if n > 0 and index + offset - out[n - 1, 0] <= longest:
             _products(white, echo, later)
             loud = np.sqrt(np.sum(later**2))
+        if n > 0 and index + offset - out[n - 1, 0] <= 2 * longest:  # the end of its ringing is not in the template
+            loud = max(loud, ECHO_END * out[n - 1, 2])
         if middle < ECHO_MARGIN * loud:
             continue
         # a louder impact soon after also makes a maximum one period of its ringing earlier
-        leak = 0.0
+        leak = loudest = 0.0
         for ahead in range(c + 1, found.shape[0]):
             lag = found[ahead] - index
             if lag > LENGTH - LEAD:
@@ -238,7 +242,9 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
             for k in range(LENGTH):
                 total += columns[k, best] * later[k]
             leak = max(leak, total)
-        if middle - leak < max(limit, ECHO_MARGIN * leak):
+            if lag <= PRECURSOR:
+                loudest = max(loudest, top[far])
+        if middle - leak < max(limit, ECHO_MARGIN * leak, PRECURSOR_PART * loudest):
             continue
         curvature = min(left - 2.0 * middle + right, -1e-300)
         vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)

@@ -29,6 +29,7 @@ ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is pla
 MIN_LANDINGS = 6  # landings needed for a template
 MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a landing
 MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of the landings and of the other
+LIKENESS = 0.75  # correlation with the median waveform, as a part of the usual one, below which a landing is left out
 MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
 TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
 SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
@@ -129,7 +130,12 @@ def template_from_snippets(
     if strength < max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE) or agreement < MIN_AGREEMENT:
         return None
     size = flat @ (mean / strength)
-    fine, sigma_v = _oversample(snippets, fractions, size, noise.rms_v)
+    likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
+    size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = (
+        0.0  # one placed a period of the ringing off spoils the mean
+    )
+    fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
+    fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
     known = ringing_part(fine, sigma_v, noise.rate_hz)
     if known is None:
         return None
@@ -142,6 +148,18 @@ def template_from_snippets(
         return None
     taps = (seen / norm) @ white
     return ImpactTemplate(fine, taps.astype(np.float32), white, _ring_s(fine, size, noise))
+
+
+def _level(snippets: Floats, fractions: Floats, size: Floats, fine: Floats) -> Floats:
+    """Snippets less the slow motion in which each differs from its mean waveform.
+
+    Left in, it would look like ringing between the points of a sample, which come from different landings.
+    """
+    echo = snippets.shape[1]
+    place = (np.arange(echo) + fractions[:, None]) * FINE
+    left = snippets - size[:, None] * np.interp(place, np.arange(fine.size), fine)
+    slow = motion_basis(echo, 4, np.zeros(0))
+    return np.asarray(snippets - (left @ slow) @ slow.T)
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -> tuple[Floats, float]:
@@ -186,7 +204,7 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
 
 
 def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
-    """Straight line under the ringing from its peak on, zero before.
+    """Straight line under the ringing, which rises from zero over ``width`` points from the peak on.
 
     Smoothing twice over ``width`` points removes the ringing from three widths after the peak on.
     """
@@ -197,7 +215,7 @@ def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
     if tail.stop - tail.start < width:
         return np.zeros(fine.size)
     slope, level = np.polyfit(grid[tail], smooth[tail], 1)
-    return np.where(grid >= peak, level + slope * grid, 0.0)
+    return np.clip((grid - peak) / width, 0.0, 1.0) * (level + slope * grid)
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:
