@@ -1,7 +1,7 @@
 """Noise of the accelerometer as a spectrum, measured where no impact is.
 
-A sensor, its amplifier and its converter colour the noise: a low-pass takes its upper part, semiconductors add 1/f. What
-detects impacts must know the noise at the frequencies of an impact.
+A sensor, its amplifier and its converter colour the noise: a low-pass takes its upper part, semiconductors add 1/f.
+What detects impacts must know the noise at the frequencies of an impact.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class NoiseSpectrum:
     @property
     def frequencies_hz(self) -> Floats:
         """Frequencies of the densities."""
-        return np.arange(self.density_v2phz.size) * (self.rate_hz / FRAME)
+        return np.asarray(np.arange(self.density_v2phz.size) * (self.rate_hz / FRAME), dtype=np.float64)
 
     @property
     def rms_v(self) -> float:
@@ -85,7 +85,7 @@ class NoiseSpectrum:
         return np.asarray(np.fft.irfft(0.5 * trusted)[:count] * self.rate_hz)
 
     def whitener(self, length: int) -> Floats:
-        """Lower triangle, shape (length, length), that makes ``length`` samples of the noise white, of unit variance."""
+        """Lower triangle, shape (length, length), that makes ``length`` samples of noise white, of unit variance."""
         lower = cholesky(toeplitz(self.autocovariance(length)), lower=True)
         return np.asarray(solve_triangular(lower, np.eye(length), lower=True))
 
@@ -143,8 +143,8 @@ def measure_noise(volts: Sequence[Floats], usable: Sequence[Mask], rate_hz: floa
 def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
     """Standard deviation of a detector's output where nothing happens, and its threshold in that unit.
 
-    The tail beyond `TAIL` standard deviations is taken as exponential in the square, as a normal distribution's is, with
-    the decay that the output shows. The threshold lets `FALSE_PER_HOUR` of its maxima pass in an hour.
+    The tail beyond `TAIL` standard deviations is taken as exponential in the square, as a normal distribution's is,
+    with the decay that the output shows. The threshold lets `FALSE_PER_HOUR` of its maxima pass in an hour.
 
     Parameters
     ----------

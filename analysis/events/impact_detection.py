@@ -62,7 +62,8 @@ class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
     In order of time, the ringing of earlier impacts is subtracted first; a candidate no larger than that echo is
-    dropped. Uncertainties are those of the fit in the noise as measured. All works on means over ``template.width`` samples.
+    dropped. Uncertainties are those of the fit in the noise as measured. All works on means over ``template.width``
+    samples.
     """
 
     def __init__(self, template: ImpactTemplate, rate_hz: float) -> None:

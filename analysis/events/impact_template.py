@@ -215,7 +215,7 @@ def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
     if tail.stop - tail.start < width:
         return np.zeros(fine.size)
     slope, level = np.polyfit(grid[tail], smooth[tail], 1)
-    return np.clip((grid - peak) / width, 0.0, 1.0) * (level + slope * grid)
+    return np.asarray(np.clip((grid - peak) / width, 0.0, 1.0) * (level + slope * grid))
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:

@@ -78,7 +78,7 @@ def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, dec
 
 
 def _ripple(fraction: Floats, stretch: int) -> float:
-    """Median depth to which the open voltage swings back near an edge; the larger of after openings and before closings."""
+    """Median depth to which the open voltage swings back near an edge, after openings or before closings."""
     is_open = fraction > 0.5
     change = np.flatnonzero(np.diff(is_open)) + 1
     depths = []

@@ -153,7 +153,7 @@ def refine_short_contacts(
     if max(tau) < 5.0 * MIN_TAU_SAMPLES:  # sharp edges leave no pulse to fit
         return edges
     time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
-    added = []
+    added: list[tuple[Floats, Floats, int]] = []
     for k in np.sort(np.concatenate([pair, np.flatnonzero(kind == DIP)])):
         start = int(sample[k]) - lead
         after = sample[k + 1 : k + 3][kind[k + 1 : k + 3] == CLOSES]  # the window ends before the next contact

@@ -88,10 +88,11 @@ def estimate_template(
     stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
     nothing = [np.zeros(0) for _ in pieces]
     still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, nothing, strict=True)]
-    noise, template = _noise(still, nothing, rate_hz), None
+    noise = _noise(still, nothing, rate_hz)
     if noise is None:
         return None, None
     places, echo = [_onsets(volts, fitted, noise) for volts, fitted in still], echo_samples(rate_hz)
+    template: ImpactTemplate | None = None
     for _ in range(N_ALIGNMENTS):
         rows = [_snippets(volts, fitted, own, echo) for (volts, fitted), own in zip(still, places, strict=True)]
         snippets, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
@@ -102,7 +103,9 @@ def estimate_template(
         places = [_detected(piece, template, rate_hz) for piece in pieces]
         still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, places, strict=True)]
         noise = _noise(still, places, rate_hz) or noise
-    return noise, replace(_with_threshold(template, pieces, still, places, rate_hz), width=width)
+    if template is not None:
+        template = replace(_with_threshold(template, pieces, still, places, rate_hz), width=width)
+    return noise, template
 
 
 def _quiet(fitted: Mask, places: Floats, rate_hz: float) -> Mask:

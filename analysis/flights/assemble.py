@@ -6,6 +6,8 @@ are flagged, not dropped.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -14,6 +16,7 @@ from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
 from analysis.events.sensor_offset import calibrate, combine_with_impacts
 from analysis.events.short_contacts import refine_short_contacts
+from analysis.flights.denied_impacts import denied
 from analysis.flights.scan import Progress, Scan, scan
 from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.plate.motion import PlateMotion
@@ -26,6 +29,7 @@ __all__ = ["FlightFlag", "Flights", "flights_of", "write_csv"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+_Intervals = tuple[Floats, Floats, Floats, Floats, Ints]
 _Table = tuple[Floats, Floats, Floats, Floats, Floats, Ints, EdgeReport]
 
 GLITCH_S = 2e-4  # shortest flight
@@ -63,7 +67,9 @@ def flights_of(recording: Recording, *, progress: Progress | None = None) -> Fli
 
 def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Flights:
     """Flights and their flags from the result of the pass."""
-    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, rate_hz, n_samples)
+    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(
+        found, setup.g_mps2.value, rate_hz, n_samples
+    )
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
     plate = found.plate
@@ -92,7 +98,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     )
 
 
-def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
+def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Table:
     """Intervals in the air by both detectors, and the detectors' quality."""
     levels = found.survey.levels
     if levels is None:
@@ -110,7 +116,8 @@ def _in_air(found: Scan, rate_hz: float, n_samples: int) -> _Table:
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
-    table = _split(*_intervals(edges, found.starts_open, end_s), impacts, max(SPLIT_S, SPLIT_SAMPLES / rate_hz))
+    intervals, reach_s = _intervals(edges, found.starts_open, end_s), max(SPLIT_S, SPLIT_SAMPLES / rate_hz)
+    table = _split(*intervals, _undenied(found, g_mps2, rate_hz, intervals, impacts, reach_s), reach_s)
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, max(STRENGTH_S, STRENGTH_SAMPLES / rate_hz))
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
@@ -140,6 +147,23 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
     false = (duration < GLITCH_S) | ((duration < BOUNCE_S) & (since < BOUNCE_AFTER_S))
     flags[false] |= FlightFlag.FALSE
     return takeoff, landing, takeoff_sigma, landing_sigma, flags
+
+
+def _undenied(
+    found: Scan, g_mps2: float, rate_hz: float, intervals: _Intervals, impacts: Impacts, reach_s: float
+) -> Impacts:
+    """Impacts but those within an interval in the air that the contact circuit and the take-off deny."""
+    takeoff, landing, _, _, flags = intervals
+    if takeoff.size == 0 or impacts.time_s.size == 0:
+        return impacts
+    step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
+    step = np.where((flags | unsteady) == 0, step, -1)
+    host = np.searchsorted(takeoff, impacts.time_s - reach_s) - 1
+    inside = np.flatnonzero((host >= 0) & (impacts.time_s < landing[np.maximum(host, 0)] - reach_s))
+    believed = np.ones(impacts.time_s.size, dtype=np.bool_)
+    believed[inside] = ~denied(found.plate, g_mps2, takeoff, landing, step, impacts.time_s[inside], host[inside])
+    columns = {name: getattr(impacts, name)[believed] for name in ("time_s", "uncertainty_s", "strength")}
+    return replace(impacts, **columns)
 
 
 def _split(

@@ -35,3 +35,12 @@ def test_impacts_at_one_place_between_samples_are_no_sharper_than_samples(rounde
     error = both.time_s - exact
     assert np.std(error) == pytest.approx(ROUNDING_S if rounded else 1e-6, rel=0.15)
     assert np.all(both.uncertainty_s > 0.9 * ROUNDING_S) if rounded else np.all(both.uncertainty_s < 5e-6)
+
+
+def test_a_converters_delay_of_many_samples_is_found() -> None:
+    """An accelerometer 1.9 ms behind the contact circuit, as a sigma-delta converter's filter makes it."""
+    exact, impact_s, edges = closings(False)
+    impacts = Impacts(impact_s + 1.9e-3, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
+    moved, offset = calibrate(impacts, edges.time_s - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S)
+    assert offset.offset_s == pytest.approx(1.9e-3, abs=5e-6)
+    assert np.abs(moved.time_s - exact).max() < 1e-5

@@ -1,0 +1,109 @@
+"""Flights behind instruments as laboratories have them: all that were flown, and none that was not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import resample_poly
+
+from analysis.flights.assemble import FlightFlag, Flights, assemble, flights_of
+from analysis.flights.scan import scan
+from daq.files.tables import Block
+from daq.recording import RecordingWriter, open_recording
+
+GAMMAS = np.linspace(1.2, 2.4, 5)
+FRICTION = {"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}}
+NEAR_S = 5e-4
+CHAINS: dict[str, dict[str, float]] = {
+    "low-pass 5 kHz, 1 pole": {"low_pass_hz": 5000.0, "low_pass_poles": 1.0},
+    "low-pass 5 kHz, 2 poles": {"low_pass_hz": 5000.0},
+    "low-pass 5 kHz, 4 poles": {"low_pass_hz": 5000.0, "low_pass_poles": 4.0},
+    "low-pass 3 kHz, 4 poles": {"low_pass_hz": 3000.0, "low_pass_poles": 4.0},
+    "low-pass 1 kHz, 2 poles": {"low_pass_hz": 1000.0},
+    "1/f noise": {"flicker_v": 0.002},
+    "sigma-delta, accelerometer only": {"fir_samples": 38.0, "fir_accelerometer_only": 1.0},
+    "multiplexed": {"between_channels_s": 1e-5},
+}
+
+
+def landings(flights: Flights) -> np.ndarray:
+    """Landings of all flights but cut and false ones."""
+    return np.sort(flights.landing_s[~flights.has(FlightFlag.FALSE | FlightFlag.CUT)])
+
+
+def strangers(times: np.ndarray, others: np.ndarray) -> list[float]:
+    """The times that have no other one near."""
+    return times[np.abs(times[:, None] - others).min(axis=1) > NEAR_S].tolist()
+
+
+def read(path: Path) -> Flights:
+    """All flights of a recording."""
+    with open_recording(path) as recording:
+        return flights_of(recording)
+
+
+@pytest.fixture(scope="module")
+def true_landings(make) -> np.ndarray:
+    """What happened, behind no instrument: the same at every noise."""
+    return np.asarray(make(GAMMAS, effects=FRICTION, truth=True).landing_s)
+
+
+@pytest.fixture(scope="module")
+def plain_landings(make) -> np.ndarray:
+    """What is found behind white noise, no filter, no bias."""
+    return landings(read(make(GAMMAS, effects=FRICTION).path))
+
+
+@pytest.mark.parametrize("chain", CHAINS)
+def test_an_instrument_neither_hides_flights_nor_makes_them(
+    make, true_landings: np.ndarray, plain_landings: np.ndarray, chain: str
+) -> None:
+    """Each landing is found, many of them launched again unseen by the contact circuit, and none is made up."""
+    flights = read(make(GAMMAS, effects=FRICTION, rig=CHAINS[chain]).path)
+    assert strangers(landings(flights), true_landings) == []
+    assert strangers(plain_landings, landings(flights)) == []
+    assert flights.has(FlightFlag.ACCELEROMETER).sum() > 20
+
+
+def test_a_recording_that_others_resampled_holds_the_same_flights(
+    make, true_landings: np.ndarray, plain_landings: np.ndarray, tmp_path: Path
+) -> None:
+    """Polyphase resampling to 48 kHz rings around every edge of the contact: no edge is lost, no contact made up."""
+    with open_recording(make(GAMMAS, effects=FRICTION).path) as recording:
+        setup, channels, steps = recording.setup, list(recording.channels), recording.steps.copy()
+        codes = [resample_poly(recording.codes(name, 0, recording.n_samples), 12, 5) for name in channels]
+    path = tmp_path / "resampled.h5"
+    setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": 48000.0})})
+    writer = RecordingWriter(path, setup, profile_text="", channels=channels, backend="simulated", simulated=True)
+    writer.append(Block(0, np.rint(np.column_stack(codes)).clip(-32768, 32767).astype(np.int16)))
+    for name in ("first_sample", "n_samples", "settle_samples", "fade_samples"):
+        steps[name] = steps[name] * 12 // 5
+    for row in steps:
+        writer.mark_step(row)
+    writer.close()
+    flights = read(path)
+    assert strangers(landings(flights), true_landings) == []
+    assert strangers(plain_landings, landings(flights)) == []
+
+
+def test_a_knock_in_mid_flight_cuts_no_flight_that_the_contact_circuit_shows(make) -> None:
+    """Bursts like impacts while the ball is high above the plate: the contact circuit and the take-off deny them."""
+    with open_recording(make([1.2, 1.3], effects=FRICTION).path) as recording:
+        found = scan(recording)
+        alone = assemble(found, recording.setup, recording.rate_hz, recording.n_samples)
+        long = np.flatnonzero(alone.good() & (alone.duration_s > 0.015))
+        knocks_s = alone.takeoff_s[long] + 0.5 * alone.duration_s[long]
+        impacts = found.impacts
+        order = np.argsort(np.append(impacts.time_s, knocks_s))
+        knocked = replace(
+            impacts,
+            time_s=np.append(impacts.time_s, knocks_s)[order],
+            uncertainty_s=np.append(impacts.uncertainty_s, np.full(len(long), 5e-6))[order],
+            strength=np.append(impacts.strength, np.full(len(long), 100.0))[order],
+        )
+        flights = assemble(replace(found, impacts=knocked), recording.setup, recording.rate_hz, recording.n_samples)
+    assert len(long) > 20
+    assert landings(flights) == pytest.approx(landings(alone), abs=1e-6)
