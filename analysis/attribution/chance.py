@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis
 from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.linear_algebra import eigh, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
@@ -83,7 +84,7 @@ class ScoreSpace:
         weight = np.ones(len(candidates)) if weight is None else weight
         weighted = nuisances * weight[:, None]
         normal = weighted.T @ nuisances + np.diag(stiffness)
-        follow = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (weighted.T @ candidates)
+        follow = pinv(normal, rcond=1e-12, hermitian=True) @ (weighted.T @ candidates)
         columns = candidates - nuisances @ follow
         information = (candidates * weight[:, None]).T @ columns
         own, before = np.diag(information), weight @ candidates**2
@@ -106,14 +107,14 @@ class ScoreSpace:
                 x = u[:, 0] if self.signs[j] == 0 else np.maximum(self.signs[j] * u[:, 0], 0.0)
                 gain = 0.5 * x * x
             else:
-                inverse = np.linalg.pinv(self.information[np.ix_(group, group)], rcond=1e-8, hermitian=True)
+                inverse = pinv(self.information[np.ix_(group, group)], rcond=1e-8, hermitian=True)
                 gain = 0.5 * np.einsum("ij,jk,ik->i", u, inverse, u)
             best = np.maximum(best, gain)
         return best
 
     def by_noise(self, rng: np.random.Generator, draws: int = DRAWS) -> Array:
         """Best gains of normal noise of the stated covariance, (draws,)."""
-        values, vectors = np.linalg.eigh(self.information)
+        values, vectors = eigh(self.information)
         root = vectors * np.sqrt(np.clip(values, 0.0, None))
         return self.best_gains(rng.standard_normal((draws, len(values))) @ root.T)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import LEAP_S, Fitted
 from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.linear_algebra import pinv
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
@@ -172,7 +173,7 @@ class Detectability:
         if (key := others.tobytes()) not in self._covariances:
             beside, stiffness = self._beside * others, np.where(others, self._state.inverse**2, 1.0)
             normals = [(beside * w[:, None]).T @ beside + np.diag(stiffness) for w in self._weights]
-            inverses = (np.linalg.pinv(normal, rcond=1e-14, hermitian=True) for normal in normals)
+            inverses = (pinv(normal, rcond=1e-14, hermitian=True) for normal in normals)
             self._covariances[key] = [others[:, None] * np.asarray(x) * others for x in inverses]
         return np.asarray(self._covariances[key][part] @ (self._beside.T @ (self._weights[part] * values)))
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
+from analysis.linear_algebra import NotFiniteError, lstsq, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
@@ -110,6 +111,11 @@ class Fitter:
         slopes
             Known derivatives of the bare residuals: they save predictions where the point has not moved far. Those of
             free parameters count for the first step alone.
+
+        Raises
+        ------
+        NotFiniteError
+            Where predictions at ``start`` or the equations of a step are not finite.
         """
         always = [k for k in self.priors if k not in free]
         keys = [*free, *always]
@@ -119,6 +125,8 @@ class Fitter:
         state = _State(self, whitener, keys, *self._prior_rows(keys, frozenset(free)))
         raw = state.raw(x)
         loss = state.loss(raw, x)
+        if not math.isfinite(loss):
+            raise NotFiniteError("what it predicts is not finite")
         bare = np.zeros((len(raw), len(keys)))
         known = dict(slopes or {})
         for j, key in enumerate(keys):
@@ -199,7 +207,9 @@ class _State:
         return self.whitener.stacked(self.fitter.world.residuals(self.point(x)))
 
     def loss(self, raw: Array, x: Array) -> float:
-        """Robust loss of the training steps, priors included."""
+        """Robust loss of the training steps, priors included; infinite where a prediction is."""
+        if not np.isfinite(raw).all():
+            return math.inf
         z = self.whitener.white_all(raw)
         return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.prior_penalty(x)
 
@@ -247,7 +257,7 @@ def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: 
     step, loose = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
     for _ in range(len(gradient)):
         push = gradient[loose] - damped[np.ix_(loose, ~loose)] @ step[~loose]
-        step[loose] = np.linalg.lstsq(damped[np.ix_(loose, loose)], push, rcond=None)[0]
+        step[loose] = lstsq(damped[np.ix_(loose, loose)], push, rcond=None)[0]
         beyond = loose & ((step < below) | (step > above))
         if not beyond.any():
             break
@@ -295,7 +305,7 @@ class Fitted:
     def covariance(self) -> Array:
         """Of all coordinates."""
         normal, _ = self._normal(self.state.mask)
-        return np.asarray(np.linalg.pinv(normal, rcond=1e-14))
+        return np.asarray(pinv(normal, rcond=1e-14))
 
     def sigma(self, key: ParameterId) -> float:
         """Standard deviation of a fitted value, in its own unit."""
@@ -313,7 +323,7 @@ class Fitted:
         rows = [self.keys.index(k) for k in sizes]
         away = self.x[rows] - np.array([self.fitter.to_x(k, null_value_of(k)) for k in sizes])
         covariance = self.covariance()[np.ix_(rows, rows)]
-        distance = float(away @ np.linalg.pinv(covariance, rcond=1e-14, hermitian=True) @ away)
+        distance = float(away @ pinv(covariance, rcond=1e-14, hermitian=True) @ away)
         return distance > float(chdtri(len(sizes), NULL_P))
 
     def held_out(self, whitener: Whitener) -> dict[str, Array]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
+from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import ParameterId
@@ -18,8 +20,14 @@ from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 
 Array = NDArray[np.float64]
+P = ParamSpec("P")
 
 MOST_REWEIGHTINGS = 4  # fits with new weights
+
+
+def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """Names of all effects, each once, in order."""
+    return tuple(dict.fromkeys(n for c in candidates for n in c.names))
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,7 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all effects, each once, in order."""
-        return tuple(dict.fromkeys(n for c in self.candidates for n in c.names))
+        return _names(self.candidates)
 
     @property
     def free(self) -> tuple[ParameterId, ...]:
@@ -87,11 +95,28 @@ class Refits:
     ----------
     fitter
         Of the world, its priors and its training steps.
+
+    Attributes
+    ----------
+    failed
+        By the names of a set of effects, why its fit failed.
     """
 
     def __init__(self, fitter: Fitter) -> None:
         self.fitter, self.world, self.train = fitter, fitter.world, fitter.train
         self.plate_noise = self.world.evidence.plate.noise(self.train)
+        self.failed: dict[tuple[str, ...], str] = {}
+
+    def attempted(
+        self, chosen: Sequence[Candidate], fit: Callable[P, Hypothesis | None], *args: P.args, **options: P.kwargs
+    ) -> Hypothesis | None:
+        """The fit of ``chosen``, called with the rest; None where it is not finite: `failed` says why."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a plate mode may diverge
+                return fit(*args, **options)
+        except NotFiniteError as error:
+            self.failed[_names(chosen)] = str(error)
+            return None
 
     def profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
         """Loss at ``values`` on the training steps, each channel's excess noise at its best."""

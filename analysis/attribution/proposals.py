@@ -6,6 +6,7 @@ looked for over the whole range of what switches the ball's behaviour.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,6 +15,7 @@ from analysis.attribution.coarse_search import CoarseSearch, joint_points, subsa
 from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import null_value_of, parameter_of
+from analysis.linear_algebra import NotFiniteError
 from analysis.parallel import THREADS
 from analysis.residuals.values import TREND, ParameterId, plate_effects
 from analysis.residuals.whitening import Whitener
@@ -71,6 +73,7 @@ class Proposals:
         """
         flying = [c for c in options if not set(c.names) <= {trend_name(), *plate_effects()}]
         far = flying if best.whitener.lost else []
+        attempted = self.refits.attempted
         done, total = 0, max(len(options) + 2 * len(far), 1)
 
         def tried(candidate: Candidate) -> None:
@@ -79,16 +82,19 @@ class Proposals:
             progress(" + ".join(candidate.names), done / total)
 
         def one(candidate: Candidate) -> Hypothesis | None:
-            found = self.add(best, candidate)
+            found = attempted((*best.candidates, candidate), self.add, best, candidate)
             tried(candidate)
             return found
+
+        def farther(candidate: Candidate) -> Hypothesis | None:
+            return attempted((*best.candidates, candidate), self._followed_farther, best, candidate)
 
         with ThreadPoolExecutor(THREADS) as pool:
             fitted = list(pool.map(one, options))
             found = [x for x in fitted if x is not None]
             if not self._explained(best, found):
                 modes = [c for c, x in zip(options, fitted, strict=True) if x is not None and is_plate_mode(c)]
-                found += pool.map(lambda c: self._followed_farther(best, c), modes)
+                found += [x for x in pool.map(farther, modes) if x is not None]
             if far and not self._settled(found):
                 found += self._from_afar(best, far, pool, tried)
             return found + self._drifting(best, found, pool)
@@ -109,7 +115,10 @@ class Proposals:
             fresh = set(x.candidates[-1].free)
             trends = [c for c in trends_of(x.free) if {(n, q.removesuffix(TREND)) for n, q in c.free} <= fresh]
             promised = [(self.fitter.linear_step(x.fitted, c.free)[0], i) for i, c in enumerate(trends)]
-            return self.add(x, trends[max(promised)[1]]) if promised else None
+            if not promised:
+                return None
+            trend = trends[max(promised)[1]]
+            return self.refits.attempted((*x.candidates, trend), self.add, x, trend)
 
         return [x for x in pool.map(drifting, list(strong.values())[:MOST_DRIFTING]) if x is not None]
 
@@ -132,12 +141,20 @@ class Proposals:
         return best.passes(self.limits) or min([best, *found], key=self._loss).passes(self.limits)
 
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
-        """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here."""
+        """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here.
+
+        Raises
+        ------
+        NotFiniteError
+            Where nothing that it predicts is finite.
+        """
         taken = set(best.free)
         free = tuple(k for k in candidate.free if k not in taken)
         if not free:
             return None
         promised, starts, two = self._begun(best, candidate, free)
+        if not math.isfinite(starts[0][0]):
+            raise NotFiniteError("what it predicts is not finite")
         level = self.refits.profile_loss(best.whitener, best.fitted.values)
         added = (*best.candidates, Candidate(candidate.names, free))
         if level - starts[0][0] >= self.limits.negligible_nats:
@@ -225,6 +242,12 @@ class Proposals:
         """Fit from a start with its own weights: what lies far off is followed farther, if it is there."""
         return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.world, start), free, start))
 
+    def _fitted_at(
+        self, chosen: tuple[Candidate, ...], free: Sequence[ParameterId], start: Mapping[ParameterId, float]
+    ) -> Hypothesis:
+        """The candidates ``chosen``, fitted from a start with its own weights until they converge."""
+        return self.refits.converged(chosen, Whitener.of(self.refits.world, start), free, start)
+
     def _from_afar(
         self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried
     ) -> list[Hypothesis]:
@@ -243,12 +266,12 @@ class Proposals:
             tried(seen[2])
             return loss, point, seen[2]
 
-        def fitted(found: tuple[float, Point, Candidate]) -> Hypothesis:
-            start, candidate = {**values, **found[1]}, found[2]
-            weights = Whitener.of(self.refits.world, start)
-            return self.refits.converged((*best.candidates, candidate), weights, (*best.free, *candidate.free), start)
+        def fitted(found: tuple[float, Point, Candidate]) -> Hypothesis | None:
+            start, chosen = {**values, **found[1]}, (*best.candidates, found[2])
+            return self.refits.attempted(chosen, self._fitted_at, chosen, (*best.free, *found[2].free), start)
 
         seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
         below = sorted(pool.map(minimised, seen), key=lambda x: x[0])
         enough = below[0][0] + max(NEAR_NATS, NEAR_PART * (search.loss({}) - below[0][0]))
-        return list(pool.map(fitted, [x for x in below if x[0] <= enough][:MOST_FITS]))
+        near = [x for x in below if x[0] <= enough][:MOST_FITS]
+        return [x for x in pool.map(fitted, near) if x is not None]

@@ -31,14 +31,20 @@ class Pruning:
         """The hypothesis without an earlier effect that the later ones have made idle; ``rounds`` gets a line."""
         for candidate in best.candidates[:-1]:
             rest = tuple(c for c in best.candidates if c is not candidate)
-            free = tuple(k for c in rest for k in c.free)
-            start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
-            x = self.refits.scored(rest, self.refits.fitter.fit(best.whitener, free, start))
+            x = self.refits.attempted(rest, self._without, best, candidate, rest)
+            if x is None:
+                continue
             needed = self.judge.gain(x, best).exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
             if not needed and not self.judge.refuted(x, best):
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
         return best
+
+    def _without(self, best: Hypothesis, candidate: Candidate, rest: tuple[Candidate, ...]) -> Hypothesis:
+        """The hypothesis refitted with the ``rest`` of its candidates, without one."""
+        start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
+        free = tuple(k for c in rest for k in c.free)
+        return self.refits.scored(rest, self.refits.fitter.fit(best.whitener, free, start))
 
     def without_null(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
         """The hypothesis without candidates whose parameters' intervals hold, in the end, their null values."""
@@ -49,7 +55,10 @@ class Pruning:
             rest = tuple(c for c in best.candidates if c is not null and not _is_trend_of(c, null))
             free = tuple(k for c in rest for k in c.free)
             start = {k: v for k, v in best.fitted.values.items() if k in free or k in self.refits.fitter.priors}
-            best = self.refits.converged(rest, best.whitener, free, start)
+            fitted = self.refits.attempted(rest, self.refits.converged, rest, best.whitener, free, start)
+            if fitted is None:
+                break
+            best = fitted
             rounds.append(f"step back: the 95 % intervals of {' + '.join(null.names)} hold the values of no effect")
         return best
 
@@ -67,7 +76,9 @@ class Pruning:
             for simpler in pool:
                 if len(simpler.free) >= len(candidate.free) or not set(simpler.names) <= contained_in(candidate.names):
                     continue
-                x = self._in_place(best, i, simpler)
+                x = self.refits.attempted((simpler,), self._in_place, best, i, simpler)
+                if x is None:
+                    continue
                 if self._as_good(best, x) or self._extra_is_null(best, x, candidate, simpler):
                     rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
                     return x

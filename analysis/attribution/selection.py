@@ -68,6 +68,12 @@ class StepwiseSelection:
         return self.refits.converged((), Whitener.of(self.world, {}), (), {})
 
     def run(self) -> SelectionResult:
+        """The result of all rounds; what could not be fitted is left out of it, by name."""
+        found, failed = self._chosen(), sorted(self.refits.failed.items())
+        left_out = (f"{' + '.join(names)} left out: {why}" for names, why in failed)
+        return replace(found, rounds=(*found.rounds, *left_out))
+
+    def _chosen(self) -> SelectionResult:
         """Add effects one after the other while held-out steps gain.
 
         Of two causes at once a third effect may gain more than either alone, and no step leads from there to both.
@@ -178,8 +184,10 @@ class StepwiseSelection:
             if chosen is None:
                 return None, best, null
             start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
-            again = self.refits.converged(best.candidates, chosen.whitener, best.free, start)
-            if not self.judge.gain(best, again).gain > self.limits.negligible_nats:
+            again = self.refits.attempted(
+                best.candidates, self.refits.converged, best.candidates, chosen.whitener, best.free, start
+            )
+            if again is None or not self.judge.gain(best, again).gain > self.limits.negligible_nats:
                 return chosen, best, null
             best, null = again, ChanceGains(again, null.options, null.rng)
         return self.judge.choose(best, found, depth, null), best, null

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from analysis.discovery.spline_basis import basis_of, hat_functions
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
+from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
 from analysis.residuals.values import Values
@@ -127,7 +128,7 @@ def newton_step(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Array
     pull = penalty_weight(curve) * curve.penalty
     normal = (j * weight[:, None]).T @ j + pull
     normal += 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(normal))
-    return np.asarray(np.linalg.lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
+    return np.asarray(lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
 
 
 def _penalised(curve: Curve, stack: StackedResiduals, r: Array, width: Array) -> float:
@@ -205,4 +206,4 @@ def covariance_of(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Arr
     width = stack.widths(r)
     weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
     normal = (jacobian * weight[:, None]).T @ jacobian + penalty_weight(curve) * curve.penalty
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-14))
+    return np.asarray(pinv(normal, rcond=1e-14))

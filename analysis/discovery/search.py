@@ -150,13 +150,15 @@ class TermSearch:
             constants[name] = best_constant(table, stack, name)[0]
             for term in event_terms(name):
                 x = self.tables[term.of]
-                tried.append(screen_covariate(table, stack, term, x, knots_of(x[judged])))
+                knots = knots_of(x[judged])
+                if not len(knots):  # known of no flight
+                    continue
+                tried.append(screen_covariate(table, stack, term, x, knots))
                 known[name, term.of] = tried[-1].curve
         ranges = ranges_of(self.tables, judged)
+        within = [t for t in IN_FLIGHT if ranges[t.of][0] < ranges[t.of][1]]
         with ThreadPoolExecutor(THREADS) as pool:
-            tried += pool.map(
-                lambda t: self._in_flight_term(stack, t, ranges[t.of], constants[t.name], known), IN_FLIGHT
-            )
+            tried += pool.map(lambda t: self._in_flight_term(stack, t, ranges[t.of], constants[t.name], known), within)
         tried.sort(key=lambda t: t.loss)
         return [t for t in tried if t.loss < tried[0].loss + SCREENING_SHARE * (ahead - tried[0].loss)][:FINALISTS]
 

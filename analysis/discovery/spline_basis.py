@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from analysis.linear_algebra import solve
+
 Array = NDArray[np.float64]
 
 MOST_KNOTS = 12  # of a term with one value for each flight
@@ -66,4 +68,4 @@ def _penalty(places: tuple[float, ...]) -> Array:
         r[j, j] = (h[j] + h[j + 1]) / 3.0
         if j:
             r[j - 1, j] = r[j, j - 1] = h[j] / 6.0
-    return np.asarray(q @ np.linalg.solve(r, q.T))
+    return np.asarray(q @ solve(r, q.T))

@@ -22,6 +22,7 @@ from analysis.discovery.forms import SIZES, Form, forms_for
 from analysis.discovery.search import CURVE_FOLDS, RefinedTerm
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import AugmentedModel, Curve
+from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
 from analysis.thresholds import Thresholds
 from model.effects.smooth_force import KNOTS
@@ -148,7 +149,7 @@ class _FormFits:
         best: tuple[Array, float] = np.zeros(len(form.parameters)), np.inf
         for shape in itertools.product(*(self._grid(kind) for _, kind in form.parameters if kind not in SIZES)):
             columns = np.column_stack([form.at(x, (*unit, *shape)) for unit in np.eye(form.sizes)])
-            size = np.linalg.lstsq(columns * weight[:, None], y * weight, rcond=None)[0]
+            size = lstsq(columns * weight[:, None], y * weight, rcond=None)[0]
             far = float(np.mean(((columns @ size - y) * weight) ** 2))
             if far < best[1]:
                 best = np.array([*size, *shape]), far
@@ -236,7 +237,7 @@ class _FormFits:
 
     def result(self, p: _Fit, loss: float, error: float, as_good: bool) -> FittedForm:
         """A fitted form as names and numbers."""
-        covariance = np.linalg.pinv(_normal(self.stack, p.r, p.slopes, self.stack.widths(p.r))[0], rcond=1e-14)
+        covariance = pinv(_normal(self.stack, p.r, p.slopes, self.stack.widths(p.r))[0], rcond=1e-14)
         sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self._units(p.form)
         up = -1.0 if self.curve.term.name == "force" and self.curve.term.columns else 1.0  # fitted as a pull
         sign = np.array([up if kind in SIZES else 1.0 for _, kind in p.form.parameters])
@@ -266,7 +267,7 @@ def _step(stack: StackedResiduals, r: Array, slopes: Array, width: Array) -> Arr
     """Step of the parameters in their units."""
     normal, pull = _normal(stack, r, slopes, width)
     normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(pull))
-    return np.asarray(np.linalg.lstsq(normal, pull, rcond=1e-10)[0])
+    return np.asarray(lstsq(normal, pull, rcond=1e-10)[0])
 
 
 def _loss(stack: StackedResiduals, r: Array, width: Array) -> float:

@@ -216,10 +216,11 @@ def event_terms(name: str) -> tuple[Term, ...]:
 
 
 def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[str, tuple[float, float]]:
-    """Ranges of the quantities within a flight, by name."""
+    """Ranges of the quantities within a flight, by name; NaN for what is known of no flight."""
 
     def most(name: str) -> float:
-        return float(np.nanquantile(tables[name][judged], 0.99))
+        known = tables[name][judged & np.isfinite(tables[name])]
+        return float(np.quantile(known, 0.99)) if len(known) else np.nan
 
     hit, lasts = most("impact_mps"), most("flight_s")
     fastest = max(most("plate_speed_at_takeoff_mps"), 0.5 * hit)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from analysis.attribution.fit import LEAP_S, Fitter
 from analysis.attribution.second_order import slopes_of
 from analysis.explore.explanations import Explanation, Weighed
+from analysis.linear_algebra import inv, lstsq
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
@@ -176,7 +177,7 @@ def divergences(total: Array, known: Weighed, some: Sequence[Explanation]) -> Ar
                 continue
             size = total[k + i, k + i] - 2.0 * total[k + i, k + j] + total[k + j, k + j]
             cross = total[rows, k + i] - total[rows, k + j]
-            out[i, j] = 0.5 * max(size - cross @ np.linalg.lstsq(inner, cross, rcond=1e-12)[0], 0.0)
+            out[i, j] = 0.5 * max(size - cross @ lstsq(inner, cross, rcond=1e-12)[0], 0.0)
     return out
 
 
@@ -197,7 +198,7 @@ def sharper(total: Array, known: Weighed, key: ParameterId) -> float:
     rows, before = known.known_under(replace(first, free=(*first.free, key)))
     some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
     own = some.index(known.keys.index(key))
-    now, then = (np.linalg.inv(x)[own, own] for x in (before, before + total[np.ix_(some, some)]))
+    now, then = (inv(x)[own, own] for x in (before, before + total[np.ix_(some, some)]))
     return float(np.sqrt(then / now))
 
 
@@ -224,7 +225,7 @@ def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[
     some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
     own = [known.keys[i] for i in some].index(key)
     every = np.sum([pool.products.sum(axis=0)[np.ix_(some, some)] for pool in pools], axis=0)
-    now, then = np.linalg.inv(before), np.linalg.inv(before + ENDLESS * every)
+    now, then = inv(before), inv(before + ENDLESS * every)
     given = then[own, own] - then[own] ** 2 / np.diag(then)  # variance, were the other known
     free = known.explanations[0].free
     limiting = [

@@ -22,6 +22,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.attribution.second_order import gradient_and_information, slopes_of
+from analysis.linear_algebra import inv, lstsq, slogdet
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values
 
@@ -194,7 +195,7 @@ class _Fit:
         """By how much each other coordinate that the fit varies goes back when one of ``own`` goes up by one."""
         shared = self._others(own)
         inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
-        return np.asarray(np.linalg.lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0])
+        return np.asarray(lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0])
 
     def evidence(self, own: NDArray[np.int64], at: Array) -> tuple[float, Array, Array]:
         """Log evidence of freeing ``own`` over not freeing it, and how far its coordinates then move, and deviations.
@@ -221,9 +222,9 @@ def _log_evidence(information: Array, score: Array, precision: Array, off: Array
     """
     known = 0.5 * (information + information.T) + np.diag(precision)
     pull = score - precision * off
-    covariance = np.linalg.inv(known)
+    covariance = inv(known)
     mean = covariance @ pull
-    log = pull @ mean - np.linalg.slogdet(known)[1] + np.sum(np.log(precision)) - np.sum(precision * off**2)
+    log = pull @ mean - slogdet(known)[1] + np.sum(np.log(precision)) - np.sum(precision * off**2)
     return 0.5 * float(log), mean, np.sqrt(np.diag(covariance))
 
 

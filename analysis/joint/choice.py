@@ -20,6 +20,7 @@ from analysis.attribution.priors import parameter_of, scale_of
 from analysis.joint.alignment import Aligned
 from analysis.joint.population import Places, Population, Quadratic, normal_equations
 from analysis.joint.summary import Option
+from analysis.linear_algebra import pinv
 from analysis.thresholds import Thresholds
 
 Array = NDArray[np.float64]
@@ -223,7 +224,7 @@ def bounded_fit(runs: Sequence[Quadratic], start: Array, world: Aligned, free: P
     for _ in range(len(free)):
         normal, push = normal_equations(runs, x, world.prior, loose)
         trial = x.copy()
-        trial[loose] += np.linalg.pinv(normal, rcond=1e-13, hermitian=True) @ push
+        trial[loose] += pinv(normal, rcond=1e-13, hermitian=True) @ push
         beyond = loose[(loose >= own) & ((trial[loose] < world.low[loose]) | (trial[loose] > world.high[loose]))]
         if len(beyond) == 0:
             return trial

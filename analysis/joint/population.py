@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.linear_algebra import inv, pinv, solve
+
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
@@ -57,7 +59,7 @@ class Quadratic:
         q = len(spread)
         inner = np.eye(q) + spread[:, None] * self.information[:q, :q] * spread
         across = spread[:, None] * self.information[:q]
-        follow = np.linalg.solve(inner, np.column_stack([across, spread * self.gradient[:q]]))
+        follow = solve(inner, np.column_stack([across, spread * self.gradient[:q]]))
         return Quadratic(
             self.origin, self.gradient - across.T @ follow[:, -1], self.information - across.T @ follow[:, :-1]
         )
@@ -160,7 +162,7 @@ def _likeliest_spread(squares: Array, runs: int, width: Array) -> Array:
 def _solved(runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places) -> Population:
     """Means and shared parameters at given spreads."""
     normal, push = normal_equations(runs, start, prior, free)
-    covariance = np.asarray(np.linalg.pinv(normal, rcond=1e-13, hermitian=True), dtype=np.float64)
+    covariance = np.asarray(pinv(normal, rcond=1e-13, hermitian=True), dtype=np.float64)
     x = start.copy()
     x[free] += covariance @ push
     return Population(x, free, covariance, spread, tuple(runs), prior)
@@ -178,7 +180,7 @@ def _own_squares(run: Quadratic, found: Population) -> Array:
     """Expected square of a run's deviations over their spread, (q,)."""
     spread, free = found.spread, found.free
     q = len(spread)
-    inverse = np.linalg.inv(np.eye(q) + spread[:, None] * run.information[:q, :q] * spread)
+    inverse = inv(np.eye(q) + spread[:, None] * run.information[:q, :q] * spread)
     own = inverse @ (spread * run.slope_at(found.x)[:q])
     follow = inverse @ (spread[:, None] * run.information[:q][:, free])
     return np.asarray(np.diag(inverse) + own**2 + np.einsum("ij,jk,ik->i", follow, found.covariance, follow))
@@ -188,7 +190,7 @@ def own_calibrations(run: Quadratic, found: Population) -> Array:
     """Most probable calibrations of one run, given the population, (q,)."""
     q, spread = len(found.spread), found.spread
     inner = np.eye(q) + spread[:, None] * run.information[:q, :q] * spread
-    return np.asarray(found.x[:q] + spread * np.linalg.solve(inner, spread * run.slope_at(found.x)[:q]))
+    return np.asarray(found.x[:q] + spread * solve(inner, spread * run.slope_at(found.x)[:q]))
 
 
 def alone(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Array, Array]:

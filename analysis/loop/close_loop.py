@@ -21,6 +21,7 @@ from analysis.attribution.hypothesis import Hypothesis, Rejected, SelectionResul
 from analysis.attribution.priors import priors_of
 from analysis.attribution.selection import StepwiseSelection
 from analysis.discovery.discover import discover
+from analysis.linear_algebra import NotFiniteError
 from analysis.loop.identifiability import detection_limits
 from analysis.loop.parameters import added_effects, fitted_calibrations, fitted_parameters
 from analysis.loop.result import ClosedLoop, TestedCandidate
@@ -87,7 +88,8 @@ def close_loop(
     Raises
     ------
     InputError
-        Where a file is no recording, contradicts its profile, or holds too little to hold steps out.
+        Where a file is no recording or contradicts its profile, holds too little to hold steps out, or no model can be
+        fitted to it.
     ValueError
         For declared effects that do not exist or are out of bounds.
     """
@@ -141,12 +143,30 @@ def judge_loop(
         on_flights=on_flights,
         known=known,
     )
+    names = ", ".join(p.name for p in recordings)
     if len(observations.steps) < 2 * limits.reserve_every or not len(observations.plate):
-        names = ", ".join(p.name for p in recordings)
         raise InputError(
             f"{names}: wanted at least {2 * limits.reserve_every} steps whose plate motion can be measured, found "
             f"{len(observations.steps)}; record a ramp of more steps or pass more recordings"
         )
+    if not observations.scored.any():
+        raise InputError(
+            f"{names}: wanted flights whose landing can be predicted from the one before, found none; see with "
+            "bench info whether the contact channel is what the profile says, or drive harder"
+        )
+    try:
+        return _loop_of(observations, recordings, limits, say, anyway=anyway)
+    except NotFiniteError as error:
+        raise InputError(
+            f"{names}: the declared model cannot be fitted, {error}; look at the channels with bench info, and at the "
+            "profile's scales, senses and declared effects"
+        ) from error
+
+
+def _loop_of(
+    observations: Observations, recordings: Sequence[Path], limits: Thresholds, say: Progress, *, anyway: bool
+) -> tuple[ClosedLoop, FittedLoop]:
+    """The loop closed on what was observed."""
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     if not anyway:
         _refuse_far_off(model, recordings)
@@ -209,9 +229,14 @@ def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedL
         Of the first recording.
     """
     best = fitted.selection.best
-    found = discover(fitted.model, best.fitted.fitter, best, loop.limits) if loop.verdict == "unexplained" else None
+    found, notes = None, loop.notes
+    if loop.verdict == "unexplained":
+        try:
+            found = discover(fitted.model, best.fitted.fitter, best, loop.limits)
+        except NotFiniteError as error:
+            notes = (*notes, f"the search for a smooth term ended early: {error}")
     first = first_bifurcations(flights, loop.setup, loop.improved_effects())
-    return dataclasses.replace(loop, discovered=found, first_bifurcations=first)
+    return dataclasses.replace(loop, discovered=found, first_bifurcations=first, notes=notes)
 
 
 def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:

@@ -197,6 +197,7 @@ def simulate_steps(
         plate=data,
         setup=setup,
         modulation=None,
+        run_part=part[measured.step],
     )
     truth = ForwardModel(made, world.declared)
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(fitted))))

@@ -249,11 +249,12 @@ class StepAccumulator:
             state.mask_level = _choose_mask_level(state, state.lock_in)
 
     def _frequencies(self, state: StepState) -> tuple[tuple[int, ...], Floats]:
-        """Tones of the step: what fits under the blocks' rate, and mains lines that the step can tell apart."""
+        """Tones of the step: what fits under the blocks' rate; mains lines that can be told apart; their multiples."""
         limit = 0.45 * self.block_rate_hz
         multiples = tuple(m for m in multiples_of(state.ratio) if m == 1 or m * state.frequency_hz < limit)
         tones = state.frequency_hz * np.array(multiples)
-        lines = lines_apart([m.hz for m in state.mains if m.hz < limit], tones, state.hold_s)
+        mains = [m.hz for m in state.mains] + [hz for m in state.mains for hz in m.multiples_hz]
+        lines = lines_apart([hz for hz in mains if hz < limit], tones, state.hold_s)
         return multiples, np.concatenate([tones, lines])
 
     def _follow_mains(self, state: StepState, chunk: ChunkFit) -> bool:
@@ -279,7 +280,7 @@ class StepAccumulator:
             every_hz[place] = found.hz
             state.mains = (*state.mains[:i], found, *state.mains[i + 1 :])
         self.mains = list(state.mains)
-        return not np.array_equal(every_hz, fit.frequencies_hz)
+        return not np.array_equal(self._frequencies(state)[1], fit.frequencies_hz)
 
     def _close_step(self) -> None:
         """Let the open step wait for others."""

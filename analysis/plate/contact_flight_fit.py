@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.linear_algebra import inv
 from daq.lock_in import LockIn, ToneFit
 
 MIN_BLOCKS = 60  # block means needed in contact and in flight
@@ -53,7 +54,7 @@ class ContactFlightFit:
         unit_gram = gram * np.outer(scale, scale)
         if np.linalg.cond(unit_gram) > MAX_CONDITION:
             return None
-        inverse = np.linalg.inv(unit_gram) * np.outer(scale, scale)
+        inverse = inv(unit_gram) * np.outer(scale, scale)
         solution = inverse @ np.concatenate([total.rhs[:, 0], contact.rhs[extra, 0]])
         common = slice(2 * self.rows[0] + 1, 2 * self.rows[0] + 3)
         only_contact = slice(len(total.gram) + 1, len(total.gram) + 3)

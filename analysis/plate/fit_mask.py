@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.linear_algebra import solve
 from kernels import njit
 
 Array = NDArray[np.float64]
@@ -115,7 +116,7 @@ def solved(gram: Complex, side: Complex) -> Complex:
     size = np.sqrt(np.abs(np.diagonal(gram, axis1=1, axis2=2)))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     scaled = gram * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(gram.shape[1])
-    return np.asarray(scale[..., None] * np.linalg.solve(scaled, scale[..., None] * side))
+    return np.asarray(scale[..., None] * solve(scaled, scale[..., None] * side))
 
 
 @njit()

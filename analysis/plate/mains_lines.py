@@ -1,7 +1,8 @@
 """Mains line of a step at its measured frequency: mains wander, and an exact 50 or 60 Hz would miss part of the motion.
 
 A line's frequency is refined only where its amplitude is significant, starting from the steps before. The remaining
-frequency uncertainty is part of the covariance of all tones.
+frequency uncertainty is part of the covariance of all tones. Transformers and rectifiers add multiples of the mains:
+where a line has been measured, its multiples are fitted with it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MAINS_HZ = (50.0, 60.0)
+MULTIPLES = (2, 3, 4, 5)  # of a measured line
 MAX_OFFSET_HZ = 0.3  # largest distance from the nominal frequency: a free-running generator, a clock that is off
 PRIOR_SIGMA_HZ = 0.1  # standard deviation of a line's frequency before any measurement
 WALK_HZ = 0.002  # random walk of the mains frequency within a second
@@ -53,6 +55,11 @@ class MainsLine:
         return replace(self, sigma_hz=min(sigma, PRIOR_SIGMA_HZ), at_s=at_s, slopes=None)
 
     @property
+    def multiples_hz(self) -> list[float]:
+        """Multiples that are fitted with the line: none where no step has shown it."""
+        return [k * self.hz for k in MULTIPLES] if self.sigma_hz < PRIOR_SIGMA_HZ else []
+
+    @property
     def reach_hz(self) -> float:
         """Half width of the search around `hz`."""
         return min(3.0 * self.sigma_hz, MAX_OFFSET_HZ)
@@ -62,7 +69,9 @@ def with_frequency_uncertainty(fit: ToneFit, lines: Sequence[MainsLine], factor:
     """The fit with the lines' frequency uncertainties in its covariance; ``factor`` from volts to its unit."""
     for line in lines:
         if line.slopes is not None:
-            both = np.column_stack([line.slopes.real, line.slopes.imag]).ravel() * line.sigma_hz * factor
+            both = np.zeros(len(fit.covariance))  # multiples may have come to the fit since
+            slopes = np.column_stack([line.slopes.real, line.slopes.imag]).ravel()[: len(both)]
+            both[: len(slopes)] = slopes * line.sigma_hz * factor
             fit = replace(fit, covariance=fit.covariance + np.outer(both, both))
     return fit
 

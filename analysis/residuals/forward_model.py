@@ -92,7 +92,8 @@ class ForwardModel:
         self._nothing = row({}, self.gravity)
         self.from_rest = evidence.scored & ~evidence.measured.relaunched  # take-offs after a rest, as the circuit saw
         self.covariates: dict[str, Array] = {}  # computed where an effect follows one
-        self._run_part_events = evidence.steps.run_part[evidence.measured.step]
+        of_steps = evidence.steps.run_part[evidence.measured.step]
+        self._run_part_events = of_steps if evidence.run_part is None else evidence.run_part
 
     def start(self, values: Values) -> AllValues:
         """All parameters that are set: the base, overridden by ``values``."""
@@ -319,8 +320,9 @@ class ForwardModel:
         if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):
             added = functools.partial(ringing.added, ev.plate, ev.steps.plate, p)
             of_flights = ("mode in plate data", values.flying)
-            mode = self.memory.recall(of_flights, added) if rows is None else added()
-            plate = self._plate_residuals(values, *mode)
+            with np.errstate(over="ignore", invalid="ignore"):  # of a mode that diverges
+                mode = self.memory.recall(of_flights, added) if rows is None else added()
+                plate = self._plate_residuals(values, *mode)
         else:
             key = ("plate residuals", values.of(driving_effects()))
             plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values))

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
+from analysis.linear_algebra import cholesky, solve
 from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import near_grazing
@@ -184,7 +185,7 @@ def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovati
         total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
         bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, SHARED_S)
         noise = innovation_covariance(u, carried, event, landing)
-        z = np.linalg.solve(np.linalg.cholesky(noise), bare)
+        z = solve(cholesky(noise), bare)
         parts.append((z, event, landing, np.full(len(z), s)))
     if not parts:
         none = np.zeros(0, dtype=np.int64)

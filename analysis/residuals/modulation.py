@@ -15,6 +15,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.linear_algebra import solve
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
 from analysis.plate.phasors import mean_phasor, modulated_projection, shifted_down, signed_frequencies, two_sided
@@ -176,7 +177,7 @@ class AmplitudeModulation:
                 normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
                 part = PARTS[source]
                 normal, side = normal[part].sum(axis=0) + RIDGE * np.eye(2), side[part].sum(axis=0)
-                gained = 0.5 * np.sum(side * np.linalg.solve(normal, side[..., None])[..., 0], axis=-1)
+                gained = 0.5 * np.sum(side * solve(normal, side[..., None])[..., 0], axis=-1)
                 out[some] += self._without_scale(r, until_s, gained) if source == "gains" else gained
         return out
 
@@ -239,7 +240,7 @@ class AmplitudeModulation:
             step = np.zeros(len(phasor), dtype=np.complex128)
             for r in self._runs:
                 normal, side = self._normal(r, windows, gains, value, gain, np.inf)
-                step[r] = complex(*np.linalg.solve(normal.sum(axis=0)[0] + RIDGE * np.eye(2), side.sum(axis=0)[0]))
+                step[r] = complex(*solve(normal.sum(axis=0)[0] + RIDGE * np.eye(2), side.sum(axis=0)[0]))
             phasor = phasor + step
             phasor = phasor * np.minimum(1.0, DEEPEST / np.maximum(np.abs(phasor), DEEPEST))
         return phasor
@@ -360,7 +361,7 @@ class AmplitudeModulation:
         projection = modulated_projection(fit.step_up, fit.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
         change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
         change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * projection
-        return np.asarray(2.0 * np.linalg.solve(change, two_sided(seen)[..., None])[:, :k, 0])
+        return np.asarray(2.0 * solve(change, two_sided(seen)[..., None])[:, :k, 0])
 
 
 @dataclass(frozen=True)

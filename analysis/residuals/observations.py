@@ -17,6 +17,7 @@ from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.impact_detection import ECHO_MARGIN
 from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.linear_algebra import cholesky
 from analysis.plate.motion import StepPlate
 from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
@@ -109,6 +110,8 @@ class Observations:
         Change of the forcing's amplitude within steps and from step to step.
     scatters : pair of Scatter
         Scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`.
+    run_part : array, shape (n,), or None
+        Landing within its recording, from -0.5 to 0.5; None for that of its step.
     """
 
     measured: Measured
@@ -127,6 +130,7 @@ class Observations:
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
+    run_part: Array | None = None
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -223,6 +227,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
+        run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
     )
 
 
@@ -265,7 +270,7 @@ def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
     own = (rows[:, None] * 2 + np.arange(2)).ravel()
     scale = np.sqrt(np.diag(fit.covariance)[own])
     correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
-    factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
+    factor = cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
     return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 
 
@@ -390,4 +395,5 @@ def join(parts: Sequence[Observations]) -> Observations:
         if (modulation := [p.modulation for p in parts if p.modulation is not None])
         else None,
         scatters=(Scatter.together(openings), Scatter.together(landings)),
+        run_part=column(lambda p: p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part),
     )

@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.plate.mains_lines import MAINS_HZ, MAX_OFFSET_HZ
 from analysis.plate.motion import StepPlate
 from analysis.residuals.noise_model import PlateNoise
 from daq.setup.setup import Setup
@@ -226,8 +227,9 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[f
             noise = float(np.hypot(sigmas[k] / first, SYSTEMATIC))
             square = (abs(fit.amplitudes[k]) / first) ** 2
             rows.append((kind, i, square - 2 * noise**2, _square_sigma(square, noise), m * s.omega_radps, asked, first))
-    mains = range(len(s.multiples), len(fit.frequencies_hz))
-    if len(mains):
+    others = range(len(s.multiples), len(fit.frequencies_hz))
+    mains = [k for k in others if np.abs(np.subtract(MAINS_HZ, fit.frequencies_hz[k])).min() < MAX_OFFSET_HZ]
+    if mains:
         k = max(mains, key=lambda j: abs(fit.amplitudes[j]) / sigmas[j])
         square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
         rows.append(

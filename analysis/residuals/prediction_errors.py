@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.linear_algebra import cholesky, inv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
 from analysis.statistics import MAD_TO_SIGMA, chance_of_squares
@@ -285,9 +286,9 @@ def _tones_given(opening_s: Array, sigma_s: Array, by_tone: Array) -> tuple[Arra
     """
     q = by_tone.shape[1]
     known = np.column_stack([by_tone, np.full(len(opening_s), SHARED_S)]) / np.hypot(sigma_s, LEAST_EXCESS_S)[:, None]
-    covariance = np.linalg.inv(np.eye(q + 1) + known.T @ known)
+    covariance = inv(np.eye(q + 1) + known.T @ known)
     mean = covariance @ (known.T @ (opening_s / np.hypot(sigma_s, LEAST_EXCESS_S)))
-    return mean[:q], np.linalg.cholesky(covariance)[:q]
+    return mean[:q], cholesky(covariance)[:q]
 
 
 def _rms_us(x: Array) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from analysis.linear_algebra import NotFiniteError, svd
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
 from analysis.residuals.values import Values
@@ -134,8 +135,10 @@ class Whitener:
     def profile_loss(self, r: Residuals, train: NDArray[np.bool_], noise: PlateNoise) -> float:
         """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals.
 
-        ``noise`` is that of the plate data of these steps.
+        ``noise`` is that of the plate data of these steps. Infinite where a prediction is.
         """
+        if not np.isfinite(r.plate).all():
+            return math.inf
         step = np.empty_like(self.step)
         step[self.order] = self.step
         events = self._events(r)
@@ -261,7 +264,7 @@ def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Arra
     block = np.repeat(np.arange(len(counts)), counts)
     padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))
     padded[block, place] = tones
-    vectors, sizes, _ = np.linalg.svd(padded, full_matrices=False)
+    vectors, sizes, _ = svd(padded, full_matrices=False)
     logs = 0.5 * np.sum(np.log1p(sizes**2), axis=1) / counts
     return vectors[block, place], 1.0 / np.sqrt(1.0 + sizes**2) - 1.0, logs[block]
 
@@ -283,7 +286,15 @@ def _unshare(y: Array, limited: Array, bounds: NDArray[np.int64], shared: Array,
 
 
 def step_losses(world: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Array]:
-    """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,)."""
+    """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,).
+
+    Raises
+    ------
+    NotFiniteError
+        Where plate data are predicted that are not finite.
+    """
+    if not np.isfinite(r.plate).all():
+        raise NotFiniteError("what it predicts for steps that it was not fitted to is not finite")
     m, n = len(world.evidence.steps), len(whitener.step)
     events, plate = whitener.white(r)
     by_event = robust_loss(events, whitener.odds[:n]) + whitener.log_sigma

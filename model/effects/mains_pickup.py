@@ -1,4 +1,7 @@
-"""The accelerometer's cable picks up the mains: its reading shows them, the plate does not move by them."""
+"""The accelerometer's cable picks up the mains: its reading shows them, the plate does not move by them.
+
+Transformers and rectifiers add multiples of the mains frequency; all of them are one cause.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from numpy.typing import NDArray
 from model.effects.base import Effect, Parameter
 
 MAINS_HZ = np.array([50.0, 60.0])
+MULTIPLES = np.arange(1, 6)  # that are fitted where mains are found
 REACH_HZ = 0.5  # mains are kept within a few tenths of a hertz
 NONE_OF_IT = 1e9  # factor by which a reading exceeds a motion that is not there
 
@@ -25,7 +29,7 @@ EFFECT = Effect(
             0.05,
             power=0.5,
             start_grid=(0.05, 0.5),
-            meaning="shown at 50 or 60 Hz, none of it the plate's",
+            meaning="shown at 50 or 60 Hz, none of it the plate's, nor of its multiples",
         ),
     ),
     confused_with={"mains_hum": "landing times"},
@@ -39,7 +43,7 @@ def pickup_mps2(p: Mapping[str, float]) -> float:
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Reading over truth: without bound at the mains frequency, where the plate is still."""
-    hz = np.asarray(omega_radps)[..., None] / (2.0 * np.pi)
-    shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < REACH_HZ).any(axis=-1)
+    """Reading over truth: without bound at the mains frequency and its multiples, where the plate is still."""
+    hz = np.asarray(omega_radps)[..., None, None] / (2.0 * np.pi) / MULTIPLES[:, None]
+    shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < REACH_HZ).any(axis=(-2, -1))
     return np.where(shown, NONE_OF_IT, 1.0)

@@ -312,3 +312,27 @@ def test_a_cause_whose_interval_holds_nothing_in_the_end_goes(selection_of: Call
     rounds: list[str] = []
     assert selection.pruning.without_null(both, rounds).names == ("coulomb_friction",)
     assert rounds == ["step back: the 95 % intervals of quadratic_drag hold the values of no effect"]
+
+
+def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
+    fly_ramp: Callable[..., ForwardModel],
+    fitter_of: Callable[[ForwardModel], Fitter],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """A model that diverges under one candidate costs that candidate alone: the cause is named, the other noted."""
+    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 0, gammas=GAMMAS)
+    residuals = ForwardModel.residuals
+
+    def diverging(self: ForwardModel, values: Any, rows: Any = None) -> Any:
+        r = residuals(self, values, rows)
+        off = any(name == "viscous_damping" and v != 0.0 for (name, _), v in values.items())
+        return replace(r, plate=np.full_like(r.plate, np.nan)) if off else r
+
+    monkeypatch.setattr(ForwardModel, "residuals", diverging)
+    few = [c for c in candidates_of(world) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
+    starting = [replace(c, starts=({RATE: 1.0},)) if c.names == ("viscous_damping",) else c for c in few]
+    found = StepwiseSelection(world, fitter_of(world), library=starting).run()
+    assert found.best.names == ("coulomb_friction",)
+    assert "viscous_damping left out: what it predicts is not finite" in found.rounds
+    assert capfd.readouterr() == ("", "")

@@ -149,3 +149,15 @@ def test_the_scatter_of_a_term_does_not_use_the_reserved_steps(
     found = [search_of(w, fitter_of(w)).refine(curve) for w in (world, ForwardModel(moved, {}))]
     assert found[0].scatter == pytest.approx(found[1].scatter, rel=1e-9)
     assert 0.7 < found[0].scatter < 1.3
+
+
+def test_a_quantity_that_never_varies_carries_no_term(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """Flights of no height, rests that are known of none: terms of other quantities are screened alone."""
+    world = fly_ramp({}, 0, gammas=(0.8, 1.1))
+    search = search_of(world, fitter_of(world))
+    n = len(world.evidence)
+    search.tables = search.tables | {"height_m": np.zeros(n), "dwell_s": np.full(n, np.nan)}
+    named = {t.curve.term.of for t in search.screen()}
+    assert named and not named & {"dwell_s", "height_m", "since_impact_s"}

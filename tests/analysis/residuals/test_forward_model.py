@@ -131,3 +131,12 @@ def test_a_mains_line_that_a_cable_picked_up_is_no_motion(fly_ramp: Callable[...
     moved = world.inputs({("mains_pickup", "amplitude_mps2"): 0.5}).plate.acceleration_mps2
     assert np.abs(moved[:, -1]).max() < 1e-6
     assert np.array_equal(moved[:, :-1], shown[:, :-1])
+
+
+def test_a_parameter_drifts_within_a_step_too(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A trend is followed from flight to flight: a change within a long step is no scatter."""
+    made = fly_ramp({}, 0).evidence
+    part = np.linspace(-0.5, 0.5, len(made))
+    mu = ("coulomb_friction", "mu_up")
+    rows = ForwardModel(replace(made, run_part=part), {}).rows({mu: 0.3, (mu[0], mu[1] + TREND): 0.2})
+    assert np.ptp((rows - rows[0]).sum(axis=1) - 0.2 * part) < 1e-12
