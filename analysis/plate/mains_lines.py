@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MAINS_HZ = (50.0, 60.0)
-MULTIPLES = (2, 3, 4, 5)  # of a measured line
+MULTIPLES = (2, 3, 4, 5, 6, 7)  # of a measured line
 MAX_OFFSET_HZ = 0.3  # largest distance from the nominal frequency: a free-running generator, a clock that is off
 PRIOR_SIGMA_HZ = 0.1  # standard deviation of a line's frequency before any measurement
 WALK_HZ = 0.002  # random walk of the mains frequency within a second

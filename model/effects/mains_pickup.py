@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from model.effects.base import Effect, Parameter
 
 MAINS_HZ = np.array([50.0, 60.0])
-MULTIPLES = np.arange(1, 6)  # that are fitted where mains are found
+MULTIPLES = np.arange(1, 8)  # that are fitted where mains are found
 REACH_HZ = 0.5  # mains are kept within a few tenths of a hertz
 NONE_OF_IT = 1e9  # factor by which a reading exceeds a motion that is not there
 

@@ -35,6 +35,24 @@ def test_a_hum_off_its_nominal_frequency_spoils_no_tone(make) -> None:
     assert np.sqrt(np.mean(np.square(pulls))) < 1.5
 
 
+def test_multiples_of_the_mains_are_fitted_with_it(make) -> None:
+    """Odd harmonics on the accelerometer's cable: each has its size, and no more is left than without."""
+    gammas = np.linspace(0.3, 1.3, 6)
+    rms = {}
+    for volts in (0.0, 0.02):
+        with open_recording(make(gammas, hold=20, rig={"mains_v": volts, "mains_odd": 1.0}).path) as recording:
+            steps = [step for step in plate_of(recording).steps if step is not None]
+            scale = recording.setup.channels.accelerometer.volts_per_mps2
+        rms[volts] = np.median([step.acceleration.rms for step in steps])
+        found = {k: [s for s in steps if np.abs(s.acceleration.frequencies_hz - 50.0 * k).min() < 0.1] for k in (3, 5)}
+        for k, with_it in found.items():
+            assert len(with_it) == (len(steps) if volts else 0)
+            for step in with_it:
+                row = int(np.argmin(np.abs(step.acceleration.frequencies_hz - 50.0 * k)))
+                assert abs(step.acceleration.amplitudes[row]) == pytest.approx(abs(volts / k / scale), rel=0.1)
+    assert rms[0.02] < 1.1 * rms[0.0]
+
+
 def _long(hz: float, size: float) -> tuple[np.ndarray, np.ndarray]:
     time_s = np.arange(40000) / RATE_HZ
     noise = np.random.default_rng(5).standard_normal(time_s.size)
