@@ -79,16 +79,9 @@ class LazyGroup(TyperGroup):
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
         """The names that begin so, from the table alone."""
-        item = _completion_item()
-        return [item(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+        from typer._click.shell_completion import CompletionItem
 
-
-def _completion_item() -> Any:
-    """The class of a completion: in typer itself, or in the click that older versions stand on."""
-    try:
-        return importlib.import_module("typer._click.shell_completion").CompletionItem
-    except ImportError:
-        return importlib.import_module("click.shell_completion").CompletionItem
+        return [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
 
 
 app = typer.Typer(cls=LazyGroup, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -1,4 +1,9 @@
-"""What is done when a kernel is not kept: numba is imported, and compiles it as `kernels.compiler` says."""
+"""What is done when a kernel is not kept: numba is imported, and compiles it as `kernels.compiler` says.
+
+`kernels.compiler` and the kept machine code stand on numba's private interfaces, which may change with any release.
+They are used with the releases in `TESTED` only. With every other one numba compiles as it does for everybody: the
+same numbers, but slower, and each process compiles anew.
+"""
 
 # numba's inner parts carry no types
 # mypy: disable-error-code="no-untyped-call"
@@ -8,14 +13,13 @@ import functools
 import gc
 import importlib
 from collections.abc import Callable
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, cast
 
 import numba
 from numba.core import event, registry, runtime, serialize, types
 from numba.extending import typeof_impl
 
-from kernels.compiler import KernelCompiler, for_callers
 from kernels.emit import borrowed, lanes, rows
 from kernels.fingerprint import fingerprint_of_closure
 from kernels.intrinsic import Intrinsic
@@ -25,6 +29,15 @@ from kernels.watch import watchers
 
 EMITTED = (borrowed, lanes, rows)
 """Imported before anything is compiled: numba looks for new types and functions when it begins."""
+TESTED = (0, 63), (0, 69)
+"""numba's releases whose private interfaces were tried: from the first, up to and without the second."""
+
+
+@functools.cache
+def private_interfaces() -> ModuleType | None:
+    """`kernels.compiler`; None where numba's release is not one of `TESTED`."""
+    release = tuple(int(part) for part in numba.__version__.split(".")[:2])
+    return importlib.import_module("kernels.compiler") if TESTED[0] <= release < TESTED[1] else None
 
 
 def build(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any], bytes | None]:
@@ -33,9 +46,12 @@ def build(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any
     Returns
     -------
     tuple
-        What runs it, and its pickled `kernels.machine_code.Kept`; None where it holds addresses of this process.
+        What runs it, and its pickled `kernels.machine_code.Kept`; None where it holds addresses of this process, or
+        numba's release is not one of `TESTED`.
     """
     dispatcher = dispatcher_of(kernel)
+    if private_interfaces() is None:
+        return dispatcher, None
     given = tuple(dispatcher.typeof_pyval(argument) for argument in arguments)
     code = dispatcher.compile(given)
     return code, _kept(kernel.py_func.__name__, dispatcher.overloads[given])
@@ -50,9 +66,12 @@ def dispatcher_of(kernel: Kernel) -> Any:
     copy.__module__, copy.__qualname__ = function.__module__, function.__qualname__
     if function.__closure__:  # the machine code of two of one name must not share a symbol
         copy.__qualname__ += f"_{fingerprint_of_closure(cast(FunctionType, function))[:12]}"
-    own = {"cache": False, "no_cfunc_wrapper": True, "pipeline_class": KernelCompiler}
+    inner = private_interfaces()
+    if inner is None:
+        return numba.njit(**{**kernel.targetoptions, "cache": False})(copy)
+    own = {"cache": False, "no_cfunc_wrapper": True, "pipeline_class": inner.KernelCompiler}
     dispatcher: Any = numba.njit(**{**kernel.targetoptions, **own})(copy)
-    for_callers(dispatcher, copy, kernel.targetoptions)
+    inner.for_callers(dispatcher, copy, kernel.targetoptions)
     return dispatcher
 
 

@@ -1,12 +1,14 @@
-"""The plant behind a real audio driver, and a closed loop made of plain numbers, for every test that needs one."""
+"""An environment of the tests' own; the plant behind a real audio driver; a closed loop made of plain numbers."""
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,16 +18,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from bench.profiles.find import load
-from rig.backends.portaudio import open_stream
-from rig.profile import Profile, parse_profile
-
 if TYPE_CHECKING:
     from analysis.loop.result import ClosedLoop
+    from rig.profile import Profile
 
-os.environ["SHAKERBENCH_EFFECTS"] = ""  # no effects that whoever runs the tests keeps
+ROOT = Path(__file__).resolve().parents[1]
+NEEDED = ("PATH", "BOUNCE_DATA", "CI", "USER", "USERNAME", "LOGNAME", "COMSPEC", "PATHEXT", "NUMBER_OF_PROCESSORS")
+NEEDED_BEGINNINGS = ("PYTEST_", "PLAYWRIGHT_", "LD_LIBRARY_", "DYLD_", "SYSTEM", "WINDIR", "PROGRAMFILES")
 
-Started = tuple[Profile, str, subprocess.Popen[str]]
+
+def _isolate() -> None:
+    """Leave of the environment what a system needs; home, caches, effects and temporary files are the tests' own.
+
+    Called before anything of the project is imported: some of it reads the environment when it is. Compiled kernels and
+    matplotlib's fonts stay in the checkout, where the next run of the tests finds them.
+    """
+    machine = tempfile.gettempdir()
+    given = {
+        name: value
+        for name, value in os.environ.items()
+        if name.upper() in NEEDED or name.upper().startswith(NEEDED_BEGINNINGS)
+    }
+    own = tempfile.mkdtemp(prefix="bench-tests-")
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    homes = dict.fromkeys(("HOME", "USERPROFILE", "APPDATA", "LOCALAPPDATA"), own)
+    temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), own)
+    caches = {"NUMBA_CACHE_DIR": str(ROOT / ".test-cache"), "MPLCONFIGDIR": str(ROOT / ".test-cache" / "matplotlib")}
+    os.environ.clear()
+    os.environ.update({"LANG": "C.UTF-8", "SHAKERBENCH_EFFECTS": "", "PYTEST_DEBUG_TEMPROOT": machine} | given)
+    os.environ.update(homes | temporary | caches)
+    tempfile.tempdir = None  # asked for again
+
+
+_isolate()
+
+Started = tuple["Profile", str, subprocess.Popen[str]]
 
 
 def _missing() -> str:
@@ -49,6 +76,9 @@ def virtual_rig(
     Where the audio driver is not installed the test skips; where it is, and the rig does not come up, the test fails.
     The period and the buffer are generous, because a machine that runs tests is busy.
     """
+    from bench.profiles.find import load
+    from rig.profile import parse_profile
+
     missing = _missing()
     if missing:
         pytest.skip(missing)
@@ -120,6 +150,8 @@ class CardTap:
         self, device: str, rate_hz: float, output: int, n_inputs: int, exchange: Any, woke: Callable[[int], None]
     ) -> Any:
         """`rig.backends.portaudio.open_stream` with the callback watched."""
+        from rig.backends.portaudio import open_stream
+
         ring = exchange.__self__
         begin = ring.begin
         self.played, self.heard = [], []

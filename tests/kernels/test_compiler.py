@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kernels import compiler, folder, njit
+from kernels import building, compiler, folder, njit
+from kernels.kernel import Kernel
 
 
 @njit()
@@ -174,3 +175,28 @@ def test_compiling_leaves_the_collector_as_it_was() -> None:
     assert doubled(np.float32(2.0)) == 4.0
     assert gc.get_freeze_count() > 0  # who froze them, keeps them so
     gc.unfreeze()
+
+
+def test_a_release_of_numba_that_was_not_tried_compiles_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where numba's private interfaces may be others, kernels that call kernels give the same numbers and errors, and
+    none of their machine code is kept."""
+    kept: list[str] = []
+    monkeypatch.setattr(folder, "read", lambda name: None)
+    monkeypatch.setattr(folder, "write", lambda name, data: kept.append(name))
+    values = np.linspace(0.1, 9.0, 100)
+    own = total(values)
+    kept.clear()
+    monkeypatch.setattr(building, "TESTED", ((0, 1), (0, 2)))
+    monkeypatch.delattr(compiler, "KernelCompiler")
+    caches = building.private_interfaces, building.dispatcher_of
+    for cache in caches:
+        cache.cache_clear()
+    try:
+        plain = Kernel(total.py_func, total.targetoptions)
+        assert plain(values) == own
+        with pytest.raises(ValueError, match="zero"):
+            plain(np.array([0.0]))
+        assert kept == []
+    finally:
+        for cache in caches:
+            cache.cache_clear()
