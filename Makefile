@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-slow lint docs clean
+.PHONY: run test test-slow test-lowest lint docs clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -31,6 +31,20 @@ test-slow: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --durations=25 $(addprefix --ignore=,$(REAL_TIME))
 	$(BIN)/python -m pytest -m slow --durations=10 $(REAL_TIME)
 
+# a demo and the tests that meet every dependency, with the oldest versions that pyproject.toml allows
+LOWEST := .venv-lowest
+$(LOWEST)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet uv
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
+	  --only-binary :all: --no-binary shakerbench --editable '.[test]'
+	touch $@
+test-lowest: $(LOWEST)/.installed
+	$(LOWEST)/bin/python -m pytest -m 'not slow' -W ignore::DeprecationWarning tests/kernels tests/daq/export \
+	  tests/analysis/report tests/rig/test_profile.py tests/bench/terminal tests/bench/drops/test_desk.py
+	rm -rf $(LOWEST)/demo
+	NUMBA_CACHE_DIR=.test-cache $(LOWEST)/bin/bench demo --out $(LOWEST)/demo
+
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -42,4 +56,4 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict --quiet
 
 clean:
-	rm -rf $(VENV) runs site
+	rm -rf $(VENV) $(LOWEST) .test-cache runs site

@@ -8,9 +8,11 @@ function ``command``, or ``app`` where the command has commands of its own.
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -97,8 +99,12 @@ def _print_version(wanted: bool) -> None:
 
 
 def _use_effects(folder: str | None) -> None:
-    """Name the folder of kept effects for this process and those that it starts."""
+    """Name the folder of kept effects for this process and those that it starts; it must be there."""
     if folder is not None:
+        for part in filter(None, folder.split(os.pathsep)):
+            if not Path(part).is_dir():
+                sys.stderr.write(f"error: --effects {part}: no such folder; make it first, or name another\n")
+                sys.exit(2)
         os.environ["SHAKERBENCH_EFFECTS"] = folder
 
 
@@ -127,6 +133,12 @@ def main() -> None:
         if not isinstance(error, EffectFileError):
             raise
         sys.stderr.write(f"error: {error}\n")
+        sys.exit(2)
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        name = str(error.filename)
+        sys.stderr.write(f"error: {name[:40]}...: a name of {len(name)} characters is too long for this system\n")
         sys.exit(2)
     finally:
         sys.stdout.flush()

@@ -19,6 +19,7 @@ from bench.predict.diagram import diagram
 from bench.predict.orbit import orbit
 from bench.predict.request import Request, ball_for, forcing_of, parse_effects
 from bench.terminal.console import EXIT_USAGE, fail, write_json
+from daq.setup.errors import InputError
 
 
 def run(request: Request) -> None:
@@ -44,6 +45,7 @@ def _answer(request: Request) -> None:
     """The branch for each kind of request."""
     try:
         picture = request.figure
+        _refuse_unwritten(request)
         if request.paper_figure is not None:
             picture = picture or Path(f"figure{request.paper_figure}.png")
         check_outputs(
@@ -76,6 +78,27 @@ def _answer(request: Request) -> None:
             diagram(ball, request, forcing_of(request), parse_effects(request.effects))
     except ValueError as error:
         fail(str(error), EXIT_USAGE)
+
+
+def _refuse_unwritten(request: Request) -> None:
+    """Refuse a picture or an HDF5 file of what is no diagram: none would be written.
+
+    Raises
+    ------
+    InputError
+        With the option, and what it goes with.
+    """
+    paper = request.paper_figure is not None
+    if request.gamma_range is not None and not request.bifurcations and not paper:
+        return
+    for option, path, written in (
+        ("--out", request.out, False), ("--figure", request.figure, paper), ("--json", request.json_to, not paper),
+    ):  # fmt: skip
+        if path is not None and not written:
+            asked = "--paper-figure" if paper else "--bifurcations" if request.bifurcations else "this call"
+            raise InputError(
+                f"{option} {path}: {asked} writes no such file; it is for a diagram: --gamma-range FROM TO {option} {path}"
+            )
 
 
 def _is_diagram(path: Path) -> bool:

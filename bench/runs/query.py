@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ SORTS = {
 }  # fmt: skip
 """Keys to sort by, and the expressions behind them."""
 ENDS = ("complete", "stopped", "failed", "incomplete", "damaged")
+FIRST_DATE = "0001-01-01T00:00:00"
 VERDICTS = ("explained", "unexplained", "nothing_missing", "none")
 
 
@@ -66,6 +68,11 @@ class Query:
         ):  # fmt: skip
             if value not in known:
                 raise InputError(f"--{option} {value}: wanted one of {', '.join(filter(None, known))}")
+        for option, value in (("since", self.since), ("until", self.until)):
+            try:
+                datetime.datetime.fromisoformat(value + FIRST_DATE[len(value) :])
+            except ValueError as error:
+                raise InputError(f"--{option} {value}: wanted a date, as 2026-11-20, or its beginning") from error
 
 
 BASE = """

@@ -134,9 +134,9 @@ class Hub:
         self.enter(browser)
         try:
             await greet(browser)
-            async for text in browser.socket.iter_text():
+            while (message := await browser.socket.receive())["type"] != "websocket.disconnect":
                 with contextlib.suppress(ValueError, RecursionError):
-                    said = json.loads(text)
+                    said = json.loads(message.get("text") or "")  # a binary frame has no text
                     if isinstance(said, dict):
                         obey(browser, said)
         finally:

@@ -15,6 +15,7 @@ import numpy as np
 from daq.export.facts import facts, missing, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
+from daq.files.disk import disk_file
 from daq.recording.reader import Recording
 
 Progress = Callable[[int], None]
@@ -49,7 +50,7 @@ def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) 
         import h5netcdf
     except ImportError as error:
         raise missing("h5netcdf", "NetCDF") from error
-    with h5netcdf.File(part, "w") as file:
+    with disk_file(part) as disk, h5netcdf.File(disk, "w") as file:
         file.dimensions = {"time": None, "step": len(recording.steps)}
         file.attrs.update({"Conventions": "CF-1.8", **facts(recording)})
         size = (max(1, min(CHUNK_SAMPLES, recording.n_samples)),)
@@ -72,6 +73,7 @@ def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) 
             time[a:b] = recording.timestamps_ns(a, b) * 1e-9
             for name, (variable, whole_numbers) in channels.items():
                 variable[a:b] = recording.codes(name, a, b) if whole_numbers else recording.read_v(name, a, b)
+            disk.check()
             tell(b)
 
 

@@ -17,6 +17,7 @@ from daq.export.columnar import pieces
 from daq.export.facts import facts, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
+from daq.files.disk import disk_file
 from daq.recording.reader import Recording
 
 HEADER_BYTES = 512
@@ -27,7 +28,10 @@ Progress = Callable[[int], None]
 def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
     """Write the file; MATLAB opens it with ``load``."""
     n = recording.n_samples
-    with h5py.File(part, "w", userblock_size=HEADER_BYTES, libver=("earliest", "v110")) as file:
+    with (
+        disk_file(part) as disk,
+        h5py.File(disk, "w", userblock_size=HEADER_BYTES, libver=("earliest", "v110")) as file,
+    ):
         columns: dict[str, Callable[[int, int], Any]] = {"time_s": lambda a, b: recording.timestamps_ns(a, b) * 1e-9}
         columns |= {f"{channel}_v": partial(recording.read_v, channel) for channel in recording.channels}
         chunk = (1, max(1, min(CHUNK_SAMPLES, n)))
@@ -37,6 +41,7 @@ def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) 
         for a, b in pieces(n):
             for name, read in columns.items():
                 file[name][0, a:b] = read(a, b)
+            disk.check()
             tell(b)
         for name, value in facts(recording).items():
             _put(file, name, value)

@@ -7,6 +7,8 @@ the disk does not take is kept in memory, and the writer is told.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -113,3 +115,20 @@ class DiskFile(io.RawIOBase):
             except OSError as error:
                 self.error = self.error or error
         super().close()
+
+
+@contextmanager
+def disk_file(path: Path) -> Iterator[DiskFile]:
+    """A `DiskFile` for the length of a block.
+
+    Raises
+    ------
+    OSError
+        When the disk refused at any time, also while the file was closed.
+    """
+    disk = DiskFile(path)
+    try:
+        yield disk
+    finally:
+        disk.close()
+    disk.check()

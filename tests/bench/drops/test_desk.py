@@ -84,6 +84,7 @@ def test_strange_pages_and_strange_words(client: TestClient) -> None:
             "[" * 20000,
         ):
             one.send_text(text)
+        one.send_bytes(b"{}")
         one.send_text('{"do": "save"}')
         assert _said(one, "no")["why"]
     assert client.get("/drop/wave?file=x").status_code == 422

@@ -54,6 +54,8 @@ def test_wrong_calls_leave_with_two(folder: Path) -> None:
     for call, says in (
         (("runs", folder / "no"), "there is none of that name"),
         (("runs", folder, "--sort", "size"), "wanted one of date"),
+        (("runs", folder, "--since", "tomorrow"), "--since tomorrow: wanted a date"),
+        (("runs", folder, "--until", "2026-02-30"), "--until 2026-02-30: wanted a date"),
         (("tag", folder / "no.h5", "x"), "no such file"), (("tag", folder / "x.h5", "x"), "wanted a recording"),
         (("tag", run, "two words"), "wanted one word"), (("note", run, " "), "wanted 1 to"),
         (("note", run, "--undo"), "no note to take back"), (("note", run, "x", "--undo"), "leave out the text"),

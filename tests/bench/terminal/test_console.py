@@ -32,6 +32,22 @@ def called(*arguments: object, **environment: str) -> subprocess.CompletedProces
 
 
 @pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (("--effects", "nosuch", "plan", "simulated"), "--effects nosuch: no such folder; make it first"),
+        (("info", "x" * 5000), "a name of 5000 characters is too long"),
+        (("plan", "x" * 5000), "a name of 5000 characters is too long"),
+        (("runs", "x" * 5000), "a name of 5000 characters is too long"),
+    ],
+)
+def test_a_name_that_cannot_be_is_one_line(call: tuple[str, ...], says: str) -> None:
+    """Status 2 and one short line on standard error, no traceback."""
+    done = called(*call)
+    assert done.returncode == 2
+    assert says in done.stderr.decode() and done.stderr.count(b"\n") == 1 and len(done.stderr) < 300
+
+
+@pytest.mark.parametrize(
     ("encoding", "shown"), [("cp1251", "Жук: 25.37 Hz"), ("cp1252", r"\u0416\u0443\u043a"), ("ascii", r"\u0416\u0443")]
 )
 def test_a_console_of_another_code_page(encoding: str, shown: str, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
@@ -231,3 +232,37 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path, kind: Kind, monkey
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert peaks[2] < 1.3 * peaks[1] + 500_000, peaks
+
+
+FULL = """
+import errno, resource, sys
+from pathlib import Path
+from daq.export.export import export
+from daq.recording import open_recording
+
+folder, kinds = Path(sys.argv[1]), sys.argv[2:]
+with open_recording(folder / "rec.h5") as recording:
+    for kind in kinds:
+        for room in (0, 3000, 60_000):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+            try:
+                export(recording, folder / f"x.{kind}", kind)
+            except OSError as error:
+                refused = error.errno == errno.EFBIG or "File too large" in str(error)
+            else:
+                refused = False
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            print(kind, room, refused, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a limit of the size of files is POSIX's")
+def test_a_full_disk_is_one_error(recording: Recording, tmp_path: Path) -> None:
+    """Where the system takes no more of a file, each export raises what it says; nothing crashes, no file is left."""
+    kinds = ("csv", "npz", "h5", *KINDS)
+    call = [sys.executable, "-c", FULL, str(tmp_path), *kinds]
+    done = subprocess.run(call, cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == [f"{kind} {room} True" for kind in kinds for room in (0, 3000, 60_000)]
+    assert done.stderr == ""
+    assert done.returncode == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["rec.h5"]
