@@ -44,13 +44,12 @@ TDMS = Form("TDMS", (".tdms",), only=True)
 PROFILE = Form("a profile (TOML)", (".toml",))
 HTML = Form("a page (HTML)", (".html", ".htm"), only=True)
 PDF = Form("a page (PDF)", (".pdf",), only=True)
-LOOP = Form("a closed loop", (".loop",), only=True)
 TABLE = Form("a table (Parquet or CSV)", (".parquet", ".csv"), only=True)
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 PYTHON = Form("an effect (Python)", (".py",), only=True)
 ROWS = Form("summaries", (".rows", ".jsonl"))
 FORMS = (
-    JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, LOOP, TABLE, PICTURE, PYTHON,
+    JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, TABLE, PICTURE, PYTHON,
     ROWS,
 )  # fmt: skip
 KNOWN = {suffix for form in FORMS for suffix in form.suffixes} | {

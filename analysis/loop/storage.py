@@ -19,6 +19,8 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from analysis.loop.result import ClosedLoop
+from daq.files.disk import disk_file
+from daq.files.whole_file import whole
 from daq.setup.errors import InputError
 
 FORMAT, VERSION = "shakerbench closed loop", 2
@@ -35,13 +37,22 @@ def save_verdict(loop: ClosedLoop, path: Path) -> None:
     arrays: dict[str, np.ndarray] = {}
     tree = _plain(loop, "", arrays)
     try:
-        with h5py.File(path, "w") as file:
+        with whole(path) as part, disk_file(part) as disk, h5py.File(disk, "w") as file:
             file.attrs.update(format=FORMAT, version=VERSION)
             file["values"] = json.dumps(tree)
             for place, array in arrays.items():
                 file.create_dataset(place, data=array)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error}); name a file in a folder you can write to") from error
+
+
+def is_verdict(path: Path) -> bool:
+    """Whether a file was written by `save_verdict`, of any version."""
+    try:
+        with h5py.File(path, "r") as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except OSError:
+        return False
 
 
 def load_verdict(path: Path) -> ClosedLoop:

@@ -6,7 +6,6 @@ A recording that cannot be read gives a row with the reason; it stops nothing. N
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +29,6 @@ def examine(
     path: Path,
     parts: tuple[str, ...],
     profile: Path | None = None,
-    verdicts: Path | None = None,
     anyway: bool = False,
 ) -> Row:
     """The row of one recording.
@@ -43,8 +41,6 @@ def examine(
         What to do, of `PARTS`.
     profile
         Replaces the recording's own.
-    verdicts
-        Folder for the whole verdict as JSON, as `close-loop` writes it: the catalogue of runs finds it there.
     anyway
         As in `analysis.loop.close_loop.close_loop`.
 
@@ -56,14 +52,14 @@ def examine(
     began = time.process_time()
     row: Row = {"failed": None}
     try:
-        _fill(row, path, parts, profile, verdicts, anyway)
+        _fill(row, path, parts, profile, anyway)
     except (InputError, ValueError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
         row["failed"] = f"{type(error).__name__}: {error}" if not isinstance(error, InputError) else str(error)
     return row | {"processor_s": time.process_time() - began}
 
 
 def _fill(
-    row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, verdicts: Path | None, anyway: bool
+    row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, anyway: bool
 ) -> None:
     """Add columns part by part, so that what was found before a failure stays."""
     from analysis.flights.assemble import flights_of
@@ -81,7 +77,7 @@ def _fill(
             if "compare" in parts and "continuity" in opened.channels:
                 row |= compared(table, opened)
     if "close-loop" in parts:
-        row |= closed(path, setup, verdicts, anyway=anyway)
+        row |= closed(path, setup, anyway=anyway)
 
 
 def described(opened: Recording) -> Row:
@@ -128,18 +124,13 @@ def compared(table: Flights, opened: Recording) -> Row:
     }
 
 
-def closed(path: Path, setup: Setup | None, verdicts: Path | None, *, anyway: bool = False) -> Row:
-    """The verdict of the closed loop; the values of what it names, each with its interval."""
+def closed(path: Path, setup: Setup | None, *, anyway: bool = False) -> Row:
+    """The verdict of the closed loop, kept beside the recording; the values of what it names with their intervals."""
     from analysis.loop.close_loop import close_loop
-    from analysis.loop.verdict_json import as_json
-    from daq.files.whole_file import write_whole
+    from bench.jobs.keep_verdict import keep_verdict
 
     loop = close_loop([path], setup=setup, anyway=anyway)
-    if verdicts is not None:
-        verdicts.mkdir(parents=True, exist_ok=True)
-        name = f"{path.stem}-{loop.sources[0].identity[:8]}.json"
-        write_whole(verdicts / name, json.dumps(as_json(loop), indent=1))
-    return verdict_row(loop)
+    return verdict_row(loop) | {"verdict_not_kept": keep_verdict(loop, [path]) or None}
 
 
 def verdict_row(loop: ClosedLoop) -> Row:

@@ -31,8 +31,6 @@ class Batch:
         Of `bench.batch.examine.PARTS`.
     profile
         Replaces the recordings' own.
-    verdicts
-        Folder for the verdicts as JSON.
     anyway
         Whether recordings that contradict their profile get a verdict, too.
     """
@@ -40,7 +38,6 @@ class Batch:
     recordings: Sequence[Path]
     parts: tuple[str, ...]
     profile: Path | None = None
-    verdicts: Path | None = None
     anyway: bool = False
 
     def key(self, path: Path) -> str:
@@ -87,8 +84,7 @@ def run_batch(
 def _examined(batch: Batch, todo: list[Path], workers: int, cluster: str | None) -> Iterator[tuple[Path, Row]]:
     """Rows as they come in; a worker that died is the reason in its recording's row."""
     here = None if batch.profile is None else batch.profile.resolve()
-    verdicts = None if batch.verdicts is None else batch.verdicts.resolve()
-    tasks = ((path, (path.resolve(), batch.parts, here, verdicts, batch.anyway)) for path in todo)
+    tasks = ((path, (path.resolve(), batch.parts, here, batch.anyway)) for path in todo)
     for outcome in outcomes(examine, tasks, workers=workers, cluster=cluster):
         row = outcome.result
         yield outcome.key, row if row is not None else {"failed": str(outcome.error), "processor_s": None}

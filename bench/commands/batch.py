@@ -27,8 +27,8 @@ def command(
     """Examine every recording of a laboratory; a table with one row each.
 
     Rows are kept in FILE.rows as they come in. The same command, given again, goes on where it was stopped, and does
-    again only what failed or has changed since. A recording that fails has its reason in the table. Whole verdicts are
-    kept in a folder beside the table; bench runs shows them, where that is the recordings' folder or below.
+    again only what failed or has changed since. A recording that fails has its reason in the table. Each
+    verdict is kept beside its recording (run.loop), where bench report and bench runs find it.
 
     Example: bench batch runs/ --out runs.parquet --workers 4
 
@@ -54,7 +54,7 @@ def command(
         if profile is not None:
             load_measuring(profile)
         recordings, others = find_recordings(places)
-        batch = Batch(recordings, _parts(do, PARTS), profile, out.with_name(f"{out.stem}-verdicts"), anyway)
+        batch = Batch(recordings, _parts(do, PARTS), profile, anyway)
         rows = run_batch(batch, Journal(rows_file), workers=workers, cluster=cluster, told=None if quiet else _tell)
         write_table(rows, out)
     except (InputError, ValueError) as error:

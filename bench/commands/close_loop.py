@@ -46,6 +46,8 @@ def command(
 
     Example: bench close-loop run.h5 --report report --improved better.toml
 
+    The verdict is kept beside the recording (run.loop), where bench report and bench runs find it.
+
     A term discovered outside the library becomes an effect by --keep-term sticky_rod: a file in the folder of kept
     effects, which every later call finds by its name. The loop is closed again with it; --improved is then of that.
 
@@ -140,10 +142,14 @@ class _Writers:
 
     def write(self, wanted: _Wanted, kept_as: Path | None, profile: Path | None) -> bool:
         """Show the verdict and write what is wanted, a discovered term to ``kept_as``; whether all could be written."""
+        from bench.jobs.keep_verdict import keep_verdict
+        from bench.terminal.console import warn
         from bench.terminal.loop_display import keep, show
 
         if not wanted.quiet:
             show(self.loop)
+        if problem := keep_verdict(self.loop, self.recordings):
+            warn(problem)
         steps: list[Output] = []
         improved = wanted.improved
         if kept_as is not None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rig.sim.scenario import Scenario
 
 UNFINISHED = "unfinished.txt"  # stands in the folder while a demo runs, and stays where it failed
-MADE = ("recording.h5*", "flights.csv", "verdict.json", "improved.toml", "sealed.toml", "pictures", "report")
+MADE = ("recording.*", "flights.csv", "verdict.json", "improved.toml", "sealed.toml", "pictures", "report")
 
 
 def command(
@@ -191,8 +191,9 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
     from analysis.loop.verdict_json import as_json
     from analysis.report.page import write_report
     from analysis.residuals.observations import observed
+    from bench.jobs.keep_verdict import keep_verdict
     from bench.profiles.improved import write_improved
-    from bench.terminal.console import write_json
+    from bench.terminal.console import warn, write_json
     from bench.terminal.loop_display import keep, show
     from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
@@ -205,6 +206,8 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         say("first bifurcations", 0.98)
         loop = completed(loop, fitted, flights)
     show(loop)
+    if problem := keep_verdict(loop, [recording]):
+        warn(problem)
 
     def write_page() -> None:
         with progress_bar() as say:

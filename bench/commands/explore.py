@@ -214,6 +214,8 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     from dataclasses import replace
 
     from analysis.report.page import write_report
+    from bench.jobs.keep_verdict import keep_verdict
+    from bench.terminal.console import warn
     from bench.terminal.loop_display import keep, show
 
     if found.loop is None:
@@ -221,6 +223,8 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     reasons = tuple(f"block {i}, chosen: {block.reason}" for i, block in enumerate(found.blocks, start=1))
     loop = replace(found.loop, notes=(*found.loop.notes, *reasons))
     show(loop)
+    if problem := keep_verdict(loop, found.recordings):
+        warn(problem)
     outputs = (
         ("picture of the choices", lambda: _draw(found, standard_s, folder)),
         ("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}")),

@@ -19,38 +19,34 @@ def command(
     out: Path = typer.Option(..., "--out", "-o", metavar="PAGE.html", help="Page to write; it needs no other file."),
     pdf: Path | None = typer.Option(None, "--pdf", metavar="FILE.pdf", help="Print it there as well."),
     no_loop: bool = typer.Option(False, "--no-loop", help="Leave the closed loop out."),
-    save_loop: bool = typer.Option(
-        False, "--save-loop", help="Save each closed loop beside its recording (REC.loop), for the next report."
-    ),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
     overwrite: Overwrite = False,
 ) -> None:
     """Report of recordings as one HTML page: verdict, figures, steps, residuals, rig, calibrations, pedigree.
 
-    A closed loop saved beside a recording (REC.loop) is used where it belongs to it, else the loop is closed, which
-    takes a while. Point at a dot to see its flight. --pdf needs Chromium, Chrome, Edge or WeasyPrint.
+    A closed loop kept beside a recording (REC.loop) is used where it belongs to it; else the loop is closed, which
+    takes a while, and kept there. Point at a dot to see its flight. --pdf needs Chromium, Chrome, Edge or WeasyPrint.
 
     Example: bench report run.h5 --out run.html --pdf run.pdf
     """
     from bench.jobs.print_pdf import print_pdf, refuse_without_printer
-    from bench.jobs.report import is_answer, report, saved_answer
-    from bench.outputs import HTML, JSON, LOOP, PDF, File, check_outputs
+    from bench.jobs.report import report
+    from bench.outputs import HTML, JSON, PDF, File, check_outputs
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.recording.identity import refuse_repeated
     from daq.setup.errors import InputError
 
     quiet = json == "-"
     say: Callable[[str], None] = _nothing if quiet else typer.echo
-    kept = [File("--save-loop", saved_answer(path), LOOP, continues=is_answer) for path in recordings if save_loop]
     try:
         check_outputs(
-            File("--out", out, HTML), File("--pdf", pdf, PDF), File("--json", json, JSON), *kept,
+            File("--out", out, HTML), File("--pdf", pdf, PDF), File("--json", json, JSON),
             inputs=recordings, overwrite=overwrite,
         )  # fmt: skip
         if pdf is not None:
             refuse_without_printer()
         refuse_repeated(recordings)
-        found = report(recordings, with_loop=not no_loop, save_loop=save_loop, say=say, quiet=quiet)
+        found = report(recordings, with_loop=not no_loop, say=say, quiet=quiet)
     except InputError as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:

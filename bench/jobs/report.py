@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bench.jobs.keep_verdict import keep_verdict, verdict_file
 from bench.terminal.progress import progress_bar
-from daq.files.whole_file import whole
 from daq.recording import Recording, open_recording
 from daq.recording.verify import verify
 from daq.setup.errors import InputError
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from analysis.flights.table import Flights
     from analysis.loop.result import ClosedLoop
     from analysis.report.run_page import Section
-
-SAVED = ".loop"  # ending of the saved answer beside a recording
 
 
 @dataclass(frozen=True)
@@ -35,25 +33,7 @@ class Reported:
     loop: str
 
 
-def saved_answer(recording: Path) -> Path:
-    """Where the closed loop of a recording is saved."""
-    return recording.with_suffix(SAVED)
-
-
-def is_answer(path: Path) -> bool:
-    """Whether a file holds a closed loop, which may be replaced by a newer one."""
-    from analysis.loop.storage import load_verdict
-
-    try:
-        load_verdict(path)
-    except InputError:
-        return False
-    return True
-
-
-def report(
-    recordings: Sequence[Path], *, with_loop: bool, save_loop: bool, say: Callable[[str], None], quiet: bool
-) -> list[Reported]:
+def report(recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], None], quiet: bool) -> list[Reported]:
     """Sections of the recordings, in their order; one recording is held at a time.
 
     Raises
@@ -72,7 +52,7 @@ def report(
             flights = flights_of(recording, progress=lambda part: bar(f"reading {path.name}", 0.3 * part))  # noqa: B023
             loop, source, why = None, "none", "it was left out of this page"
             if with_loop:
-                loop, source, why = _loop(recording, flights, save=save_loop, say=say, bar=bar)
+                loop, source, why = _loop(recording, flights, say=say, bar=bar)
             run = Run(recording, found, flights, loop, why)
             n = int((~flights.has(FlightFlag.FALSE)).sum())
             section = section_of(run, number, lambda what, part: bar(what, 0.8 + 0.2 * part))
@@ -84,15 +64,14 @@ def _loop(
     recording: Recording,
     flights: Flights,
     *,
-    save: bool,
     say: Callable[[str], None],
     bar: Callable[[str, float], None],
 ) -> tuple[ClosedLoop | None, str, str]:
     """The saved answer where it belongs to the recording, else a new one; its source; or why there is none."""
     from analysis.loop.close_loop import close_loop
-    from analysis.loop.storage import load_verdict, save_verdict
+    from analysis.loop.storage import load_verdict
 
-    beside = saved_answer(recording.path)
+    beside = verdict_file([recording.path])
     if beside.is_file():
         try:
             loop = load_verdict(beside)
@@ -106,9 +85,8 @@ def _loop(
         loop = close_loop([recording.path], progress=lambda what, part: bar(what, 0.3 + 0.5 * part))
     except (InputError, ValueError) as error:
         return None, "none", str(error).rstrip(".")
-    if save:
-        with whole(beside) as part:
-            save_verdict(loop, part)
+    if problem := keep_verdict(loop, [recording.path]):
+        say(problem)
     return loop, "computed", ""
 
 

@@ -96,9 +96,8 @@ def _refuse_unwritten(request: Request) -> None:
     ):  # fmt: skip
         if path is not None and not written:
             asked = "--paper-figure" if paper else "--bifurcations" if request.bifurcations else "this call"
-            raise InputError(
-                f"{option} {path}: {asked} writes no such file; it is for a diagram: --gamma-range FROM TO {option} {path}"
-            )
+            diagram_call = f"--gamma-range FROM TO {option} {path}"
+            raise InputError(f"{option} {path}: {asked} writes no such file; it is for a diagram: {diagram_call}")
 
 
 def _is_diagram(path: Path) -> bool:

@@ -14,8 +14,7 @@ from typing import Any
 from bench.runs import query as queries
 from bench.runs.database import Opened, open_database
 from bench.runs.folder import Found, files_below
-from bench.runs.loops import FORMAT as LOOP_FORMAT
-from bench.runs.loops import Loop, loop_of_json, loops_of_hdf5
+from bench.runs.loops import Loop, kept_loops
 from bench.runs.remarks import ENDING, Remarks, change_remarks, read_remarks, side_file
 from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
 from daq.files.closing import Closing
@@ -194,18 +193,12 @@ class Catalogue(Closing):
         for file in files.values():
             if file.kind == "remarks":
                 keep(functools.partial(self._put_remarks, file))
-            elif file.kind == "json":
-                loop = loop_of_json(self.folder / file.path)
-                keep(functools.partial(self._put_loop, file, loop))
         hdf5 = [self.folder / file.path for file in files.values() if file.kind == "hdf5"]
-        loops = []
+        loops = [self.folder / file.path for file in files.values() if file.kind == "loop"]
         for path, header in read_headers(hdf5, all_bytes=all_bytes):
             file = files[path.relative_to(self.folder).as_posix()]
-            if isinstance(header, Unread) and header.format == LOOP_FORMAT:
-                loops.append(path)
-            else:
-                keep(functools.partial(self._put_run, file, header))
-        for path, loop in loops_of_hdf5(loops) if loops else ():
+            keep(functools.partial(self._put_run, file, header))
+        for path, loop in kept_loops(loops) if loops else ():
             file = files[path.relative_to(self.folder).as_posix()]
             keep(functools.partial(self._put_loop, file, loop))
         keep(None)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from bench.jobs.keep_verdict import SAVED
 from bench.runs.remarks import ENDING
 from daq.setup.errors import InputError
 
@@ -17,7 +18,7 @@ PLACE = ".shakerbench"
 RECORDINGS = (".h5", ".hdf5")
 DEEPEST = 32  # folders in folders
 
-Kind = Literal["hdf5", "remarks", "json"]
+Kind = Literal["hdf5", "remarks", "loop"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Found:
         """What its name stands for."""
         if self.path.endswith(ENDING):
             return "remarks"
-        return "json" if self.path.lower().endswith(".json") else "hdf5"
+        return "loop" if self.path.lower().endswith(SAVED) else "hdf5"
 
 
 def run_id(path: str) -> str:
@@ -69,7 +70,7 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
                     if depth < DEEPEST:
                         yield from _below(Path(entry.path), f"{prefix}{name}/", root, depth + 1)
                     continue
-                if not name.lower().endswith((*RECORDINGS, ".json")):
+                if not name.lower().endswith((*RECORDINGS, SAVED, ENDING)):
                     continue
                 if entry.is_symlink() and not Path(entry.path).resolve(strict=True).is_relative_to(root):
                     continue

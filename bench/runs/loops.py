@@ -1,8 +1,7 @@
-"""Verdicts of closed loops in files below the runs' folder: JSON of `bench close-loop`, HDF5 of `save_verdict`."""
+"""Verdicts of closed loops kept below the runs' folder (`bench.jobs.keep_verdict`)."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +9,7 @@ from typing import Any
 
 from daq.recording.subprocess_reader import apart
 
-FORMAT = "shakerbench closed loop"
 VERDICTS = ("explained", "unexplained", "nothing_missing")
-MOST_BYTES = 64 << 20
 NORMAL_95 = 1.959964  # half width of a 95 % interval, in standard deviations
 
 
@@ -52,17 +49,7 @@ class Loop:
     floor_us: float | None
 
 
-def loop_of_json(path: Path) -> Loop | None:
-    """The verdict in a file of JSON; None where it holds something else."""
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            return None
-        return _loop(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError):
-        return None
-
-
-def loops_of_hdf5(paths: Iterable[Path]) -> Iterator[tuple[Path, Loop | None]]:
+def kept_loops(paths: Iterable[Path]) -> Iterator[tuple[Path, Loop | None]]:
     """The verdicts in files of `analysis.loop.storage.save_verdict`, read by another process, which may die of them."""
     left = [str(path) for path in paths]
     while left:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from analysis.loop.result import AddedEffect, Calibration, ClosedLoop
 from daq.files.tables import Block
-from daq.recording import CHANNELS, RecordingWriter
+from daq.recording import CHANNELS, RecordingWriter, open_recording
+from daq.recording.identity import stored_id
 from daq.setup.setup import Setup
 
 RATE_HZ = 1000
@@ -60,20 +61,12 @@ def record(
     return writer
 
 
-def verdict_json(identity: str, value: float = 0.12) -> dict[str, Any]:
-    """The answer of a closed loop that found Coulomb friction, as far as the catalogue reads it."""
-    mu_up = {"value": value, "low": value - 0.01, "high": value + 0.01}
-    return {
-        "verdict": "explained",
-        "effects": [{"name": "coulomb_friction", "parameters": {"mu_up": mu_up}}],
-        "calibrations": [{"effect": "accelerometer_gain", "parameter": "relative", "value": 0.01, "sigma": 0.001,
-                          "stated": 0.0, "stated_sigma": 0.005}],
-        "tie_set": [["coulomb_friction"]],
-        "before": {"landing_rms_us": 1500.0}, "after": {"landing_rms_us": 3.0}, "noise_floor_us": 2.0,
-        "source_ids": [identity],
-    }  # fmt: skip
-
-
-def save(path: Path, told: dict[str, Any]) -> None:
-    """Write JSON."""
-    path.write_text(json.dumps(told), encoding="utf-8")
+def verdict_on(loop: ClosedLoop, recording: Path, value: float = 0.12) -> ClosedLoop:
+    """The closed loop ``loop`` as if it had found Coulomb friction of that size, and nothing else, in a recording."""
+    with open_recording(recording) as opened:
+        sources = (dataclasses.replace(loop.sources[0], identity=stored_id(opened)),)
+    friction = AddedEffect("coulomb_friction", {"mu_up": (value, value - 0.01, value + 0.01)})
+    gain = Calibration("accelerometer_gain", "relative", 0.01, 0.001, 0.0, 0.005)
+    return dataclasses.replace(
+        loop, effects=(friction,), ties=(("coulomb_friction",),), calibrations=(gain,), sources=sources
+    )

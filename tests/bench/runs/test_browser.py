@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 
+from analysis.loop.result import ClosedLoop
+from bench.jobs.keep_verdict import keep_verdict
 from bench.runs.folder import run_id
 from bench.runs.remarks import change_remarks, with_note, with_tags
-from tests.bench.runs.recordings import record, save, verdict_json
+from tests.bench.runs.recordings import record, verdict_on
 
 pytestmark = pytest.mark.slow
 HOSTILE = '</td><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
@@ -126,14 +128,11 @@ def test_click_opens_and_zooms_to_a_single_contact(server: str, browser: Any, fo
     assert (folder / "long.h5.remarks.json").exists() and browser.errors == []
 
 
-def test_two_runs_over_each_other(server: str, browser: Any, folder: Path) -> None:
+def test_two_runs_over_each_other(server: str, browser: Any, folder: Path, closed_loop: ClosedLoop) -> None:
     """Marked runs are laid over each other: diagrams, verdicts, and what drifted."""
-    from daq.recording import open_recording
-    from daq.recording.identity import stored_id
-
     for name, value in (("a", 0.12), ("b", 0.14)):
-        with open_recording(folder / "one" / f"{name}.h5") as opened:
-            save(folder / f"{name}.json", verdict_json(stored_id(opened), value))
+        run = folder / "one" / f"{name}.h5"
+        keep_verdict(verdict_on(closed_loop, run, value), [run])
     browser.goto(f"{server}/runs?verdict=explained")
     until(browser, "document.querySelectorAll('#runs tbody tr').length === 2")
     for box in browser.locator("#runs tbody input").all():

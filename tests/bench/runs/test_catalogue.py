@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import multiprocessing
 import shutil
 import sqlite3
@@ -10,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from analysis.loop.result import ClosedLoop
+from analysis.loop.storage import save_verdict
+from bench.jobs.keep_verdict import keep_verdict
 from bench.runs import catalogue as catalogue_module
 from bench.runs.catalogue import Catalogue
 from bench.runs.database import VERSION
@@ -18,7 +22,7 @@ from bench.runs.remarks import side_file, with_note, with_tags
 from daq.recording import open_recording, verify
 from daq.recording.identity import content_id, stored_id
 from daq.setup.errors import InputError
-from tests.bench.runs.recordings import record, save, verdict_json
+from tests.bench.runs.recordings import record, verdict_on
 
 
 def names(catalogue: Catalogue, **conditions: object) -> list[str]:
@@ -185,61 +189,43 @@ def test_a_run_that_goes_on_is_listed(folder: Path) -> None:
     assert (row["ended"], row["tags"]) == ("complete", ["early"])
 
 
-def test_verdicts_are_found_by_the_recording_s_identity(folder: Path) -> None:
-    """An answer anywhere below the folder belongs to each recording of its identity, copies too; the latest counts."""
-    with open_recording(folder / "one" / "a.h5") as opened:
+def test_verdicts_are_found_by_the_recording_s_identity(folder: Path, closed_loop: ClosedLoop) -> None:
+    """A closed loop kept below the folder belongs to each recording of its identity, copies too; the latest counts."""
+    run = folder / "one" / "a.h5"
+    with open_recording(run) as opened:
         identity = stored_id(opened)
         assert identity and content_id(opened)
-    shutil.copy(folder / "one" / "a.h5", folder / "copy.h5")
-    save(folder / "two" / "answer.json", verdict_json(identity))
-    save(folder / "other.json", {"verdict": "explained"})
-    (folder / "broken.json").write_text("{")
+    shutil.copy(run, folder / "copy.h5")
+    assert keep_verdict(verdict_on(closed_loop, run), [run]) == ""
+    (folder / "broken.loop").write_text("no closed loop", encoding="utf-8")
     with Catalogue(folder) as catalogue:
         catalogue.update()
         assert sorted(names(catalogue, verdict="explained")) == ["a.h5", "copy.h5"]
         loop = row_of(catalogue, "copy.h5")["loop"]
-        assert loop["summary"] == "explained: coulomb_friction"
-        assert (loop["before_us"], loop["after_us"], loop["floor_us"]) == (1500.0, 3.0, 2.0)
-        later = verdict_json(identity, 0.2) | {"verdict": "unexplained"}
-        save(folder / "later.json", later)
+        assert loop["summary"] == "explained: coulomb_friction" and loop["file"] == "one/a.loop"
+        assert (loop["before_us"], loop["after_us"], loop["floor_us"]) == (52.0, 5.0, 5.0)
+        later = dataclasses.replace(verdict_on(closed_loop, run, 0.2), verdict="unexplained")
+        save_verdict(later, folder / "later.loop")
         catalogue.update()
         assert row_of(catalogue, "a.h5")["loop"]["verdict"] == "unexplained"
         assert len(catalogue.loops(identity)) == 2
         mu = [q for q in catalogue.quantities() if q["name"] == "coulomb_friction.mu_up"]
         assert [(q["value"], q["unit"]) for q in mu] == [(0.2, "g")] * 2
-        (folder / "later.json").unlink()
+        (folder / "later.loop").unlink()
         catalogue.update()
         assert row_of(catalogue, "a.h5")["loop"]["verdict"] == "explained"
 
 
-def test_the_sensitivity_over_time(folder: Path) -> None:
+def test_the_sensitivity_over_time(folder: Path, closed_loop: ClosedLoop) -> None:
     """It is what each profile states, and that times the fitted gain where a verdict has one."""
-    with open_recording(folder / "one" / "a.h5") as opened:
-        save(folder / "answer.json", verdict_json(stored_id(opened)))
+    run = folder / "one" / "a.h5"
+    keep_verdict(verdict_on(closed_loop, run), [run])
     with Catalogue(folder) as catalogue:
         catalogue.update()
         found = [q for q in catalogue.quantities() if q["name"] == "accelerometer.sensitivity"]
     assert [q["value"] for q in found if q["origin"] == "profile"] == [0.1] * 3
     (fitted,) = [q for q in found if q["origin"] == "verdict"]
     assert fitted["value"] == pytest.approx(0.101) and fitted["sigma"] == pytest.approx(1e-4)
-
-
-def test_saved_closed_loops_are_verdicts_too(folder: Path, closed_loop: object) -> None:
-    """A file of `save_verdict` is found by the identity that its sources carry."""
-    import dataclasses
-
-    from analysis.loop.result import ClosedLoop
-    from analysis.loop.storage import save_verdict
-
-    assert isinstance(closed_loop, ClosedLoop)
-    with open_recording(folder / "two" / "c.h5") as opened:
-        (source,) = closed_loop.sources
-        known = dataclasses.replace(source, identity=stored_id(opened))
-    save_verdict(dataclasses.replace(closed_loop, sources=(known,)), folder / "loop.h5")
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        assert names(catalogue, sort="name") == ["a.h5", "b.h5", "c.h5"]
-        assert row_of(catalogue, "c.h5")["loop"]["file"] == "loop.h5"
 
 
 def test_links_out_of_the_folder_are_not_followed(folder: Path, tmp_path: Path) -> None:

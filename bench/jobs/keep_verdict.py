@@ -1,0 +1,41 @@
+"""Where the closed loop of a recording is kept: `RUN.loop` beside it, which report and catalogue read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daq.setup.errors import InputError
+
+if TYPE_CHECKING:
+    from analysis.loop.result import ClosedLoop
+
+SAVED = ".loop"
+
+
+def verdict_file(recordings: Sequence[Path]) -> Path:
+    """``run.loop`` beside a recording ``run.h5``; of three that were judged as one, ``run+2.loop`` beside the first."""
+    first, others = recordings[0], len(recordings) - 1
+    return first.with_name(f"{first.stem}+{others}{SAVED}" if others else f"{first.stem}{SAVED}")
+
+
+def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
+    """Write a closed loop beside its recordings, in place of an earlier one.
+
+    Returns
+    -------
+    str
+        Why it could not be kept, in a sentence; empty where it is. A folder that cannot be written, as of an archive,
+        or a file of that name that is no closed loop, costs nobody the verdict.
+    """
+    from analysis.loop.storage import is_verdict, save_verdict
+
+    path = verdict_file(recordings)
+    try:
+        if path.exists() and not is_verdict(path):
+            raise InputError(f"{path}: is there already, and no closed loop; give it another name")
+        save_verdict(loop, path)
+    except (InputError, OSError) as error:
+        return f"the verdict is not kept beside the recording, where report and catalogue look for it: {error}"
+    return ""
