@@ -58,9 +58,7 @@ def examine(
     return row | {"processor_s": time.process_time() - began}
 
 
-def _fill(
-    row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, anyway: bool
-) -> None:
+def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, anyway: bool) -> None:
     """Add columns part by part, so that what was found before a failure stays."""
     from analysis.flights.assemble import flights_of
     from bench.profiles.find import load_measuring
