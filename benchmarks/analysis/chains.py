@@ -39,13 +39,14 @@ class Chain:
     """An instrument, the rate it samples at, and what happens to its file.
 
     ``parts`` are fields of `Instrument` and keys of a scenario's ``[rig]`` alike. ``causes``: names of effects that the
-    instrument itself may be given in a verdict.
+    instrument itself may be given in a verdict. ``hides``: effects that nobody can see behind it.
     """
 
     parts: Mapping[str, float] = field(default_factory=dict)
     rate_hz: float = 20e3
     after: Afterwards = field(default_factory=Afterwards)
     causes: tuple[str, ...] = ()
+    hides: tuple[str, ...] = ()
 
     def late_s(self) -> float:
         """By how much all channels of the file are late."""
@@ -108,9 +109,9 @@ CHAINS: dict[str, Chain] = {
     "ordinary USB card": Chain(USB_CARD, causes=(LAG, OFFSET, PICKUP)),
     "resampled to 44.1 kHz by lines": Chain(after=Afterwards(resampled_hz=44.1e3)),
     "resampled to 48 kHz, polyphase": Chain(after=Afterwards(resampled_hz=48e3, polyphase=True)),
-    "no drive": Chain(after=Afterwards(drive="missing")),
+    "no drive": Chain(after=Afterwards(drive="missing"), hides=("drive_gain",)),
     "drive inverted": Chain(after=Afterwards(drive="inverted")),
-    "drive before the amplifier": Chain(after=Afterwards(drive="scaled")),
+    "drive before the amplifier": Chain(after=Afterwards(drive="scaled"), hides=("drive_gain",)),
     "drive a sample late": Chain(after=Afterwards(late_samples=(("drive_v", 1),))),
     "accelerometer two samples late": Chain(after=Afterwards(late_samples=(("accelerometer_v", 2),)), causes=(LAG,)),
     "three losses": Chain(after=Afterwards(losses=3)),

@@ -86,6 +86,7 @@ def trial(job: Job, with_loop: bool) -> Row:
             row["flown"], row["phantoms"], row["missed"] = counted(landings, cut, flown, near_s)
             if with_loop:
                 row |= _verdict(path, truth)
+                row["wanted"] = [effect for effect in truth if effect not in CHAINS[job.chain].hides]
     except (ValueError, RuntimeError, ArithmeticError, IndexError) as error:
         row["failed"] = f"{error}\n{traceback.format_exc()}"
     return row
@@ -99,11 +100,11 @@ def _verdict(path: Path, truth: Values) -> Row:
     loop, _ = fit_loop([path])
     seconds = time.process_time() - start
     held = [
-        bool(p.low <= truth[p.effect][p.parameter] <= p.high)
-        for p in loop.parameters if p.parameter in truth.get(p.effect, {})
+        bool(low <= truth[e.name][name] <= high)
+        for e in loop.effects for name, (_, low, high) in e.parameters.items() if name in truth.get(e.name, {})
     ]  # fmt: skip
     return {
-        "verdict": loop.verdict, "names": [e.name for e in loop.effects], "wanted": list(truth), "held": held,
+        "verdict": loop.verdict, "names": [e.name for e in loop.effects], "held": held,
         "rms_us": loop.after.landing_rms_us, "floor_us": loop.noise_floor_us, "seconds_loop": seconds,
     }  # fmt: skip
 

@@ -36,6 +36,18 @@ def test_flights_found_are_those_flown(plant, monkeypatch):
     assert row["flown"] > 15 and row["phantoms"] == row["missed"] == 0
 
 
+def test_a_verdict_is_held_against_the_truth(closed_loop, monkeypatch, tmp_path):
+    """Of the effect that was found, each interval is asked whether the true value lies in it."""
+    monkeypatch.setattr("analysis.loop.close_loop.fit_loop", lambda paths: (closed_loop, None))
+    (effect,) = closed_loop.effects
+    truth = {effect.name: {name: high + 1.0 for name, (_, _, high) in effect.parameters.items()}}
+    name, (value, _, _) = next(iter(effect.parameters.items()))
+    truth[effect.name][name] = value
+    row = instruments._verdict(tmp_path, truth)
+    assert row["verdict"] == closed_loop.verdict and row["names"] == [effect.name]
+    assert sum(row["held"]) == 1 and len(row["held"]) == len(effect.parameters)
+
+
 def row_of(job, names, verdict):
     """What a trial leaves, with a verdict."""
     return {
