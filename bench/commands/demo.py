@@ -31,7 +31,8 @@ def command(
 
     Example: bench demo --seed 7
 
-    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written. No
+    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written. So is
+    its instrument: filter, noise, mains, card and contact as laboratories have them, which no profile describes. No
     device is ever driven. Exits 1 when a part failed: what was made stays, and the same call starts anew.
     """
     import datetime
@@ -41,6 +42,7 @@ def command(
     from bench.profiles.find import find_scenario
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
     from daq.setup.errors import InputError
+    from rig.sim.blind_scenarios import instrument_in_words
     from rig.sim.scenario import load_scenario
 
     started = time.perf_counter()
@@ -57,6 +59,8 @@ def command(
     try:
         sealed = folder / "sealed.toml"
         sealed.write_text(hidden.to_toml(), encoding="utf-8")
+        if scenario is None:
+            typer.echo("an ordinary instrument, drawn by chance, stands between this rig and its recording")
         recording = _drive(checked, text, folder, sealed, seed)
         loop, complete = _close(recording, _reprocess(recording, folder), folder)
     except (InputError, OSError, ValueError) as error:
@@ -64,6 +68,8 @@ def command(
     names = ", ".join(load_scenario(sealed).effects) or "nothing"
     found = ", ".join(f.name for f in loop.effects) or "no effect added"
     typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {loop.verdict} ({found})")
+    if scenario is None:
+        typer.echo(f"its instrument, which a verdict may name as well: {instrument_in_words(hidden.rig)}")
     _list_outputs(folder, recording, sealed)
     if not complete:
         raise SystemExit(EXIT_FAILED)
@@ -104,13 +110,19 @@ def _simulated(name: str) -> tuple[Profile, str]:
 
 
 def _sealed(seed: int, profile: Profile) -> Scenario:
-    """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow."""
+    """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow.
+
+    Its instrument comes from a chance of its own, so that a seed hides what it hid before rigs had instruments.
+    """
+    from dataclasses import replace
+
     import numpy as np
 
-    from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
+    from rig.sim.blind_scenarios import left_open, ordinary_instrument, pool, sealed_scenario
 
     allowed = left_open(profile.setup())
-    return sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong", allowed=allowed)
+    hidden = sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong", allowed=allowed)
+    return replace(hidden, rig=ordinary_instrument(np.random.default_rng((seed, 1))))
 
 
 def _claim(folder: Path) -> None:

@@ -112,6 +112,37 @@ def sealed_scenario(
     return Scenario("sealed", effects, rig, rates, rng.bytes(16).hex())
 
 
+def ordinary_instrument(rng: np.random.Generator) -> dict[str, float]:
+    """Draw an instrument as a laboratory has it, whose parts stay within what a profile states of its channels.
+
+    Returns
+    -------
+    dict
+        Keys of a scenario's ``[rig]``.
+    """
+    return {
+        "low_pass_hz": float(np.exp(rng.uniform(np.log(4e3), np.log(9e3)))),
+        "low_pass_poles": float(rng.choice((1, 2, 4))),
+        "flicker_v": float(np.exp(rng.uniform(np.log(3e-5), np.log(2e-4)))),
+        "bias_v": float(rng.uniform(-3e-4, 3e-4)),
+        "mains_v": float(rng.uniform(0.0, 3e-4)),
+        "mains_odd": 0.5,
+        "between_channels_s": float(rng.uniform(0.0, 5e-6)),
+        "bounce_s": float(rng.uniform(0.0, 5e-4)),
+        "film_v": float(rng.uniform(0.0, 0.1)),
+    }
+
+
+def instrument_in_words(rig: Mapping[str, float]) -> str:
+    """What `ordinary_instrument` has drawn, for a person."""
+    return (
+        f"accelerometer behind a low-pass of {rig['low_pass_hz'] / 1e3:.1f} kHz (order {rig['low_pass_poles']:.0f}), "
+        f"1/f noise of {1e3 * rig['flicker_v']:.2f} mV an octave, bias {1e3 * rig['bias_v']:.2f} mV, mains "
+        f"{1e3 * rig['mains_v']:.2f} mV; channels {1e6 * rig['between_channels_s']:.1f} us apart; a contact that "
+        f"chatters for up to {1e3 * rig['bounce_s']:.2f} ms, with a film of {rig['film_v']:.2f} V"
+    )
+
+
 def _draw(
     rng: np.random.Generator,
     entry: EffectEntry,

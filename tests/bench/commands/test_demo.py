@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -10,6 +11,8 @@ import rig.backends.soundcard
 from analysis.loop.result import ClosedLoop
 from bench.cli import app
 from bench.commands import demo
+from bench.profiles.find import load
+from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
 
 
 def test_no_device_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,8 +59,20 @@ def test_a_failed_demo_does_not_block_the_next(
     monkeypatch.setattr(demo, "_close", lambda *a: (loop, True))
     second = CliRunner().invoke(app, call)
     assert second.exit_code == 0, second.output
+    assert "an ordinary instrument" in second.output and "may name as well: accelerometer behind" in second.output
     assert seen == [False] and (folder / "mine.txt").is_file()
     assert not (folder / demo.UNFINISHED).exists()
+
+
+def test_an_instrument_changes_nothing_of_what_a_seed_hides() -> None:
+    """The sealed effect of a seed is that of a rig without an instrument; another seed has another instrument."""
+    profile = load("simulated")[0]
+    drawn = [demo._sealed(seed, profile) for seed in (4, 5)]
+    plain = sealed_scenario(
+        np.random.default_rng(4), pool("named"), strength="strong", allowed=left_open(profile.setup())
+    )
+    assert drawn[0].effects == plain.effects and drawn[0].nonce == plain.nonce
+    assert drawn[0].rig["low_pass_hz"] != drawn[1].rig["low_pass_hz"] and not plain.rig
 
 
 def test_a_finished_demo_is_never_overwritten(tmp_path: Path) -> None:
