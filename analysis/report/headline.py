@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.loop.result import ClosedLoop
 from analysis.report.narrative import gains, why_this_verdict
-from analysis.report.wording import microseconds, others_in_words, plain, size_of, what_is_left
+from analysis.report.wording import lost_in_words, microseconds, others_in_words, plain, size_of, what_is_left
 
 LISTED = 3  # rival sets that are named
 NOTABLE = 1.2  # fall of an error from which it is named beside that of landings
@@ -17,17 +17,17 @@ NOTABLE = 1.2  # fall of an error from which it is named beside that of landings
 def headline(loop: ClosedLoop) -> str:
     """The verdict in plain sentences, the finding first; ends with a full stop."""
     if loop.verdict == "explained":
-        return f"{_capital(_found(loop))}. {_errors(loop)} {_certainty(loop)} {_rivals(loop)}"
+        return f"{_capital(_found(loop))}. {_errors(loop)} {_lost(loop)}{_certainty(loop)} {_rivals(loop)}"
     if loop.verdict == "nothing_missing":
         declared = ", ".join(plain(n) for n in loop.setup.declared) or "no effect beyond the ideal ball"
         return (
             f"Nothing is missing: the declared model ({declared}) predicts landings on held-out steps to "
             f"{microseconds(loop.after.landing_rms_us)} us rms, where noise alone gives "
-            f"{microseconds(loop.noise_floor_us)} us."
-        )
+            f"{microseconds(loop.noise_floor_us)} us. {_lost(loop)}"
+        ).rstrip()
     best = f" Best so far, not believed: {_found(loop)}." if loop.effects else ""
     why = _capital(why_this_verdict(loop)[0])
-    return f"Something is left that no named effect accounts for.{best} {_errors(loop)} {why}"
+    return f"Something is left that no named effect accounts for.{best} {_errors(loop)} {_lost(loop)}{why}"
 
 
 def _found(loop: ClosedLoop) -> str:
@@ -64,6 +64,12 @@ def _errors(loop: ClosedLoop) -> str:
         f"The plate is off by {loop.remainder.plate_rms_z:.1f} standard deviations rms instead of "
         f"{_plate_z(loop):.1f}. {said}"
     )
+
+
+def _lost(loop: ClosedLoop) -> str:
+    """A sentence on the few landings that decide the error, with the space after it; or nothing."""
+    words = lost_in_words(loop)
+    return f"{words}. " if words else ""
 
 
 def _plate_z(loop: ClosedLoop) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
-from analysis.report.wording import microseconds, plain, probability, rejected_in_words, what_is_left
+from analysis.report.wording import lost_in_words, microseconds, plain, probability, rejected_in_words, what_is_left
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import KINDS
 from analysis.statistics import mad_sigma
@@ -93,11 +93,11 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
 
 def why_this_verdict(loop: ClosedLoop) -> list[str]:
     """The tests that the verdict rests on."""
-    floor = loop.noise_floor_us
+    floor, lost = loop.noise_floor_us, [f"{words}." for words in (lost_in_words(loop),) if words]
     if loop.failed:
-        return [f"called unexplained because {'; '.join(_failure(loop, f) for f in loop.failed)}."]
+        return [f"called unexplained because {'; '.join(_failure(loop, f) for f in loop.failed)}.", *lost]
     held = f"on held-out steps landings are missed by {microseconds(loop.after.landing_rms_us)} us rms, noise "
-    return [f"{held}{microseconds(floor)} us; {what_is_left(loop)}."]
+    return [f"{held}{microseconds(floor)} us; {what_is_left(loop)}.", *lost]
 
 
 def _failure(loop: ClosedLoop, failed: Failed) -> str:

@@ -6,6 +6,7 @@ import math
 
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.residuals.values import TREND
+from analysis.thresholds import OUTLIER_FRACTION
 from model.effects.registry import effect, trend_name
 
 VERDICTS = {
@@ -71,6 +72,19 @@ def verdict_line(loop: ClosedLoop) -> str:
         return words
     added = "; ".join(f"{plain(f.name)}, {size_of(f)}".removesuffix(", ") for f in loop.effects)
     return f"{words}; best so far, not believed: {added}" if loop.verdict == "unexplained" else f"{words} by {added}"
+
+
+def lost_in_words(loop: ClosedLoop) -> str:
+    """The few held-out landings that were not as predicted, and the error without them; empty where that is alike."""
+    after = loop.after
+    few = 0 < after.lost <= max(OUTLIER_FRACTION * after.flights, 1.0)
+    if not few or loop.limits.most_rms_us(after.landing_rms_us_without_lost) > after.landing_rms_us:
+        return ""
+    were = "landing was" if after.lost == 1 else "landings were"
+    return (
+        f"{after.lost} of {after.flights} held-out {were} not as predicted; without them "
+        f"{microseconds(after.landing_rms_us_without_lost)} us rms"
+    )
 
 
 def others_in_words(loop: ClosedLoop) -> list[str]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.linear_algebra import cholesky, inv
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise_model import log_odds, robust_loss
 from analysis.residuals.values import ParameterId
 from analysis.statistics import MAD_TO_SIGMA, chance_of_squares
 from analysis.thresholds import (
@@ -50,6 +51,8 @@ class Errors:
         Median absolute error of the flight times over the measured flight time.
     flights, excluded_fraction
         Flights counted, and the fraction excluded as near-grazing.
+    lost, landing_rms_us_without_lost
+        Landings that the robust likelihood takes for other events, not for misses by noise; the rms of the rest.
     """
 
     landing_rms_us: float
@@ -61,6 +64,8 @@ class Errors:
     flight_time_relative: float
     flights: int
     excluded_fraction: float
+    lost: int = 0
+    landing_rms_us_without_lost: float = float("nan")
 
 
 def scored_rows(
@@ -127,6 +132,7 @@ def held_out_errors(
     measured = (ev.measured.landing_s - ev.measured.opening_s)[rows]
     predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
     relative = np.abs(np.where(np.isfinite(predicted), predicted, 0.0) - measured) / measured
+    lost = _lost(world, values, landing, rows)
     low, high = _interval(landing, ev.measured.step[rows], np.random.default_rng(seed))
     return Errors(
         _rms_us(landing),
@@ -138,7 +144,18 @@ def held_out_errors(
         float(np.median(relative)),
         len(rows),
         excluded_fraction,
+        int(lost.sum()),
+        _rms_us(landing[~lost]),
     )
+
+
+def _lost(
+    world: ForwardModel, values: Mapping[ParameterId, float], landing_s: Array, rows: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which landings (k,) are likelier to be outliers than missed by noise, in the likelihood of the fits."""
+    sigma = np.hypot(world.uncertainty(values).landing_total_s[rows], SHARED_S)
+    odds = log_odds(sigma, world.evidence.steps.plate.period_s[world.evidence.measured.step[rows]])
+    return np.asarray(robust_loss(landing_s / sigma) > -odds)
 
 
 def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float]:

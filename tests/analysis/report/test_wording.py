@@ -1,8 +1,13 @@
 """Words of the report: what is left after a fit."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
-from analysis.report.wording import what_is_left
+import pytest
+
+from analysis.report.headline import headline
+from analysis.report.narrative import why_this_verdict
+from analysis.report.wording import lost_in_words, what_is_left
 from analysis.thresholds import FROZEN
 
 
@@ -16,3 +21,23 @@ def test_a_certain_remainder_is_not_called_noise():
     assert what_is_left(left(0.3, 1.0)) == "what is left looks like noise (p = 0.3)"
     certain = what_is_left(left(1e-12, 1.1))
     assert "noise (p" not in certain and "1.10 times the noise" in certain
+
+
+@pytest.mark.parametrize("verdict", ["explained", "unexplained", "nothing_missing"])
+def test_a_number_that_a_few_landings_make_never_contradicts_the_verdict(closed_loop, verdict):
+    """3637 us beside a floor of 46: every sentence with the number says that 24 landings of 1900 make it."""
+    after = replace(closed_loop.after, landing_rms_us=3637.0, flights=1900, lost=24, landing_rms_us_without_lost=41.0)
+    loop = replace(closed_loop, verdict=verdict, after=after, failed=())
+    words = "24 of 1900 held-out landings were not as predicted; without them 41.0 us rms"
+    assert lost_in_words(loop) == words
+    assert words in headline(loop)
+    assert f"{words}." in why_this_verdict(loop)
+
+
+def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):
+    """None lost, or so many that the model is wrong, or an error that is the same without them: no words."""
+    for lost, rms, without in ((0, 10.0, 10.0), (900, 3637.0, 41.0), (1, 10.0, 9.5)):
+        after = replace(
+            closed_loop.after, landing_rms_us=rms, flights=1900, lost=lost, landing_rms_us_without_lost=without
+        )
+        assert lost_in_words(replace(closed_loop, after=after)) == ""

@@ -105,3 +105,18 @@ def test_openings_excuse_no_landing_of_their_own(fly_ramp: Callable[..., Forward
     rows = np.flatnonzero(world.evidence.scored)
     told = given_openings(ForwardModel(replace(world.evidence, measured=late), {}), FRICTION, rows)
     assert told.landing_rms_us > 1.5 * max(told.floor_us, told.chance_us)
+
+
+def test_landings_of_other_events_are_counted_and_told_apart_from_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """One landing 5 ms off makes nearly all of the rms: it is lost, and the rest is what it was."""
+    world = fly_ramp(FRICTION, 0)
+    rows, out = scored_rows(world, FRICTION, np.ones(len(world.evidence.steps), dtype=bool))
+    clean = held_out_errors(world, FRICTION, rows, out)
+    landing = world.evidence.measured.landing_s.copy()
+    landing[rows[-1]] += 5e-3  # no flight is predicted from the last one
+    off = replace(world.evidence, measured=replace(world.evidence.measured, landing_s=landing))
+    errors = held_out_errors(ForwardModel(off, {}), FRICTION, rows, out)
+    assert (clean.lost, errors.lost) == (0, 1)
+    assert clean.landing_rms_us_without_lost == clean.landing_rms_us
+    assert errors.landing_rms_us > 5.0 * clean.landing_rms_us
+    assert errors.landing_rms_us_without_lost == pytest.approx(clean.landing_rms_us, rel=0.02)
