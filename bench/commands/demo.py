@@ -38,6 +38,7 @@ def command(
     import datetime
     import time
 
+    from bench.jobs.unsealed import compared, in_words
     from bench.outputs import Folder, check_outputs
     from bench.profiles.find import find_scenario
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
@@ -65,9 +66,12 @@ def command(
         loop, complete = _close(recording, _reprocess(recording, folder), folder)
     except (InputError, OSError, ValueError) as error:
         fail(f"{error}\nwhat was made is in {folder}; the same call starts anew there", EXIT_FAILED)
-    names = ", ".join(load_scenario(sealed).effects) or "nothing"
+    effects = load_scenario(sealed).effects
     found = ", ".join(f.name for f in loop.effects) or "no effect added"
+    names = ", ".join(effects) or "nothing"
     typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {loop.verdict} ({found})")
+    for row in compared(effects, loop):
+        typer.echo(f"  {in_words(row)}")
     if scenario is None:
         typer.echo(f"its instrument, which a verdict may name as well: {instrument_in_words(hidden.rig)}")
     _list_outputs(folder, recording, sealed)

@@ -110,7 +110,7 @@ NAMED: tuple[EffectEntry, ...] = (
         2.5,
         "force",
         "force against absolute velocity squared",
-        _size("coefficient_per_m", 5.0, 30.0, 0.0, 200.0),
+        _size("k_per_m", 5.0, 30.0, 0.0, 200.0),
     ),
     _named(
         "restitution",
@@ -132,7 +132,7 @@ NAMED: tuple[EffectEntry, ...] = (
         16.0,
         "force",
         "spring towards the plate, and a magnet whose pull decays with height",
-        _size("stiffness_per_s2", 50.0, 300.0, -10000.0, 10000.0),
+        _size("spring_per_s2", 50.0, 300.0, -10000.0, 10000.0),
         _size("magnet_g", 0.0, 0.1, -2.0, 2.0),
         _shape("range_m", 0.001, 0.005, 1.0),
     ),

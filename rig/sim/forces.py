@@ -81,11 +81,11 @@ def friction(s: Any, p: Any, h: float, v: float, t: float, direction: int) -> fl
 @njit()
 def _other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> float:
     """Sum of the forces on the ball beside weight and friction, over its mass, m/s^2."""
-    force = -p.viscous_damping_rate_per_s * v - p.position_force_stiffness_per_s2 * h
-    if p.quadratic_drag_coefficient_per_m != 0.0:
+    force = -p.viscous_damping_rate_per_s * v - p.position_force_spring_per_s2 * h
+    if p.quadratic_drag_k_per_m != 0.0:
         gained = u * (s.a0 + u * (s.a1 / 2.0 + u * (s.a2 / 3.0 + u * s.a3 / 4.0)))
         absolute = v + s.plate_mps + s.dt_s * gained + yv
-        force -= p.quadratic_drag_coefficient_per_m * abs(absolute) * absolute
+        force -= p.quadratic_drag_k_per_m * abs(absolute) * absolute
     pull = p.position_force_magnet_g * math.exp(-h / p.position_force_range_m)
     if p.latch_force_pull_g != 0.0:
         pull += p.latch_force_pull_g * 0.5 * (1.0 + math.tanh((h - p.latch_force_height_m) / p.latch_force_width_m))

@@ -129,7 +129,7 @@ def first_opening_phase(effects: dict[str, dict[str, float]], volts: float) -> f
         ({}, 1.0),
         ({"local_gravity": {"relative": 0.08}}, 1.08),
         ({"adhesion": {"pull_g": 0.2}}, 1.2),
-        ({"position_force": {"stiffness_per_s2": 0.0, "magnet_g": 0.15, "range_m": 0.002}}, 1.15),
+        ({"position_force": {"spring_per_s2": 0.0, "magnet_g": 0.15, "range_m": 0.002}}, 1.15),
         ({"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.0}}, 1.1),
         ({"stribeck_friction": {"mu_static": 0.2, "mu_kinetic": 0.05, "speed_mps": 0.05}}, 1.2),
         ({"ageing_threshold": {"pull_g": 0.2, "time_constant_s": 1e-4}}, 1.2),

@@ -87,7 +87,7 @@ FORCES: dict[str, tuple[dict[str, dict[str, float]], Callable[[float, float, flo
     "none": ({}, lambda t, h, v: 0.0),
     "viscous": ({"viscous_damping": {"rate_per_s": 5.0}}, lambda t, h, v: -5.0 * v),
     "spring and magnet": (
-        {"position_force": {"stiffness_per_s2": 200.0, "magnet_g": 0.02, "range_m": 0.002}},
+        {"position_force": {"spring_per_s2": 200.0, "magnet_g": 0.02, "range_m": 0.002}},
         lambda t, h, v: -200.0 * h - 0.02 * G * math.exp(-h / 0.002),
     ),
     "latch": (
@@ -133,7 +133,7 @@ def test_drag_acts_on_the_speed_over_ground() -> None:
         over_ground = v + 2.6 * G / OMEGA * math.cos(OMEGA * t)
         return -20.0 * abs(over_ground) * over_ground
 
-    scenario = Scenario("drag", {"quadratic_drag": {"coefficient_per_m": 20.0}})
+    scenario = Scenario("drag", {"quadratic_drag": {"k_per_m": 20.0}})
     for takeoff_s, landing_s in flights(scenario, drive(2.6, 12.0), 3):
         without = landing_after(takeoff_s, 2.6, lambda t, h, v: 0.0)
         wanted = landing_after(takeoff_s, 2.6, drag)

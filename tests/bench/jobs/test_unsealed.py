@@ -1,0 +1,44 @@
+"""What a rig hid and what was found stand under the same names, in the same units."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from analysis.loop.result import AddedEffect, ClosedLoop
+from bench.jobs.unsealed import LIBRARY_UNITS, compared, in_words
+from model.effects.registry import effect
+from rig.sim.catalogue import EFFECTS
+
+
+def test_both_sizes_stand_side_by_side(closed_loop: ClosedLoop) -> None:
+    """Hidden adhesion is converted to the library's unit; what was not found, and what was not hidden, says so."""
+    adhesion = AddedEffect("adhesion", {"a_mps2": (1.0, 0.9, 1.1)})
+    loop = dataclasses.replace(closed_loop, effects=(adhesion, AddedEffect("restitution", {"e0": (0.2, 0.1, 0.3)})))
+    rows = compared({"adhesion": {"pull_g": 0.1}, "quadratic_drag": {"k_per_m": 20.0}}, loop)
+    by_name = {f"{row.effect}.{row.parameter}": row for row in rows}
+    assert by_name["adhesion.a_mps2"].hidden == pytest.approx(0.980665) and by_name["adhesion.a_mps2"].found == 1.0
+    assert "found 1 (0.9 to 1.1)" in in_words(by_name["adhesion.a_mps2"])
+    assert in_words(by_name["quadratic_drag.k_per_m"]).endswith("hidden 20           found not found")
+    assert "hidden not hidden   found 0.2" in in_words(by_name["restitution.e0"])
+
+
+OWN = {
+    "stribeck_friction.mu_static",  # the library's mu_extra is the difference of both
+    "gain_compression.per_v2", "harmonic_distortion.second_per_v", "harmonic_distortion.third_per_v2",  # drive volts
+    "mains_hum.frequency_hz", "mains_hum.phase_rad", "mains_pickup.frequency_hz", "mains_pickup.phase_rad",  # measured
+    "mass_loading.mass_ratio",
+}  # fmt: skip
+
+
+def test_parameters_of_a_scenario_are_the_librarys() -> None:
+    """Each number of a named effect is a parameter of the library, but for the few that have no counterpart there."""
+    strange = set()
+    for entry in EFFECTS.values():
+        known = {p.name for p in effect(entry.name).effect.parameters} if entry.named else set()
+        for parameter in entry.parameters if entry.named else ():
+            name = LIBRARY_UNITS.get((entry.name, parameter.name), (parameter.name, 1.0))[0]
+            if name not in known:
+                strange.add(f"{entry.name}.{parameter.name}")
+    assert strange == OWN
