@@ -73,9 +73,9 @@ class Judge:
             return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
         if not gain.exceeds(nats, sigmas):
             return (
-                f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, and "
-                f"{gain.clipped:.0f} +- {gain.clipped_error:.0f} with no step counted for more than "
-                f"{MOST_OF_A_STEP_NATS:g}; wanted {nats:g} and {sigmas:g} standard errors"
+                f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, "
+                f"{gain.clipped:.0f} +- {gain.clipped_error:.0f} where a step counts {MOST_OF_A_STEP_NATS:g} at most; "
+                f"a gain of {nats:g} by {sigmas:g} standard errors is required"
             )
         for channel in x.losses:
             change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)

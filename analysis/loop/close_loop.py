@@ -298,7 +298,7 @@ def withdraw_unconfirmed(
             found,
             best=chain[-1],
             ties=(chain[-1],) if len(chain) > 1 else (),
-            rounds=(*found.rounds, f"the reserved steps do not bear out {' + '.join(added)}: withdrawn"),
+            rounds=(*found.rounds, f"the steps held out of the fit do not improve with {' + '.join(added)}: withdrawn"),
             rejected=Rejected(added, gain.gain, gain.error, "the reserved steps do not bear it out"),
             earlier=tuple(chain[:-1]),
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
-from bench.terminal.console import EXIT_USAGE, fail, print_table, readable, write_json
+from bench.terminal.console import EXIT_USAGE, fail, next_command, print_lines, print_table, readable, write_json
 
 if TYPE_CHECKING:
     from daq.instrument.instrument import Instrument
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 def command(
     raw: Path = typer.Argument(..., metavar="RAW", help="CSV (also .gz), HDF5, NPZ, WAV, MAT, UFF58, TDMS, MDF4."),
-    profile: Path = typer.Option(..., "--profile", "-p", metavar="P.toml", help="What was measured with what."),
+    profile: str = typer.Option(
+        ..., "--profile", "-p", metavar="P.toml", help="What was measured with what; or the name of a shipped profile."
+    ),
     out: Path = typer.Option(..., "--out", "-o", metavar="REC.h5", help="Recording to create; never overwritten."),
     mapping: list[str] = typer.Option(
         [],
@@ -47,18 +49,18 @@ def command(
 
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
+    from bench.profiles.find import load_measuring
     from daq.importers.formats.columns import parse_map
     from daq.importers.formats.open import open_source
     from daq.importers.import_recording import ImportOptions, import_recording
     from daq.setup.errors import InputError
-    from rig.profile import load_setup
 
     try:
         check_outputs(
             File("--out", out, HDF5, kept=True), File("--json", json_out, JSON), inputs=[raw, profile],
             overwrite=overwrite,
         )  # fmt: skip
-        setup, text = load_setup(profile)
+        setup, text = load_measuring(profile)
         source = open_source(raw, _selection(channel), channel_column)
         options = ImportOptions(parse_map(mapping), rate, readable(note))
         with _progress(json_out == "-") as progress:
@@ -70,6 +72,7 @@ def command(
     payload = _payload(summary)
     if json_out != "-":
         _print(payload, summary.instrument)
+        print_lines(next_command(out))
     write_json(payload, json_out)
 
 

@@ -123,15 +123,15 @@ def _print(told: dict[str, Any]) -> None:
         "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
                    + (f"; {profile['description']}" if profile["description"] else ""),
         "declared": declared or "no effects",
-        "kept": ", ".join(k["name"] for k in told["kept_effects"]) or "no effects of your own on this computer",
+        "own effects": ", ".join(k["name"] for k in told["kept_effects"]) or "none kept on this computer",
         "steps": str(len(told["steps"])),
     }  # fmt: skip
-    print_lines(*(f"  {key:<9} {value}" for key, value in lines.items()))
+    print_lines(*(f"  {key:<11} {value}" for key, value in lines.items()))
     if told["instrument"] is not None:
         instrument = Instrument.from_json(told["instrument"])
-        print_lines(*(f"  measured  {line}" for line in instrument.in_words()))
-        print_lines(*(f"  doubt     {doubt.sentence}" for doubt in instrument.doubts))
-    print_lines(*(f"  noted     at {note['at_s']:.3f} s: {note['text']}" for note in told["notes"]))
+        print_lines(*(f"  measured    {line}" for line in instrument.in_words()))
+        print_lines(*(f"  doubt       {doubt.sentence}" for doubt in instrument.doubts))
+    print_lines(*(f"  noted       at {note['at_s']:.3f} s: {note['text']}" for note in told["notes"]))
     if not told["steps"]:
         return
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)

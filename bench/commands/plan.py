@@ -77,7 +77,7 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from bench.terminal.console import print_lines, print_table
+    from bench.terminal.console import GAMMA, print_lines, print_table
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     for heading in ("step", "gamma", "gamma\npeak", "drive\n(V)", "accel\n(m/s^2)", "speed\n(m/s)", "displ\n(mm)",
@@ -93,6 +93,7 @@ def _print(profile: Profile, programme: Programme, rows: list[tuple[Step, Peaks]
         )  # fmt: skip
     print_lines(f"{profile.name}: {profile.forcing.frequency_hz:g} Hz, c = {profile.forcing.ratio}; peaks from rest")
     print_table(table)
+    print_lines(GAMMA)
     if left_out:
         print_lines(f"{left_out} steps in the middle are not shown; --json FILE writes all of them")
     seconds = programme.n_samples / programme.rate_hz

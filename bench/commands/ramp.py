@@ -98,13 +98,15 @@ def _told(summary: RunSummary, backend: Backend, out: Path, json: str | None) ->
     """Write the summary of a run for a machine, or print it in a sentence; exit 1 where it is not complete."""
     from contextlib import suppress
 
-    from bench.terminal.console import EXIT_FAILED, fail, write_json
+    from bench.terminal.console import EXIT_FAILED, fail, next_command, write_json
 
     kept = {"recording": out if summary.n_samples else None}
     write_json(kept | {"backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
     if json != "-":
         with suppress(OSError):  # the terminal may be gone; the exit code tells
             typer.echo(_sentence(summary, out))
+            if summary.steps_driven:
+                typer.echo(next_command(out))
     if summary.how != "complete":
         fail(f"{summary.how}: {summary.why}", EXIT_FAILED)
 

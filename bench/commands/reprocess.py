@@ -128,17 +128,38 @@ def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
     return row
 
 
+IN_WORDS = {
+    "FALSE": "are bounces of the contact, no flights",
+    "DOUBLE_HIT": "are short rebounds",
+    "RELAUNCHED": "begin where the ball had just landed",
+    "ACCELEROMETER": "are dated by the accelerometer",
+    "GAP": "touch lost samples",
+    "SETTLING": "lie in the fade or settling time of a step",
+    "CUT": "are cut off by the start, the end or a change of step",
+    "UNSURE": "may hide a landing",
+}
+"""What each flag of a flight says, after a number."""
+
+
+def in_the_air(table: Flights) -> str:
+    """How many intervals in the air there are, and of what kinds, in a sentence."""
+    from analysis.flights.table import FlightFlag
+
+    counts = ((int(table.has(flag).sum()), IN_WORDS[flag.name or ""]) for flag in FlightFlag)
+    kinds = "; ".join(f"{n} {words}" for n, words in counts if n)
+    return f"{len(table)} intervals in the air" + (f"; of these {kinds}" if kinds else "")
+
+
 def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -> None:
     """Tables for a person."""
     from rich import box
     from rich.table import Table
 
-    from analysis.flights.assemble import FlightFlag
-    from bench.terminal.console import print_lines, print_table
+    from bench.terminal.console import GAMMA, print_lines, print_table
 
     title = f"{opened.path.name}{' (simulated rig)' if opened.attrs.get('simulated') else ''}"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in ("step", "gamma", "+-", "peak", "by drive", "n", "double", "mean ms", "verdict"):
+    for name in ("step", "gamma", "+-", "peak", "by drive", "n", "double", "mean ms", "motion"):
         shown.add_column(name, justify="right", no_wrap=True)
     notes = []
     for own in classes:
@@ -163,9 +184,7 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
             own.label,
         )
     print_table(shown)
-    print_lines(*notes)
-    counts = ", ".join(f"{f.name} {int(table.has(f).sum())}" for f in FlightFlag if table.has(f).any())
-    print_lines(f"{len(table)} intervals in the air; flags: {counts or 'none'}")
+    print_lines(GAMMA, *notes, in_the_air(table))
     witness = table.edges.sensor_offset
     if table.edges.levels is None:
         print_lines("no continuity channel: only the plate was analysed")
@@ -173,6 +192,6 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
         print_lines("the accelerometer shows no impacts: landings that relaunch at once may hide")
     elif witness.uncertainty_s < 1.0:
         print_lines(
-            f"second witness: accelerometer minus contact edge {1e6 * witness.offset_s:.1f} +- "
-            f"{1e6 * witness.uncertainty_s:.2f} us from {witness.pairs} landings"
+            f"the accelerometer shows a landing {1e6 * witness.offset_s:.1f} +- {1e6 * witness.uncertainty_s:.2f} us "
+            f"after the contact circuit does ({witness.pairs} landings)"
         )

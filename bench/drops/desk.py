@@ -82,7 +82,7 @@ class DropDesk:
 
     async def _greet(self, browser: Browser) -> None:
         offered = [] if self._fixed else await asyncio.to_thread(self._offered)
-        browser.send(json.dumps({"kind": "offer", "files": offered}))
+        browser.send(json.dumps({"kind": "offer", "files": offered, "choose": not self._fixed}))
         browser.send(json.dumps(self._asked_for()))
         if self._shown is not None:
             browser.send(json.dumps(self._shown))

@@ -28,10 +28,13 @@ def sentences(held: Comparison, scale: GammaScale) -> list[str]:
     out = [f"model with {effects}"]
     if held.short_by == held.short_by:
         size, way = abs(100 * held.short_by), "shorter" if held.short_by >= 0 else "longer"
-        out.append(f"measured flights are {size:.2f} % {way} than the model's (median over cycles, bounces apart)")
+        out.append(
+            f"measured flights are {size:.2f} % {way} than the model's (median over cycles, short rebounds not counted)"
+        )
     if held.periodic_flights:
         share = 100 * held.within_sample
-        out.append(f"periodic windows: {share:.1f} % of {held.periodic_flights} flights within one sample of the model")
+        within = f"{share:.1f} % of {held.periodic_flights} flights are within one sample of the model"
+        out.append(f"where the model's motion repeats itself, {within}")
     out.append(f"double hits: {held.double_hits}")
     first = held.first
     if first.measured is None:

@@ -67,6 +67,19 @@ def print_lines(*lines: str) -> None:
         sys.stdout.write(f"{line}\n")
 
 
+GAMMA = "gamma = A w^2/g of the first tone; peak: largest downward acceleration of the plate over g, 2 gamma at c = 1"
+"""Below every table of gammas."""
+
+
+def next_command(recording: Path) -> str:
+    """The line after a command that made a recording: what to do with it."""
+    import shlex
+
+    return (
+        f"next: bench close-loop {shlex.quote(str(recording))}   (bench compare: step by step; bench report: one page)"
+    )
+
+
 def print_table(table: Table) -> None:
     """Print a table; where a narrow terminal would cut it, each row as ``heading value`` pairs instead.
 

@@ -197,8 +197,9 @@ def jack_server(name: str, rate_hz: float, period: int) -> Iterator[bool]:
     Raises
     ------
     InputError
-        When there is none and none can be started.
+        When there is none and none can be started, or the package JACK-Client is missing.
     """
+    _jack()
     if _answers(name):
         yield False
         return
@@ -253,14 +254,20 @@ def jack_client(name: str, server: str, rate_hz: float) -> Any:
     return client
 
 
-def _client(name: str, server: str) -> Any:
-    """A client of the server; raises `InputError`."""
+def _jack() -> Any:
+    """The package JACK-Client; raises `InputError` where it, or the library that it calls, is missing."""
     try:
         import jack
     except (ImportError, OSError) as error:
         raise InputError(
-            f"JACK is not installed ({error}); on Debian: apt-get install jackd2, then pip install JACK-Client"
+            f"JACK is not installed ({error}); on Debian: apt-get install jackd2, then pip install 'shakerbench[jack]'"
         ) from error
+    return jack
+
+
+def _client(name: str, server: str) -> Any:
+    """A client of the server; raises `InputError`."""
+    jack = _jack()
     jack.set_error_function(lambda text: None)
     jack.set_info_function(lambda text: None)
     try:

@@ -28,7 +28,8 @@ function say(why) { $("refused").hidden = !why; $("refused").textContent = why ?
 
 const handlers = {
   offer(m) {
-    $("chooser").hidden = !m.files.length;
+    $("chooser").hidden = !m.choose;
+    $("none").hidden = m.files.length > 0;
     $("files").replaceChildren(...m.files.map((name) => {
       const label = make("label"), box = make("input", "", { type: "checkbox", value: name });
       box.addEventListener("change", buttons);

@@ -50,5 +50,5 @@ def test_what_the_reserved_steps_contradict_is_withdrawn(
     found = SelectionResult(nothing, drag, (drag,), (), ("round 1",), earlier=(nothing, friction))
     left = withdraw_unconfirmed(fitter.world, found, fitter.train, FROZEN)
     assert left.best is friction and left.ties == (friction,) and left.earlier == (nothing,)
-    assert left.rounds[-1] == "the reserved steps do not bear out quadratic_drag: withdrawn"
+    assert left.rounds[-1] == "the steps held out of the fit do not improve with quadratic_drag: withdrawn"
     assert left.rejected is not None and left.rejected.names == ("quadratic_drag",) and left.rejected.gain < 0.0

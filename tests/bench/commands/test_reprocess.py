@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from analysis.flights.table import FlightFlag
 from bench.cli import app
+from bench.commands.reprocess import IN_WORDS
 from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
 from daq.setup.setup import Setup
@@ -78,6 +80,23 @@ def test_reprocess_writes_the_table_the_json_and_the_pictures(recording: Path, t
     names = {p.name for p in (tmp_path / "p").iterdir()}
     assert names == {f"{n}.{f}" for n in ("bifurcation", "trajectory", "return_maps", "plate") for f in ("png", "svg")}
     assert "SIMULATED RIG" in (tmp_path / "p" / "bifurcation.svg").read_text(encoding="utf-8")
+
+
+def test_a_first_reader_is_told_in_sentences(recording: Path) -> None:
+    """The kinds of flights are words with numbers, the delay of the sensors a sentence, and gamma is defined."""
+    result = CliRunner().invoke(app, ["reprocess", str(recording)])
+    assert result.exit_code == 0, result.output
+    assert (
+        "intervals in the air; of these " in result.output and "begin where the ball had just landed" in result.output
+    )
+    assert "gamma = A w^2/g" in result.output
+    for word in ("RELAUNCHED", "second witness", "flags:"):
+        assert word not in result.output
+
+
+def test_every_kind_of_flight_has_words() -> None:
+    """No flag of a flight is without its words for a reader."""
+    assert {flag.name for flag in FlightFlag} == set(IN_WORDS)
 
 
 def test_compare_says_how_measured_and_predicted_differ(recording: Path) -> None:

@@ -143,6 +143,13 @@ def test_impacts_are_dragged_added_and_taken_away(chromium: Any, bench: Any, tap
     assert page.faults == [] and other.faults == []
 
 
+def test_a_folder_without_a_drop_says_what_to_do(chromium: Any, bench: Any, tmp_path: Path) -> None:
+    """Where the folder holds nothing of a drop, the page is not empty: it says what belongs there."""
+    page = opened(chromium, bench("live", "simulated", "--runs", tmp_path), "drop")
+    page.wait_for_selector("#none", timeout=1e3 * PATIENCE_S)
+    assert "put one there" in page.inner_text("#none") and page.faults == []
+
+
 def test_a_file_of_the_desk_is_opened_with_what_was_kept(chromium: Any, bench: Any, tap: Path) -> None:
     """The desk offers the folder's files; one opens with its corrections, and a wrong option is said, not followed."""
     url = bench("drop", tap, "--page")

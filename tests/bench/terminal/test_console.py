@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import bench
 from bench.cli import COMMANDS, app
 from bench.profiles.find import find_scenario, scenario_names, shipped_folder
-from bench.terminal.console import print_table, write_json
+from bench.terminal.console import next_command, print_table, write_json
 from bench.terminal.streams import SafeStream, nearest
 from daq.setup.errors import InputError
 
@@ -221,3 +221,15 @@ def test_the_wheel_holds_what_is_looked_for() -> None:
     for kind in ("rig_profiles", "scenarios"):
         assert wheel["wheel"]["force-include"][kind] == f"bench/{kind}"
         assert any((ROOT / kind).glob("*.toml"))
+
+
+def test_help_by_its_short_name() -> None:
+    """-h is --help, of the program, of its commands and of theirs."""
+    for words in ((), ("plan",), ("calibrate", "drive")):
+        short, long = (CliRunner().invoke(app, [*words, option]) for option in ("-h", "--help"))
+        assert short.exit_code == 0 and short.output == long.output
+
+
+def test_the_next_command_has_the_files_name_as_a_shell_takes_it() -> None:
+    """A name with a blank is quoted."""
+    assert "bench close-loop 'my run.h5' " in next_command(Path("my run.h5"))
