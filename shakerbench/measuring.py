@@ -67,7 +67,7 @@ COMPARISON_UNITS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FlightTable(Table):
     """Flights of a recording, one a row; ``flights`` holds every column, the plate and what the edges were worth."""
 
@@ -91,14 +91,14 @@ class FlightTable(Table):
         return ax
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlateTable(Table):
     """The plate's motion, one fitted step a row; ``motion`` holds tones, covariances and windows of each step."""
 
     motion: PlateMotion | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ComparisonTable(Table):
     """A recording against the model, one step a row; ``comparison`` holds changes and the first bifurcation."""
 
@@ -143,7 +143,7 @@ class LoopResult:
             name: np.array([np.nan if told[when][name] is None else told[when][name] for when in ("before", "after")])
             for name in names
         }
-        units = {name: "us" if name.endswith("_us") else "1" for name in names} | {"which": ""}
+        units = {name: "us" if "_us" in name else "1" for name in names} | {"which": ""}
         return Table(columns, units, {"noise_floor_us": self.loop.noise_floor_us}, "which")
 
     def write_report(self, folder: str | Path) -> Path:

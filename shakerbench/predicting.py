@@ -49,7 +49,7 @@ class PredictedBall:
     frequency_hz: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagram(Table):
     """A bifurcation diagram, one attractor a row; ``rows.tau`` holds every flight time (n, 64), in 1/w, else NaN."""
 

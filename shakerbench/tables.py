@@ -49,6 +49,11 @@ class Table(Mapping[str, NDArray[Any]]):
         """Number of columns; of rows: ``n_rows``."""
         return len(self.columns)
 
+    def __repr__(self) -> str:
+        """Rows and columns with their units, not the numbers."""
+        named = (f"{name} ({self.units[name]})" if self.units.get(name) else name for name in self.columns)
+        return f"<{type(self).__name__}: {self.n_rows} rows of {', '.join(named)}>"
+
     @property
     def n_rows(self) -> int:
         """Number of rows."""

@@ -9,7 +9,7 @@ import datetime
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, MutableMapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -83,7 +83,7 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
 
 
 def declare(text: str, measured: Iterable[Quantity], on: datetime.date, where: str) -> str:
-    """The profile ``text`` with ``measured``, each with its uncertainty, date and source; raises as `with_values`."""
+    """The profile ``text`` with ``measured``, rounded, with uncertainty, date and source; raises as `with_values`."""
     return with_values(text, {one.key: _quantity(one, on) for one in measured}, where)
 
 
@@ -100,7 +100,7 @@ def withdraw(text: str, effects: Iterable[str], where: str) -> str:
 
 
 def write_into(path: Path, measured: Iterable[Measured], on: datetime.date) -> None:
-    """Put each value, rounded to what is known of it, at its dotted key in the profile ``path``.
+    """Put each value at its dotted key in the profile ``path``.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def write_into(path: Path, measured: Iterable[Measured], on: datetime.date) -> N
     OSError
         When it cannot be read or written.
     """
-    text = declare(path.read_bytes().decode("utf-8"), map(_rounded, measured), on, str(path))
+    text = declare(path.read_bytes().decode("utf-8"), measured, on, str(path))
     parse_profile(text, str(path))
     with whole(path) as part:
         part.write_bytes(text.encode("utf-8"))
@@ -135,12 +135,12 @@ def _item(value: Any) -> Any:
 
 
 def _quantity(one: Quantity, on: datetime.date) -> dict[str, Any]:
-    """Value, uncertainty, date and source as a profile holds them."""
-    source = " ".join(one.source.split())
-    return {"value": float(one.value), "uncertainty": float(one.uncertainty), "date": on, "source": source}
+    """Value, uncertainty, date and source as a profile holds them.
 
-
-def _rounded(one: Measured) -> Measured:
-    """Value and uncertainty to two digits of the uncertainty, the value to one more."""
-    places = 1 - math.floor(math.log10(one.uncertainty)) if one.uncertainty > 0.0 else 12
-    return replace(one, value=round(one.value, places + 1), uncertainty=round(one.uncertainty, places))
+    The uncertainty has two digits, the value one more than it can carry.
+    """
+    value, uncertainty = float(one.value), float(one.uncertainty)
+    if 0.0 < uncertainty < math.inf:
+        places = 1 - math.floor(math.log10(uncertainty))
+        value, uncertainty = round(value, places + 1), round(uncertainty, places)
+    return {"value": value, "uncertainty": uncertainty, "date": on, "source": " ".join(one.source.split())}

@@ -78,6 +78,11 @@ class Recording(Closing):
         One line for each damage that was found; what it took is a gap, a channel less, or an empty table.
     """
 
+    def __repr__(self) -> str:
+        """What it holds, in a line."""
+        seconds = self.n_samples / self.rate_hz
+        return f"<Recording {self.path}: {', '.join(self.channels)}; {seconds:.3f} s, {len(self.steps)} steps>"
+
     def __init__(
         self, path: Path, file: Any, lost: Mapping[str, Spans] | None = None, damage: Sequence[str] = ()
     ) -> None:

@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 import shakerbench as sb
+from analysis.loop.result import ClosedLoop
 from daq.setup.errors import InputError
+from shakerbench.measuring import LoopResult
 
 ROOT = Path(__file__).parents[2]
 NAMES = [name for name in sb.__all__ if name != "__version__"]
@@ -152,3 +154,25 @@ def test_what_a_limit_forbids_is_not_driven(tmp_path: Path) -> None:
     (tmp_path / "y.h5").write_text("mine", encoding="utf-8")
     with pytest.raises(InputError, match="never overwritten"):
         sb.run("simulated", tmp_path / "y.h5")
+
+
+def test_a_recording_and_its_tables_print_what_they_are(recording: Path) -> None:
+    """The line for a recording names its file, channels and steps; that of a table its rows and units, no numbers."""
+    with sb.open_recording(recording) as opened:
+        assert re.fullmatch(r"<Recording .*: continuity, accelerometer, drive; [\d.]+ s, \d+ steps>", repr(opened))
+        flights = sb.find_flights(opened)
+    assert repr(flights).startswith(f"<FlightTable: {flights.n_rows} rows of takeoff_s (s), landing_s (s)")
+
+
+def test_errors_of_landings_are_in_microseconds(closed_loop: ClosedLoop) -> None:
+    """Every column of a loop's errors that is a time says us, the ends of the intervals too."""
+    units = LoopResult(closed_loop, ()).errors().units
+    assert {units[name] for name in ("landing_rms_us", "landing_rms_us_low", "landing_rms_us_high")} == {"us"}
+
+
+def test_it_runs_as_a_module() -> None:
+    """`python -m shakerbench` is the command line."""
+    done = subprocess.run(
+        [sys.executable, "-m", "shakerbench", "--version"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and done.stdout.startswith("bench ")

@@ -92,3 +92,11 @@ def test_an_edit_sets_its_values_and_nothing_else(name: str, values: dict[str, A
     assert found == wanted
     comments = [line for line in text.splitlines() if line.startswith("#")]
     assert [line for line in with_values(text, values, name).splitlines() if line.startswith("#")] == comments
+
+
+def test_values_have_the_digits_that_their_uncertainty_carries() -> None:
+    """Two digits of the uncertainty, and one more of the value; a value that is exact stays as it is."""
+    found = [Measured("declared.restitution.e0", 0.51423871, 0.0213987, "x"), Measured("g_mps2", 9.812345, 0.0, "x")]
+    read = tomllib.loads(declare("", found, datetime.date(2026, 11, 25), "text"))
+    assert (read["declared"]["restitution"]["e0"]["value"], read["g_mps2"]["value"]) == (0.5142, 9.812345)
+    assert read["declared"]["restitution"]["e0"]["uncertainty"] == 0.021
