@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cholesky, solve_toeplitz, solve_triangular, toeplitz
+from scipy.linalg import solve_toeplitz, toeplitz
 from scipy.signal import lfilter
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 FRAME = 128  # samples of a periodogram
-FEWEST_FRAMES = 8  # periodograms from which a spectrum is measured
+FEWEST_FRAMES, MOST_FRAMES = 8, 1024  # periodograms from which a spectrum is measured
 QUIET_SHARE = 0.25  # quantile of the periodograms that the first estimate takes: most may hold an impact
 FRAME_SIGMAS = 4.0  # excess of a frame's mean power, in standard deviations, from which it is left out
 FRAME_SCATTER = 1.3  # standard deviation of a frame's mean power, times the root of its number of frequencies
@@ -86,8 +86,7 @@ class NoiseSpectrum:
 
     def whitener(self, length: int) -> Floats:
         """Lower triangle, shape (length, length), that makes ``length`` samples of noise white, of unit variance."""
-        lower = cholesky(toeplitz(self.autocovariance(length)), lower=True)
-        return np.asarray(solve_triangular(lower, np.eye(length), lower=True))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(toeplitz(self.autocovariance(length)))))
 
     def innovations(self, volts: Floats) -> Floats:
         """What the `PREDICTED_FROM` samples before do not predict, in its standard deviations, shape of ``volts``."""
@@ -113,20 +112,19 @@ def measure_noise(volts: Sequence[Floats], usable: Sequence[Mask], rate_hz: floa
     NoiseSpectrum or None
         None where too few samples are usable, or the channel stands still.
     """
-    taper = np.hanning(FRAME + 1)[:-1]
     rows = []
     for own, good in zip(volts, usable, strict=True):
         begins = np.arange(0, own.size - FRAME + 1, FRAME // 2)
         counts = np.concatenate([[0], np.cumsum(good)])
         whole = begins[counts[begins + FRAME] - counts[begins] == FRAME]
-        frames = own[whole[:, None] + np.arange(FRAME)]
-        ramp = np.linspace(-1.0, 1.0, FRAME)
-        frames = frames - frames.mean(axis=1, keepdims=True)
-        frames -= np.outer(frames @ ramp / (ramp @ ramp), ramp)
-        rows.append(np.abs(np.fft.rfft(frames * taper)) ** 2)
-    power = np.concatenate(rows) * (2.0 / (rate_hz * (taper @ taper)))
-    if len(power) < FEWEST_FRAMES:
+        rows.append(own[whole[:: len(whole) * len(volts) // MOST_FRAMES + 1, None] + np.arange(FRAME)])
+    frames = np.concatenate(rows)
+    if len(frames) < FEWEST_FRAMES:
         return None
+    ramp, taper = np.linspace(-1.0, 1.0, FRAME), np.hanning(FRAME + 1)[:-1]
+    frames -= frames.mean(axis=1, keepdims=True)
+    frames -= np.outer(frames @ ramp / (ramp @ ramp), ramp)
+    power = np.abs(np.fft.rfft(frames * taper)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
     density = np.quantile(power, QUIET_SHARE, axis=0) / -np.log1p(-QUIET_SHARE)
     most = 1.0 + FRAME_SIGMAS * FRAME_SCATTER / np.sqrt(power.shape[1])
     for _ in range(TURNS):
@@ -156,7 +154,7 @@ def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
     deviation = np.abs(quiet)
     if deviation.size < FEWEST_FRAMES * FRAME:
         return 1.0, 0.0
-    scale = float(np.sqrt(np.mean(deviation[deviation <= np.quantile(deviation, CORE)] ** 2))) / CORE_SIGMA
+    scale = float(np.sqrt(np.mean(deviation[deviation <= np.quantile(deviation[::8], CORE)] ** 2))) / CORE_SIGMA
     up = quiet[1:-1]
     tops = up[(up > TAIL * scale) & (up >= quiet[:-2]) & (up > quiet[2:])] / scale
     decay, per_hour = 1.0, max(tops.size, 1) / quiet.size * rate_hz * 3600.0

@@ -39,7 +39,7 @@ MASK_S = 8e-3  # mask after an impact in the tone fits made here
 QUIET_SAMPLES = 60  # samples without an onset before an onset
 ONSET_SIGMAS = 6.0  # standard deviations of noise that make an onset
 STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
-N_ALIGNMENTS = 3
+N_ALIGNMENTS = 2
 MAX_IMPACTS = 400  # strongest impacts used
 N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
 MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
@@ -93,7 +93,7 @@ def estimate_template(
         return None, None
     places, echo = [_onsets(volts, fitted, noise) for volts, fitted in still], echo_samples(rate_hz)
     template: ImpactTemplate | None = None
-    for _ in range(N_ALIGNMENTS):
+    for turn in range(N_ALIGNMENTS):
         rows = [_snippets(volts, fitted, own, echo) for (volts, fitted), own in zip(still, places, strict=True)]
         snippets, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
         strong = np.argsort(-np.abs(snippets).max(axis=1))[:MAX_IMPACTS] if len(snippets) else np.zeros(0, np.int64)
@@ -101,8 +101,10 @@ def estimate_template(
         if template is None:
             return noise, None
         places = [_detected(piece, template, rate_hz) for piece in pieces]
-        still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, places, strict=True)]
-        noise = _noise(still, places, rate_hz) or noise
+        if turn < N_ALIGNMENTS - 1:
+            still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, places, strict=True)]
+        if turn == 0:
+            noise = _noise(still, places, rate_hz) or noise
     if template is not None:
         template = replace(_with_threshold(template, pieces, still, places, rate_hz), width=width)
     return noise, template
@@ -110,9 +112,9 @@ def estimate_template(
 
 def _quiet(fitted: Mask, places: Floats, rate_hz: float) -> Mask:
     """Samples of a piece whose motion is known and that no impact in it reaches."""
-    quiet = fitted.copy()
+    quiet, echo = fitted.copy(), echo_samples(rate_hz)
     for place in places.astype(np.int64):
-        quiet[max(place - LENGTH, 0) : max(place + echo_samples(rate_hz), 0)] = False
+        quiet[max(place - LENGTH, 0) : max(place + echo, 0)] = False
     return quiet
 
 
