@@ -51,6 +51,7 @@ LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanose
 YEAR_9999_S = 2.5e11
 EPOCH_S = 1e9  # first time from which it counts as seconds since 1970
 RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
+EARLY_CYCLES = 2.0  # by which steps found in the accelerometer end early
 SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; shorter, it may be the middle of a fade
 
 
@@ -291,8 +292,18 @@ def _find(
     found = _found(volts.of("accelerometer"), n_samples, setup, base, intake, progress)
     if not intake.set_values:
         shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
-        found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
+        found = _ended_early([s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest], base.rate_hz)
     return found, "accelerometer"
+
+
+def _ended_early(found: list[FoundStep], rate_hz: float) -> list[FoundStep]:
+    """Steps without their last cycles, which go to the next one's fade: its slow beginning drowns in the noise."""
+    cut = [replace(s, stop=max(s.stop - round(EARLY_CYCLES * rate_hz / s.frequency_hz), s.hold)) for s in found]
+    starts = [
+        last.stop if step.start == before.stop else step.start
+        for before, last, step in zip(found, cut, cut[1:], strict=False)
+    ]
+    return cut[:1] + [replace(step, start=start) for step, start in zip(cut[1:], starts, strict=True)]
 
 
 def _table(found: list[FoundStep], volts: _Volts, channel: str, setup: Setup, rate_hz: float) -> NDArray[np.void]:

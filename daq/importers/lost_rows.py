@@ -112,12 +112,17 @@ class _Jump:
         x, index = read(start, stop), np.arange(start, stop)
         x = x - x.mean()
         models = np.zeros((2, len(x)))
-        for u, turns in zip(self.before, self.turns, strict=True):
-            wave = np.exp(2j * np.pi * turns * index)
-            sums = np.concatenate([[0.0], np.cumsum(x * wave.conj())])
-            low, high = np.maximum(index - start - cycle // 2, 0), np.minimum(index - start + cycle // 2, len(x))
-            size = 2.0 * np.abs(sums[high] - sums[low]) / (high - low)
-            models += size * (np.array([[u], [u * np.exp(2j * np.pi * turns * lost)]]) * wave).real
+        ends = (
+            (index - start - cycle, index - start),
+            (index - start, index - start + cycle),
+        )  # windows on one side each
+        for model, carried, window in zip(models, (0, lost), ends, strict=True):
+            low, high = (np.clip(end, 0, len(x)) for end in window)
+            for u, turns in zip(self.before, self.turns, strict=True):
+                wave = np.exp(2j * np.pi * turns * index)
+                sums = np.concatenate([[0.0], np.cumsum(x * wave.conj())])
+                size = 2.0 * np.abs(sums[high] - sums[low]) / np.maximum(high - low, 1)
+                model += size * (u * np.exp(2j * np.pi * turns * carried) * wave).real
         misfit = (x - models) ** 2
         before = np.concatenate([[0.0], np.cumsum(misfit[0])])
         after = np.concatenate([np.cumsum(misfit[1][::-1])[::-1], [0.0]])

@@ -169,7 +169,9 @@ def _hold(
     n, limits = len(volts["accelerometer"]), (TONE_BELOW, TONE_ABOVE) if driven else (FELT_BELOW, FELT_ABOVE)
     found = _tones_hz(volts["drive" if driven else "accelerometer"], rate_hz, hz, limits)
     own = [m * hz for m, _ in setup.forcing.displacement_tones()]
-    others = [f for f in found if min(abs(f - x) for x in own) > SAME_TONE * rate_hz / n]
+    nearest = [own[int(np.argmin(np.abs(np.array(own) - f)))] for f in found]
+    found = [x if abs(x - f) < SAME_TONE * rate_hz / n else f for x, f in zip(nearest, found, strict=True)]
+    others = [f for f in found if f not in own]
     plate = fit_tones(volts["accelerometer"], first, rate_hz, own + others)
     turns = 2j * np.pi * np.outer(plate.frequencies_hz / rate_hz, np.arange(first, first + n))
     motion = np.asarray((plate.amplitudes[:, None] * np.exp(turns)).real.sum(axis=0))
