@@ -169,7 +169,7 @@ def _loop_of(
     """The loop closed on what was observed."""
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     if not anyway:
-        _refuse_far_off(model, recordings)
+        refuse_far_off(model, recordings)
     train = np.arange(len(observations.steps)) % limits.reserve_every != limits.reserve_every // 2
     fitter = Fitter(model, priors_of(observations.setup), train)
     stepwise = StepwiseSelection(model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
@@ -195,7 +195,7 @@ def _loop_of(
     return result, FittedLoop(model, selection)
 
 
-def _refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:
+def refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:
     """Refuse landings and take-offs from rest that the declared model both misses by a good part of a cycle.
 
     An effect may move landings as far (a restitution does), but no take-off of a resting ball.

@@ -10,6 +10,7 @@ import datetime
 import numpy as np
 
 from daq.files.tables import BlockFlag
+from daq.instrument.stored import instrument_of
 from daq.recording import Recording
 from daq.recording.verify import VerifyReport
 from daq.setup.calibration_age import quantities
@@ -105,6 +106,9 @@ def rig_rows(recording: Recording) -> Rows:
         words += [f"terminal {channel.terminal}"] if channel.terminal else []
         words += [f"serial number {channel.serial_number}"] if channel.serial_number else []
         rows.append((name, ", ".join(words)))
+    if (instrument := instrument_of(recording)) is not None:
+        rows += [("measured", line) for line in instrument.in_words()]
+        rows += [("doubt", doubt.sentence) for doubt in instrument.doubts]
     return rows
 
 

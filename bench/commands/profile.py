@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from bench.outputs import Overwrite
+
+UNKNOWN_ZERO = (
+    "# offset_v = 0.0       # reading at zero, unknown yet: bench calibrate accelerometer, or as bench import says"
+)
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, no_args_is_help=True, help="List, show, make profiles.")
 
@@ -86,6 +91,8 @@ def new(
     try:
         check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
         text = with_values(_text_of(like), {"name": out.stem}, like)
+        if not Path(like).is_file():  # the zero of a shipped profile's sensor is not this one's
+            text = re.sub(r"(?m)^offset_v *=.*$", UNKNOWN_ZERO, text)
         parse_profile(text, like)
         out.write_text(text, encoding="utf-8")
     except InputError as error:

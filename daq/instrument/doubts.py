@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 
@@ -24,6 +25,7 @@ THROWN = 1.5  # peak of the plate's acceleration in g beyond which the ball cert
 TWO_LEVELS, NOT_TWO_LEVELS = 0.06, 0.15  # part of the samples between the extremes: of a contact, of a motion
 FEWEST_EDGES = 8
 TIGHTER = 0.4  # spread over that of landings, below which edges are take-offs
+LOCKED = 0.2  # spread of edges, relative, up to which they may be those of one repeated motion
 TAKEOFF_G = (0.2, 3.0)  # accelerations of the plate at take-offs between which the scale is believed
 BIAS_G = 0.5  # of the accelerometer's zero
 BIAS_SIGMAS = 5.0
@@ -135,7 +137,7 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     at, other, rest_g = at_edges_g(opens), at_edges_g(closes), _rest_g(seen, setup)
     turned = False
     if at is not None and other is not None and contact is not None:
-        if at * other < 0.0 and _spread(closes) < TIGHTER * _spread(opens):
+        if at * other < 0.0 and _are_takeoffs(closes, opens):
             at = other
             yield Doubt(
                 "contact_sense",
@@ -164,6 +166,18 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             "turn its leads, or write phase_deg = 180 in [drive]",
             False,
         )
+
+
+def _are_takeoffs(closes: Floats, opens: Floats) -> bool:
+    """Whether the ball takes off at the closings, both (n, delays): those whose accelerations lie closer together.
+
+    In a single locked motion landings lie as close together as take-offs, which then are what is nearer to g.
+    """
+    spread = _spread(opens)
+    if spread > LOCKED:
+        return _spread(closes) < TIGHTER * spread
+    at, other = (abs(math.log(max(abs(at_edges_g(x) or 0.0), 1e-9))) for x in (opens, closes))
+    return other < at and (at_edges_g(opens) or 0.0) > 0.0
 
 
 def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:

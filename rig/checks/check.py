@@ -6,12 +6,15 @@ as such; every bad verdict carries a remedy.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from daq.clocks.clock_sync import find_marker, start_marker
+from daq.files.tables import step_row
+from daq.instrument.stored import examine
 from daq.lock_in import fit_tones
 from rig.backends.base import Backend, Running
 from rig.profile import Profile
@@ -59,6 +62,7 @@ class Check:
         self._block = largest_block(self._clock, profile.backend.block_samples)
         self._per_g = peaks(profile, 1.0).gamma_peak
         self._contact_v = 0.0
+        self._instrument: list[Finding] = []
 
     def run(self) -> list[Finding]:
         """Start the rig, look, and let it go; raises `BackendError` where it does not answer."""
@@ -67,7 +71,7 @@ class Check:
             findings, delay = self._loopback()
             tone, quiet = self._tone(QUIET_PEAK, delay)
             findings += self._motion(tone, quiet, delay)
-            findings += self._contact(rest)
+            findings += [*self._contact(rest), *self._instrument]
             findings += self._noise(rest)
             findings += self._margins(quiet)
         return findings
@@ -195,6 +199,7 @@ class Check:
         if faults:
             return [Finding(what, f"not judged: {faults[0]}", None, "raise that limit if the rig allows it")]
         hold, heard = self._tone(FLIGHT_PEAK, 0)
+        self._instrument = self._measured({name: volts[hold] for name, volts in heard.items()})
         volts, swing_v = heard["continuity"][hold], channel.swing_v
         self._contact_v = float(np.max(np.abs(volts)))
         ac = channel.coupling == "ac"
@@ -215,6 +220,18 @@ class Check:
             remedy = "set open_v and closed_v to what a voltmeter reads"
             findings.append(Finding("contact levels", seen, bool(fine), remedy))
         return findings
+
+    def _measured(self, heard: dict[str, Floats]) -> list[Finding]:
+        """What the instruments are, from the short flight."""
+        profile, n = self._profile, len(heard["accelerometer"])
+        forcing = profile.forcing
+        step = step_row(
+            {"first_sample": 0, "n_samples": n, "frequency_hz": forcing.frequency_hz, "ratio": forcing.ratio}
+        )
+        read = {name: functools.partial(_part, volts) for name, volts in heard.items()}
+        gaps = np.zeros((0, 2), np.int64)
+        found = examine(read, n, profile.sampling.rate_hz, step, gaps, profile.setup())
+        return [Finding("instrument", line, True) for line in found.in_words()]
 
     def _noise(self, rest: dict[str, Floats]) -> list[Finding]:
         """Noise of each channel at rest."""
@@ -247,3 +264,8 @@ class Check:
             remedy = "a larger range_v, a lower gain, or a lower ramp"
             findings.append(Finding(f"margin of {name}", seen, margin_db >= MARGIN_DB, remedy))
         return findings
+
+
+def _part(volts: Floats, start: int, stop: int) -> Floats:
+    """Samples of a channel that was heard."""
+    return volts[start:stop]

@@ -1,17 +1,20 @@
-"""Effects that the reserved steps contradict are withdrawn from a selection."""
+"""Effects that the reserved steps contradict are withdrawn; flights that fit no motion of the plate are refused."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, SelectionResult
-from analysis.loop.close_loop import withdraw_unconfirmed
+from analysis.loop.close_loop import refuse_far_off, withdraw_unconfirmed
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN
+from daq.setup.errors import InputError
 
 UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
 DRAG = ("quadratic_drag", "k_per_m")
@@ -52,3 +55,12 @@ def test_what_the_reserved_steps_contradict_is_withdrawn(
     assert left.best is friction and left.ties == (friction,) and left.earlier == (nothing,)
     assert left.rounds[-1] == "the steps held out of the fit do not improve with quadratic_drag: withdrawn"
     assert left.rejected is not None and left.rejected.names == ("quadratic_drag",) and left.rejected.gain < 0.0
+
+
+def test_take_offs_and_landings_far_off_are_refused(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Events a quarter of a cycle off stop the search with what to check; restitution moves landings alone."""
+    refuse_far_off(fly_ramp({("restitution", "e0"): 0.5}, 6), [Path("run.h5")])
+    right = fly_ramp({}, 6).evidence
+    late = replace(right.measured, opening_s=right.measured.opening_s + 0.01, landing_s=right.measured.landing_s + 0.01)
+    with pytest.raises(InputError, match=r"run\.h5: .* misses take-offs by \d+ ms and landings by \d+ ms.*check sign"):
+        refuse_far_off(ForwardModel(replace(right, measured=late), {}), [Path("run.h5")])

@@ -271,3 +271,14 @@ def test_steps_found_in_the_accelerometer_hold_no_fade(tmp_path: Path) -> None:
     fades = 20000.0 / run.frequency_hz * 14 * np.arange(1, 10)
     assert len(steps) == 10
     assert np.all(ends < fades + 40) and np.all(held_from > fades + 2 * 20000.0 / run.frequency_hz - 40)
+
+
+def test_one_locked_motion_is_no_doubt(tmp_path: Path) -> None:
+    """Where all steps repeat one flight, landings lie as close together as take-offs, and nothing is doubted; an
+    inverted accelerometer stands out all the same."""
+    run = replace(run_of(1), gammas=(0.8, 0.8, 0.8))
+    volts, profile = handed_over(run), other_plant.profile_of(run)
+    assert bring_in(volts, profile, tmp_path).instrument.doubts == ()
+    inverted(volts)
+    (tmp_path / "r.h5").unlink()
+    assert [doubt.kind for doubt in bring_in(volts, profile, tmp_path).instrument.doubts] == ["accelerometer_sense"]
