@@ -173,9 +173,9 @@ def _are_takeoffs(closes: Floats, opens: Floats) -> bool:
 
     In a single locked motion landings lie as close together as take-offs, which then are what is nearer to g.
     """
-    spread = _spread(opens)
-    if spread > LOCKED:
-        return _spread(closes) < TIGHTER * spread
+    spread, other_spread = _spread(opens), _spread(closes)
+    if max(spread, other_spread) > LOCKED:
+        return other_spread < TIGHTER * spread
     at, other = (abs(math.log(max(abs(at_edges_g(x) or 0.0), 1e-9))) for x in (opens, closes))
     return other < at and (at_edges_g(opens) or 0.0) > 0.0
 
