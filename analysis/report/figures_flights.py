@@ -18,12 +18,15 @@ from analysis.report.gamma import gamma_scale
 from analysis.report.zones import draw_zones, zones_over
 from daq.recording import Recording
 from daq.setup.setup import Setup
+from model.effects.routing import Effects, ball_effects
 from model.orbits.attractor import attractor
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import diagram
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from analysis.loop.result import ClosedLoop
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,7 +36,7 @@ MAPS = 6  # return maps in one figure
 CYCLES = 4.0  # of the forcing, in the trajectory
 
 
-def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure) -> None:
+def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure, loop: ClosedLoop | None = None) -> None:
     """Measured flight times against gamma over the model's diagram, forbidden zones shaded."""
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
@@ -44,7 +47,7 @@ def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure) ->
     figure.set_size_inches(8.0, 5.2)
     ax = figure.subplots()
     low, high = 0.97 * min(p.gamma for p in plates), 1.03 * max(p.gamma for p in plates)
-    top = _draw_model(ax, plates[-1], recording.setup, low, high, scale)
+    top = _draw_model(ax, plates[-1], recording.setup, low, high, scale, loop)
     poor = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.SETTLING | FlightFlag.GAP
     true = ~flights.has(poor) & (flights.step >= 0)
     marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
@@ -70,21 +73,40 @@ def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure) ->
     ax.legend(loc="upper left", frameon=True, framealpha=0.9, fontsize=8)
 
 
-def _draw_model(ax: Any, plate: StepPlate, setup: Setup, low: float, high: float, scale: float) -> float:
-    """The model's diagram and its forbidden zones; returns the longest flight shown, ms."""
+def _draw_model(
+    ax: Any, plate: StepPlate, setup: Setup, low: float, high: float, scale: float, loop: ClosedLoop | None
+) -> float:
+    """The declared model's diagram, that of the improved one, and forbidden zones; returns the longest flight, ms."""
     unit = 1e3 / plate.omega_radps
     declared = setup.declared_values()
-    ball, forcing, _ = ball_on(plate, setup, declared)
+    forcing = ball_on(plate, setup, declared)[1]
     above = [zone[zone[:, 1] > 0.0] for zone in zones_over(forcing, np.linspace(low, high, ZONE_GAMMAS))]
     draw_zones(ax, [zone for zone in above if len(zone)], scale, unit, None)
     ax.fill_between([], [], [], color=style.ZONE, label="forbidden to the ideal ball")
-    rows = diagram(ball, np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else GAMMAS // 2))
-    x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
-    y = rows.tau.ravel() * unit
-    name = "model: ideal" if not declared else f"model with {', '.join(sorted(declared))}"
-    ax.plot(x, y, ".", ms=3.0, mew=0, color=style.MODEL, zorder=1, rasterized=True)
-    ax.plot([], [], ".", ms=8, mew=0, color=style.MODEL, label=name)
-    return float(np.nanmax(y)) if np.isfinite(y).any() else 0.0
+    models: list[tuple[Effects, str, str]] = [(declared, "declared model", style.MODEL)]
+    if improved := _improved(declared, loop):
+        models.append((improved, "improved model", style.IMPROVED))
+    top = 0.0
+    for effects, what, color in models:
+        ball = ball_on(plate, setup, effects)[0]
+        rows = diagram(ball, np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else GAMMAS // 2))
+        y = rows.tau.ravel() * unit
+        name = f"{what}: {', '.join(sorted(ball_effects(effects))) or 'ideal'}"
+        x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
+        ax.plot(x, y, ".", ms=3.0, mew=0, color=color, zorder=1, rasterized=True)
+        ax.plot([], [], ".", ms=8, mew=0, color=color, label=name)
+        top = max(top, float(np.nanmax(y)) if np.isfinite(y).any() else 0.0)
+    return top
+
+
+def _improved(declared: Effects, loop: ClosedLoop | None) -> Effects:
+    """The declared effects with those that an explained loop added; none where no effect on the ball was added."""
+    if loop is None or loop.verdict != "explained":
+        return {}
+    added = {one.name: {name: value for name, (value, _, _) in one.parameters.items()} for one in loop.effects}
+    if not ball_effects(added):
+        return {}
+    return {**declared, **{name: {**declared.get(name, {}), **values} for name, values in added.items()}}
 
 
 def draw_return_maps(recording: Recording, flights: Flights, comparison: Comparison, figure: Figure) -> None:

@@ -169,7 +169,7 @@ class _Pictures:
         figures: dict[str, Callable[[Figure], None]] = {"motion": partial(draw_plate, recording, flights)}
         if compared is not None:
             figures |= {
-                "bifurcation": partial(draw_bifurcations, recording, flights),
+                "bifurcation": partial(draw_bifurcations, recording, flights, loop=self._loop),
                 "return_maps": partial(draw_return_maps, recording, flights, compared),
                 "history": partial(draw_history, recording, flights, compared),
                 "trajectory": partial(draw_trajectory, recording, flights),

@@ -29,6 +29,7 @@ INK = "#12355b"
 MEASURED, MODEL = INK, "#e07a5f"
 BEFORE, AFTER, FLOOR = MODEL, INK, "#8d99ae"  # declared model, improved model, noise
 DOUBTFUL = "#b5651d"
+IMPROVED = "#2a9d8f"  # improved model in diagrams, where the measurement has the colour of AFTER
 ZONE = "#f2d0a4"  # forbidden zones of the ideal ball
 EVENT = "#9b2226"  # bifurcations
 PLATE = "#5c677d"

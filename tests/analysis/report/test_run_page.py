@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import bench.jobs.print_pdf
@@ -22,6 +23,7 @@ from analysis.flights.assemble import flights_of
 from analysis.flights.table import FlightFlag, Flights
 from analysis.loop.result import ClosedLoop, Source
 from analysis.loop.storage import save_verdict
+from analysis.report.figures_flights import draw_bifurcations
 from analysis.report.headline import headline
 from analysis.report.interactive import MOST_HOVER_POINTS, content_policy, inline_figure, json_element, script
 from analysis.report.run_page import Run, section_of, write_page
@@ -169,6 +171,20 @@ def test_the_headline_has_all_that_is_asked(closed_loop: ClosedLoop) -> None:
     assert clean.startswith("Nothing is missing")
     failed = dataclasses.replace(closed_loop, verdict="unexplained")
     assert headline(failed).startswith("Something is left") and "not believed" in headline(failed)
+
+
+def test_the_diagram_has_both_models(measured: tuple[Recording, Flights], closed_loop: ClosedLoop) -> None:
+    """Where a cause was found, measured flights stand over the declared and over the improved model."""
+    recording, flights = measured
+
+    def legend(loop: ClosedLoop | None) -> list[str]:
+        figure = Figure()
+        draw_bifurcations(recording, flights, figure, loop)
+        return [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+
+    assert legend(closed_loop)[1:] == ["declared model: ideal", "improved model: coulomb_friction", "measured"]
+    unexplained = dataclasses.replace(closed_loop, verdict="unexplained")
+    assert legend(unexplained) == legend(None) == ["forbidden to the ideal ball", "declared model: ideal", "measured"]
 
 
 def test_a_saved_answer_has_to_belong(
