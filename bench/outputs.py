@@ -48,9 +48,10 @@ TABLE = Form("a table (Parquet or CSV)", (".parquet", ".csv"), only=True)
 PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 PYTHON = Form("an effect (Python)", (".py",), only=True)
 ROWS = Form("summaries", (".rows", ".jsonl"))
+NOTES = Form("notes", (".txt",))
 FORMS = (
     JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, TABLE, PICTURE, PYTHON,
-    ROWS,
+    ROWS, NOTES,
 )  # fmt: skip
 KNOWN = {suffix for form in FORMS for suffix in form.suffixes} | {
     ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",

@@ -46,7 +46,6 @@ def file_rows(recording: Recording, found: VerifyReport) -> Rows:
         ("lost", _losses(recording, found)),
         ("blocks", f"{len(blocks)}; {noted or 'none overflown, late, clipped, filled or damaged'}"),
         ("software", _software(a)),
-        ("note", str(a.get("note") or "none")),
     ]
     for key, words in (
         ("imported_from", "imported from"),

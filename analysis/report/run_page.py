@@ -34,6 +34,8 @@ from analysis.report.step_table import step_table
 from analysis.report.wording import microseconds, plain
 from daq.files.whole_file import whole
 from daq.recording import Recording
+from daq.recording.header import header_of
+from daq.recording.notebook import notebook, read_remarks, side_file
 from daq.recording.provenance import software_commit, software_version
 from daq.recording.verify import VerifyReport
 from daq.setup.errors import InputError
@@ -130,6 +132,8 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
             calibration_rows(recording),
             "meta",
         ),
+        "<h3>Notebook</h3>",
+        _notebook(recording),
         "<h3>The data</h3>",
         table((), file_rows(recording, run.state), "meta"),
         *pictures.tables(scale),
@@ -140,6 +144,22 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
         name, bool(recording.attrs.get("simulated")), "\n".join(p for p in parts if p), row,
         None if loop is None else loop.verdict, sentence,
     )  # fmt: skip
+
+
+def _notebook(recording: Recording) -> str:
+    """Tags, and what was noted before, during and after the run."""
+    try:
+        later = read_remarks(side_file(recording.path))
+    except InputError as error:
+        return f"<p>{html.escape(str(error))}.</p>"
+    entries = [
+        (one.at[:16].replace("T", " "), "" if one.at_s is None else f"{one.at_s:.2f} s", one.text)
+        for one in notebook(header_of(recording, all_bytes=True), later)
+    ]
+    tags = f"<p>Tags: {html.escape(', '.join(later.tags))}.</p>" if later.tags else ""
+    if not entries:
+        return tags or "<p>Nothing was noted.</p>"
+    return tags + table(("written (UTC)", "in the run at", "note"), entries, "meta")
 
 
 def _emphasised(words: str) -> str:

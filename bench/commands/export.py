@@ -12,6 +12,7 @@ from bench.outputs import (
     JSON,
     MATLAB,
     NETCDF,
+    NOTES,
     NPZ,
     PACKED_CSV,
     PARQUET,
@@ -59,11 +60,16 @@ def command(
     readers without the LZ4 plugin. A sound card's recording keeps the card's own rate; --rate 20000 writes a view at
     20 kHz (needs the package soxr).
 
+    The notebook, where anything was noted, goes to FILE.notes.txt.
+
     Example: bench export run.h5 --to csv --out run.csv
     """
     from daq.export.export import export
     from daq.export.resample import Resampled
+    from daq.files.whole_file import write_whole
     from daq.recording import open_recording
+    from daq.recording.header import header_of
+    from daq.recording.notebook import as_text, read_remarks, side_file
     from daq.setup.errors import InputError
 
     kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()
@@ -72,10 +78,14 @@ def command(
         fail(f"{out}: the ending does not say what to write; wanted --to {', '.join(Kind)}.", EXIT_USAGE)
     outputs = File("--out", out, FORMS[kind]), File("--json", json_out, JSON)
     try:
-        check_outputs(*outputs, inputs=[recording], overwrite=overwrite)
+        beside = out.with_name(f"{out.name}.notes.txt")
+        check_outputs(*outputs, File("--out", beside, NOTES), inputs=[recording], overwrite=overwrite)
         with open_recording(recording) as opened:
             source = opened if rate is None else Resampled(opened, rate)
             export(source, out, kind, overwrite=overwrite)  # type: ignore[arg-type]
+            noted = as_text(header_of(opened, all_bytes=True), read_remarks(side_file(recording)))
+            if noted:
+                write_whole(beside, noted)
             summary = {"file": out, "kind": kind, "n_samples": source.n_samples, "bytes": out.stat().st_size}
     except InputError as error:
         fail(str(error), EXIT_USAGE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,9 +59,11 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
     from daq.files.tables import STEP_DTYPE
     from daq.instrument.stored import instrument_of
+    from daq.recording.header import header_of
+    from daq.recording.notebook import notebook, read_remarks, side_file
     from model.effects.kept import kept_files
 
-    setup, instrument = opened.setup, instrument_of(opened)
+    setup, instrument, later = opened.setup, instrument_of(opened), read_remarks(side_file(opened.path))
     return {
         "file": opened.path,
         "state": report.state,
@@ -79,14 +82,8 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             "tone_ratio": setup.forcing.ratio,
             "declared": setup.declared_values(),
         },
-        "notes": [
-            {
-                "at_s": row["first_sample"] / opened.rate_hz,
-                "unix_ns": int(row["unix_ns"]),
-                "text": row["text"].decode(errors="replace"),
-            }
-            for row in opened.notes
-        ],
+        "tags": list(later.tags),
+        "notes": [asdict(note) for note in notebook(header_of(opened, all_bytes=True), later)],
         "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
         "instrument": None if instrument is None else instrument.as_json(),
         "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
@@ -105,6 +102,7 @@ def _print(told: dict[str, Any]) -> None:
 
     from bench.terminal.console import print_lines, print_table
     from daq.instrument.instrument import Instrument
+    from daq.recording.notebook import Entry, as_line
 
     print_lines(f"{told['file']}", f"  verdict   {told['state']}", *(f"            {line}" for line in told["where"]))
     if "steps" not in told:
@@ -114,6 +112,7 @@ def _print(told: dict[str, Any]) -> None:
     declared = ", ".join(f"{k}.{q} = {v:g}" for k, table in profile["declared"].items() for q, v in table.items())
     lines = {
         "note": told.get("note") or "none",
+        "tags": " ".join(told["tags"]) or "none",
         "keys": ", ".join(f"{k} = {_short(v)}" for k, v in told["keys"].items()) or "none",
         "started": told.get("started") or "unknown",
         "made on": rig,
@@ -131,7 +130,8 @@ def _print(told: dict[str, Any]) -> None:
         instrument = Instrument.from_json(told["instrument"])
         print_lines(*(f"  measured    {line}" for line in instrument.in_words()))
         print_lines(*(f"  doubt       {doubt.sentence}" for doubt in instrument.doubts))
-    print_lines(*(f"  noted       at {note['at_s']:.3f} s: {note['text']}" for note in told["notes"]))
+    given = 1 if told.get("note") else 0  # which stands above
+    print_lines(*(f"  noted       {as_line(Entry(**note))}" for note in told["notes"][given:]))
     if not told["steps"]:
         return
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)

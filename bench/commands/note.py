@@ -16,19 +16,20 @@ def command(
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
     overwrite: Overwrite = False,
 ) -> None:
-    """Add a note, with its time, to a recording; it lies in a small file beside it.
+    """Add a note, with its time, to a recording; it lies in a small file beside it. Without a text: the whole notebook.
 
     Example: bench note runs/monday.h5 "plate screws were loose"
     """
     from bench.outputs import JSON, File, check_outputs
-    from bench.runs.marking import as_json, identity_of, lines
-    from bench.runs.remarks import change_remarks, read_remarks, side_file, with_note, without_last_note
+    from bench.runs.marking import as_json, header_of_file, lines
     from bench.terminal.console import EXIT_USAGE, fail, print_lines, readable, write_json
+    from daq.recording.notebook import change_remarks, read_remarks, side_file, with_note, without_last_note
     from daq.setup.errors import InputError
 
     try:
         check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
-        identity, said = identity_of(recording), readable(text)
+        header, said = header_of_file(recording), readable(text)
+        identity = "" if header is None else header.identity
         if undo and said is not None:
             raise InputError("--undo takes back the latest note; leave out the text, or leave out --undo")
         if undo:
@@ -39,6 +40,6 @@ def command(
             changed = read_remarks(side_file(recording))
     except InputError as error:
         fail(str(error), EXIT_USAGE)
-    write_json(as_json(recording, changed), json)
+    write_json(as_json(recording, header, changed), json)
     if json != "-":
-        print_lines(*lines(recording, changed))
+        print_lines(*lines(recording, header, changed))

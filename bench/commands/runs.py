@@ -126,7 +126,7 @@ def cells(row: Row) -> list[str]:
         _known(row["lost_samples"]),
         row["ended"],
         row["loop"]["summary"] if row["loop"] else "-",
-        _line(row["added_note"] or row["note"]),
+        "; ".join(map(_line, row["notes"].splitlines())),
         " ".join(row["tags"]),
     ]
 

@@ -21,17 +21,18 @@ def command(
     Example: bench tag runs/monday.h5 new-spring warm
     """
     from bench.outputs import JSON, File, check_outputs
-    from bench.runs.marking import as_json, identity_of, lines
-    from bench.runs.remarks import change_remarks, with_tags
+    from bench.runs.marking import as_json, header_of_file, lines
     from bench.terminal.console import EXIT_USAGE, fail, print_lines, write_json
+    from daq.recording.notebook import change_remarks, with_tags
     from daq.setup.errors import InputError
 
     try:
         check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
-        identity = identity_of(recording)
+        header = header_of_file(recording)
+        identity = "" if header is None else header.identity
         changed = change_remarks(recording, identity, lambda now: with_tags(now, tuple(tags), remove=remove))
     except InputError as error:
         fail(str(error), EXIT_USAGE)
-    write_json(as_json(recording, changed), json)
+    write_json(as_json(recording, header, changed), json)
     if json != "-":
-        print_lines(*lines(recording, changed))
+        print_lines(*lines(recording, header, changed))

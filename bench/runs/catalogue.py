@@ -15,10 +15,10 @@ from bench.runs import query as queries
 from bench.runs.database import Opened, open_database
 from bench.runs.folder import Found, files_below
 from bench.runs.loops import Loop, kept_loops
-from bench.runs.remarks import ENDING, Remarks, change_remarks, read_remarks, side_file
 from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
 from daq.files.closing import Closing
 from daq.recording.header import Header, Unread, read_headers
+from daq.recording.notebook import ENDING, Entry, Remarks, change_remarks, notebook, read_remarks, side_file
 from daq.setup.errors import InputError
 
 Progress = Callable[[str, float], None]
@@ -148,9 +148,11 @@ class Catalogue(Closing):
             raise InputError(f"{row['path']}: lies outside the runs' folder")
         return path
 
-    def remarks(self, row: Row) -> Remarks:
-        """Tags and notes of a run, from the file beside it (raises InputError)."""
-        return read_remarks(side_file(self.file_of(row)))
+    def notebook(self, row: Row) -> tuple[Entry, ...]:
+        """All notes of a run, from its file and the one beside it (raises InputError)."""
+        path = self.file_of(row)
+        found = [header for _, header in read_headers([path]) if isinstance(header, Header)]
+        return notebook(found[0] if found else None, read_remarks(side_file(path)))
 
     def change_remarks(self, row: Row, change: Callable[[Remarks], Remarks]) -> Remarks:
         """Change tags and notes of a run in the file beside it, one process at a time.
@@ -262,11 +264,11 @@ class Catalogue(Closing):
             remarks = read_remarks(self.folder / file.path)
         except InputError as error:
             problem = str(error)
-        latest = remarks.notes[-1].text if remarks.notes else ""
+        later = "\n".join(note.text for note in remarks.notes)
         run = file.path.removesuffix(ENDING)
         self._connection.execute(
             "INSERT INTO remarks VALUES (?, ?, ?, ?, ?, ?)",
-            [file.path, run, remarks.identity, _storable(latest), _storable(" ".join(remarks.tags)), problem],
+            [file.path, run, remarks.identity, _storable(later), _storable(" ".join(remarks.tags)), problem],
         )
 
     def _all(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
@@ -304,7 +306,7 @@ def _row(found: Any) -> Row:
         "all_bytes": bool(row["all_bytes"]),
         "simulated": bool(row["simulated"]),
         "tags": row["tags"].split(),
-        "added_note": row["added_note"],
+        "notes": row["shown_note"],
         "remarks_problem": row["remarks_problem"] or None,
         "loop": loop,
     }

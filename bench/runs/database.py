@@ -15,7 +15,7 @@ from pathlib import Path
 from bench.runs.folder import PLACE
 
 NAME = "runs.sqlite"
-VERSION = 1
+VERSION = 2
 BUSY_S = 10.0
 """How long one process waits for another that is writing."""
 
@@ -24,7 +24,7 @@ CREATE TABLE files (path TEXT PRIMARY KEY, size INTEGER NOT NULL, mtime_ns INTEG
 CREATE TABLE runs (
   path TEXT PRIMARY KEY REFERENCES files ON DELETE CASCADE, id TEXT UNIQUE NOT NULL, identity TEXT NOT NULL,
   date TEXT, profile TEXT, c INTEGER, frequency_hz REAL, gamma_low REAL, gamma_high REAL, steps INTEGER, seconds REAL,
-  rate_hz REAL, n_samples INTEGER, lost_samples INTEGER, ended TEXT, why TEXT, all_bytes INTEGER, note TEXT,
+  rate_hz REAL, n_samples INTEGER, lost_samples INTEGER, ended TEXT, why TEXT, all_bytes INTEGER, note TEXT, notes TEXT,
   simulated INTEGER, backend TEXT
 );
 CREATE INDEX runs_identity ON runs (identity);

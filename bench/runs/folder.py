@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from bench.jobs.keep_verdict import SAVED
-from bench.runs.remarks import ENDING
+from daq.recording.notebook import ENDING
 from daq.setup.errors import InputError
 
 PLACE = ".shakerbench"

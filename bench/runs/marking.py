@@ -1,4 +1,4 @@
-"""What the commands tag and note share: whose the remarks are, and how they are shown."""
+"""What the commands tag and note share: whose the remarks are, and how the notebook is shown."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bench.runs.remarks import Remarks
 from daq.recording.header import Header, read_headers
+from daq.recording.notebook import Remarks, as_line, notebook
 from daq.setup.errors import InputError, require_file
 
 
-def identity_of(recording: Path) -> str:
-    """Identity of a recording; empty where it is not closed, or damaged.
+def header_of_file(recording: Path) -> Header | None:
+    """Header of a recording; None where it is damaged.
 
     Raises
     ------
@@ -22,18 +22,19 @@ def identity_of(recording: Path) -> str:
     require_file(recording)
     for _, found in read_headers([recording]):
         if isinstance(found, Header):
-            return found.identity
+            return found
         if not found.damaged or "does not begin" in found.why:
             raise InputError(f"{recording}: {found.why}; wanted a recording")
-    return ""
+    return None
 
 
-def as_json(recording: Path, remarks: Remarks) -> dict[str, Any]:
-    """Tags and notes for a machine."""
-    return {"file": str(recording), "tags": list(remarks.tags), "notes": [asdict(note) for note in remarks.notes]}
+def as_json(recording: Path, header: Header | None, remarks: Remarks) -> dict[str, Any]:
+    """Tags and the whole notebook for a machine."""
+    notes = [asdict(note) for note in notebook(header, remarks)]
+    return {"file": str(recording), "tags": list(remarks.tags), "notes": notes}
 
 
-def lines(recording: Path, remarks: Remarks) -> list[str]:
-    """Tags and notes for a person."""
-    shown = [f"{note.at[:16].replace('T', ' ')}  {' '.join(note.text.split())}" for note in remarks.notes]
-    return [f"{recording}: {' '.join(remarks.tags) or 'no tags'}", *(f"  {line}" for line in shown)]
+def lines(recording: Path, header: Header | None, remarks: Remarks) -> list[str]:
+    """Tags and the whole notebook for a person."""
+    shown = [f"  {as_line(note)}" for note in notebook(header, remarks)]
+    return [f"{recording}: {' '.join(remarks.tags) or 'no tags'}", *shown]

@@ -76,9 +76,9 @@ class Query:
 
 
 BASE = """
-SELECT runs.*, coalesce(remarks.tags, '') AS tags, coalesce(remarks.note, '') AS added_note,
+SELECT runs.*, coalesce(remarks.tags, '') AS tags, coalesce(remarks.note, '') AS later_notes,
   coalesce(remarks.problem, '') AS remarks_problem,
-  CASE WHEN coalesce(remarks.note, '') <> '' THEN remarks.note ELSE runs.note END AS shown_note,
+  trim(runs.notes || char(10) || coalesce(remarks.note, ''), char(10)) AS shown_note,
   loops.verdict AS verdict, loops.summary AS summary, loops.together AS together, loops.before_us AS before_us,
   loops.after_us AS after_us, loops.floor_us AS floor_us, loops.path AS loop_path
 FROM runs
@@ -117,7 +117,7 @@ def sql(query: Query) -> tuple[str, list[Any]]:
     if query.lost:
         add("lost_samples > 0")
     for word in query.text.split():
-        fields = ("path", "profile", "note", "added_note", "tags", "why", "coalesce(summary, '')")
+        fields = ("path", "profile", "shown_note", "tags", "why", "coalesce(summary, '')")
         add("(" + " OR ".join(f"{f} LIKE ? ESCAPE '\\'" for f in fields) + ")", *[_part(word)] * len(fields))
     order = SORTS[query.sort]
     direction = "DESC" if query.backwards else "ASC"

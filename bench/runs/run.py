@@ -9,6 +9,7 @@ from typing import Any
 from bench.runs.folder import Found, run_id
 from bench.runs.loops import Quantity
 from daq.recording.header import Header, Unread
+from daq.recording.notebook import entries_of
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Run:
         Whether every byte was compared with the checksums, or tables and indexes alone.
     note
         As `bench ramp` was given it.
+    notes
+        That one and those typed during the run, a line each.
     """
 
     id: str
@@ -57,6 +60,7 @@ class Run:
     why: str
     all_bytes: bool
     note: str
+    notes: str
     simulated: bool
     backend: str
 
@@ -70,7 +74,7 @@ def run_of(file: Found, header: Header | Unread) -> Run:
         nothing: dict[str, Any] = dict.fromkeys(COLUMNS)
         return Run(**nothing | {
             "id": run_id(file.path), "path": file.path, "identity": "", "steps": 0, "ended": "damaged",
-            "why": header.why, "all_bytes": False, "note": "", "simulated": False, "backend": "",
+            "why": header.why, "all_bytes": False, "note": "", "notes": "", "simulated": False, "backend": "",
         })  # fmt: skip
     attrs, forcing = header.attrs, header.setup["forcing"]
     pairs = zip(header.achieved_gammas, header.gammas, strict=True)
@@ -96,6 +100,7 @@ def run_of(file: Found, header: Header | Unread) -> Run:
         why="; ".join(header.where) if damaged else str(attrs.get("why") or ""),
         all_bytes=header.all_bytes,
         note=str(attrs.get("note") or ""),
+        notes="\n".join(one.text for one in entries_of(header)),
         simulated=bool(attrs.get("simulated")),
         backend=str(attrs.get("backend") or ""),
     )

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,11 @@ from bench.runs.catalogue import Catalogue, Row
 from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
 from bench.runs.query import ENDS, VERDICTS, Query
-from bench.runs.remarks import with_note, with_tags
 from bench.runs.scope import Scope
 from bench.web.html import fill, join
 from bench.web.page import page
 from bench.web.section import Place, Section
+from daq.recording.notebook import with_note, with_tags
 from daq.setup.errors import InputError
 
 NAME = "runs"
@@ -141,7 +142,7 @@ class Pages:
         """One run: its row, its notes and every verdict on it."""
         row = self._row(request)
         try:
-            notes = [{"at": note.at, "text": note.text} for note in self.catalogue.remarks(row).notes]
+            notes = [asdict(note) for note in self.catalogue.notebook(row)]
         except InputError:
             notes = []  # the row says why
         return _json({"run": row, "notes": notes, "loops": self.catalogue.loops(row["identity"])})
@@ -196,7 +197,8 @@ class Pages:
             return with_note(now, note) if note else now
 
         changed = _asked(lambda: self.catalogue.change_remarks(row, change))
-        return _json({"tags": list(changed.tags), "notes": [{"at": n.at, "text": n.text} for n in changed.notes]})
+        notes = [asdict(note) for note in self.catalogue.notebook(row)]
+        return _json({"tags": list(changed.tags), "notes": notes})
 
     def _row(self, request: Request) -> Row:
         """The run that the address names; 404 where there is none."""

@@ -169,12 +169,28 @@ def crc32(array: NDArray[Any], before: int = 0) -> int:
 
 
 def note_rows(sample: int, texts: Sequence[str]) -> NDArray[np.void]:
-    """`NOTE_DTYPE` rows of notes that came now, at ``sample``; a text too long is cut between two characters."""
-    rows = np.zeros(len(texts), NOTE_DTYPE)
-    for row, text in zip(rows, texts, strict=True):
-        cut = text.encode()[:NOTE_BYTES].decode(errors="ignore").replace("\0", "")
-        row["first_sample"], row["unix_ns"], row["text"] = sample, time.time_ns(), cut.encode()
-    return rows
+    """`NOTE_DTYPE` rows of notes that came now, at ``sample``; a long one goes on in the next row, of the same time."""
+    rows = []
+    for i, text in enumerate(texts):
+        left, now_ns = text.replace("\0", ""), time.time_ns() + i  # the time tells one note from the next
+        while True:
+            piece = left.encode()[:NOTE_BYTES].decode(errors="ignore")  # cut between two characters
+            rows.append((sample, now_ns, piece.encode()))
+            left = left[len(piece) :]
+            if not left or not piece:
+                break
+    return np.array(rows, NOTE_DTYPE)
+
+
+def notes_of_rows(rows: NDArray[np.void]) -> list[tuple[int, int, str]]:
+    """Sample, Unix time (ns) and text of each note in `NOTE_DTYPE` rows."""
+    notes: list[tuple[int, int, str]] = []
+    for row in rows:
+        sample, unix_ns, text = int(row["first_sample"]), int(row["unix_ns"]), row["text"].decode(errors="replace")
+        if notes and notes[-1][:2] == (sample, unix_ns):
+            text = notes.pop()[2] + text
+        notes.append((sample, unix_ns, text))
+    return notes
 
 
 def step_row(step: np.void | Mapping[str, Any]) -> NDArray[np.void]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from daq.files.column_file import FORMAT
 from daq.files.seal import Checked, check, check_tables, read_seal
+from daq.files.tables import notes_of_rows
 from daq.recording.identity import stored_id
 from daq.recording.opening import SIGNATURE, differing_blocks, open_checked, open_file, unsealed
 from daq.recording.reader import Recording, attributes_intact
@@ -48,6 +49,8 @@ class Header:
         Samples a second, samples a channel, samples declared as lost, names of the channels.
     gammas, achieved_gammas, ratios
         Of each step; None where it is not known.
+    notes
+        Sample, Unix time (ns) and text of what was noted during the run.
     """
 
     identity: str
@@ -63,6 +66,7 @@ class Header:
     gammas: tuple[float | None, ...] = ()
     achieved_gammas: tuple[float | None, ...] = ()
     ratios: tuple[int, ...] = ()
+    notes: tuple[tuple[int, int, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def header_of(recording: Recording, *, all_bytes: bool) -> Header:
         stored_id(recording), report.state, tuple(report.where), all_bytes, attrs,
         recording.setup.model_dump(mode="json"), recording.rate_hz, recording.n_samples, report.lost_samples,
         recording.channels, _known(steps["gamma"]), _known(steps["achieved_gamma"]),
-        tuple(int(c) for c in steps["ratio"]),
+        tuple(int(c) for c in steps["ratio"]), tuple(notes_of_rows(recording.notes)),
     )  # fmt: skip
 
 

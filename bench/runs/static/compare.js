@@ -14,7 +14,7 @@ async function runs() {
     name.append(make("a", run.path, { href: `/runs/${run.id}` }));
     line.append(key, name, make("td", day(run.date)), make("td", run.loop?.summary ?? "-"));
     for (const value of [run.loop?.before_us, run.loop?.after_us, run.loop?.floor_us]) line.append(make("td", shown(value, 3), { class: "number" }));
-    line.append(make("td", run.added_note || run.note));
+    line.append(make("td", run.notes, { class: "lines" }));
     return line;
   }));
   const diagram = new Diagram(byId("diagram")), state = byId("diagram-state");

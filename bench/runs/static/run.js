@@ -5,7 +5,7 @@ import { Scope } from "./scope.js";
 
 const id = document.getElementById("run").dataset.id, api = `/runs/api/${id}`;
 const byId = (name) => document.getElementById(name);
-let scope = null;
+let scope = null, notes = [];
 
 function problem(words) {
   byId("problem").textContent = words;
@@ -33,7 +33,7 @@ function verdicts(loops) {
     : [make("p", "None yet. bench close-loop REC.h5 --json REC.verdict.json, beside the recording, gives one.", { class: "faint" })]));
 }
 
-function remarks(told, own) {
+function remarks(told) {
   byId("tags").replaceChildren(...told.tags.map((tag) => {
     const one = make("span", tag, { class: "tag" });
     const remove = make("button", "\u00d7", { type: "button", "aria-label": `take away ${tag}` });
@@ -41,15 +41,23 @@ function remarks(told, own) {
     one.append(remove);
     return one;
   }));
-  const notes = told.notes.map((note) => make("li", `${day(note.at)}  ${note.text}`));
-  if (own) notes.unshift(make("li", `with the run: ${own}`));
-  byId("notes").replaceChildren(...notes);
+  notes = told.notes;
+  scope?.annotate(notes);
+  byId("notes").replaceChildren(...notes.map((note) => {
+    const line = make("li", `${day(note.at)}  `);
+    if (note.at_s !== null) {
+      const place = make("button", `${note.at_s.toFixed(2)} s`, { type: "button", class: "quiet", title: "show it in the scope" });
+      place.addEventListener("click", () => { scope?.show(note.at_s - 0.5, note.at_s + 0.5); byId("scope").scrollIntoView({ block: "center" }); });
+      line.append(place, " ");
+    }
+    line.append(note.text);
+    return line;
+  }));
 }
 
-let own = "";
 async function send(change) {
   try {
-    remarks(await ask(`${api}/remarks`, { method: "POST", body: JSON.stringify(change) }), own);
+    remarks(await ask(`${api}/remarks`, { method: "POST", body: JSON.stringify(change) }));
     byId("refused").textContent = "";
     return true;
   } catch (error) {
@@ -69,6 +77,7 @@ async function openScope() {
   const where = byId("where");
   const told = await asked(`${api}/open`, () => { where.textContent = "reading the recording, once \u2026"; });
   scope = new Scope(byId("scope"), id, told);
+  scope.annotate(notes);
   scope.addEventListener("seen", ({ detail }) => {
     const span = detail.stop_s - detail.start_s, lost = detail.lost.reduce((sum, row) => sum + row[2], 0);
     const each = detail.samples_per_point === 1 ? "every sample" : `${shown(detail.samples_per_point, 3)} samples a column`;
@@ -103,10 +112,9 @@ async function openDiagram() {
 }
 
 const told = await ask(api);
-own = told.run.note;
 facts(told.run);
 verdicts(told.loops);
-remarks({ tags: told.run.tags, notes: told.notes }, own);
+remarks({ tags: told.run.tags, notes: told.notes });
 if (told.run.remarks_problem) byId("refused").textContent = told.run.remarks_problem;
 openScope().catch((error) => { byId("where").textContent = error.message; });
 openDiagram().catch((error) => { byId("diagram-state").textContent = error.message; });

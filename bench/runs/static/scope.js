@@ -101,13 +101,14 @@ export class Scope extends EventTarget {
       if (!seen) return;
       const t = this.seen.time_s, style = c[lanes[k % lanes.length]];
       axes.inside(() => {
-        const labels = this.marks(axes);
+        const labels = this.marks(axes), noted = this.noted(axes);
         if (seen.high) axes.envelope(t, low, high, style);
         else {
           this.pieces(axes, t, low, style);
           if ((this.at[1] - this.at[0]) * this.told.rate_hz < axes.width / (3 * axes.unit)) axes.dots(t, low, style, 4);
         }
         for (const [words, x] of labels) this.words(axes, words, x, axes.top + 3 * axes.unit);
+        for (const [words, x] of noted) this.words(axes, words, x, axes.top + axes.height - 20 * axes.unit);
         this.name(axes, channel.name);
       });
     });
@@ -152,6 +153,25 @@ export class Scope extends EventTarget {
       const left = axes.px(a);
       pen.fillRect(left, axes.top, Math.max(2 * axes.unit, axes.px(b) - left), axes.height);
     }
+  }
+
+  // Notes that were typed during the run, each at its time.
+  annotate(notes) {
+    this.notes = notes.filter((note) => note.at_s !== null);
+    this.place.dataset.notes = this.notes.length;
+    this.draw();
+  }
+
+  noted(axes) {
+    const labels = [], pen = axes.pen;
+    pen.strokeStyle = colours().event;
+    for (const note of this.notes ?? []) {
+      if (note.at_s < this.at[0] || note.at_s > this.at[1]) continue;
+      const x = axes.px(note.at_s);
+      pen.beginPath(); pen.moveTo(x, axes.top); pen.lineTo(x, axes.top + axes.height); pen.stroke();
+      labels.push([note.text.length > 28 ? `${note.text.slice(0, 27)}\u2026` : note.text, x + 5 * axes.unit]);
+    }
+    return axes === this.axes[0] ? labels : [];
   }
 
   // Beginnings of steps.

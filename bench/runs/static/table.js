@@ -51,7 +51,7 @@ function row(run) {
   line.append(make("td", run.steps, { class: "number" }), make("td", run.lost_samples ?? "-", { class: "number" }));
   const ended = make("td", run.ended, run.ended === "complete" ? {} : { class: run.ended === "stopped" ? "warn" : "bad" });
   if (run.why) ended.append(make("div", run.why, { class: "faint" }));
-  line.append(ended, make("td", run.loop?.summary ?? "-"), make("td", run.added_note || run.note));
+  line.append(ended, make("td", run.loop?.summary ?? "-"), make("td", run.notes, { class: "lines" }));
   const tags = make("td");
   for (const tag of run.tags) tags.append(make("span", tag, { class: "tag" }));
   if (run.remarks_problem) tags.append(make("span", run.remarks_problem, { class: "bad" }));

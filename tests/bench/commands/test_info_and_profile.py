@@ -109,7 +109,7 @@ def test_an_export_is_replaced_only_when_told(run: Path, tmp_path: Path) -> None
         assert bench("export", run, "--out", out).exit_code == 2 and out.read_bytes() == b"old"
         assert bench("export", run, "--out", out, "--overwrite").exit_code == 0
         assert out.stat().st_size > 1000
-    assert len(list(tmp_path.iterdir())) == 3
+    assert len(list(tmp_path.iterdir())) == 6  # each with its notebook
     assert bench("export", run, "--out", tmp_path / "y.npz", "--to", "csv").exit_code == 2
 
 

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
+from tests.bench.contrast import too_pale
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 PATIENCE_S = 90.0  # of a machine that runs tests beside
 IMPACTS = 0.5 + np.concatenate(([0.0], np.cumsum(0.4 * 0.85 ** np.arange(9))))
@@ -140,7 +142,7 @@ def test_impacts_are_dragged_added_and_taken_away(chromium: Any, bench: Any, tap
     assert kept["options"]["corrections"][0]["add_s"] == [pytest.approx(first[2] + 0.003, abs=1e-5)]
     assert len(kept["options"]["corrections"][0]["ignore_s"]) == 1
     assert kept["models"][0]["parameters"]["e0"]["value"] is not None
-    assert page.faults == [] and other.faults == []
+    assert page.faults == [] and other.faults == [] and too_pale(page) == []
 
 
 def test_a_folder_without_a_drop_says_what_to_do(chromium: Any, bench: Any, tmp_path: Path) -> None:

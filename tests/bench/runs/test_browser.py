@@ -15,8 +15,10 @@ import pytest
 from analysis.loop.result import ClosedLoop
 from bench.jobs.keep_verdict import keep_verdict
 from bench.runs.folder import run_id
-from bench.runs.remarks import change_remarks, with_note, with_tags
-from tests.bench.runs.recordings import record, verdict_on
+from daq.files.tables import note_rows
+from daq.recording.notebook import change_remarks, with_note, with_tags
+from tests.bench.contrast import too_pale
+from tests.bench.runs.recordings import RATE_HZ, record, verdict_on
 
 pytestmark = pytest.mark.slow
 HOSTILE = '</td><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
@@ -89,12 +91,17 @@ def test_table_filtered_sorted_and_marked(server: str, browser: Any, folder: Pat
     browser.fill("[name=tags]", "warm")
     until(browser, "document.querySelectorAll('#runs tbody tr').length === 1")
     assert files(browser) == ["a.h5"] and "tags=warm" in browser.url
-    assert browser.title().startswith("Runs") and browser.errors == []
+    assert browser.title().startswith("Runs") and browser.errors == [] and too_pale(browser) == []
+    browser.set_viewport_size({"width": 390, "height": 844})
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
 
 
 def test_click_opens_and_zooms_to_a_single_contact(server: str, browser: Any, folder: Path) -> None:
     """A click opens the run; wheel, keys and drag lead from all of it to single samples and back."""
-    record(folder / "long.h5", gammas=(0.9,) * 40)
+    writer = record(folder / "long.h5", gammas=(0.9,) * 40, close=False)
+    writer.mark_rows("notes", note_rows(15_000, ["a knock"]))
+    writer.close()
+    noted_s = 15_000 / RATE_HZ
     browser.goto(f"{server}/runs")
     browser.click("#runs tbody tr:has-text('long.h5') td:nth-child(9)")
     browser.wait_for_url(f"**/runs/{run_id('long.h5')}")
@@ -122,10 +129,15 @@ def test_click_opens_and_zooms_to_a_single_contact(server: str, browser: Any, fo
     browser.mouse.move(box["x"] + 400, box["y"] + 50)
     browser.mouse.up()
     until(browser, "parseFloat(document.querySelector('#scope').dataset.seen) > 0.55")
+    browser.click("#notes button")
+    until(browser, f"Math.abs(parseFloat(document.querySelector('#scope').dataset.seen) - {noted_s - 0.5}) < 1e-6")
+    assert scope.get_attribute("data-notes") == "1" and "a knock" in browser.locator("#notes").inner_text()
     browser.fill("[name=tag]", "kept")
     browser.click("text=add tag")
     browser.wait_for_selector("#tags .tag")
-    assert (folder / "long.h5.remarks.json").exists() and browser.errors == []
+    assert (folder / "long.h5.remarks.json").exists() and browser.errors == [] and too_pale(browser) == []
+    browser.set_viewport_size({"width": 390, "height": 844})
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
 
 
 def test_two_runs_over_each_other(server: str, browser: Any, folder: Path, closed_loop: ClosedLoop) -> None:
@@ -144,4 +156,6 @@ def test_two_runs_over_each_other(server: str, browser: Any, folder: Path, close
     assert "explained: coulomb_friction" in browser.locator("#verdicts").inner_text()
     assert "coulomb_friction.mu_up" in browser.get_attribute("#drifts", "data-done")
     assert "accelerometer.sensitivity" in browser.get_attribute("#drifts", "data-done")
-    assert browser.errors == []
+    assert browser.errors == [] and too_pale(browser) == []
+    browser.set_viewport_size({"width": 390, "height": 844})
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390

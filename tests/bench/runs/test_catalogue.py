@@ -18,9 +18,9 @@ from bench.runs import catalogue as catalogue_module
 from bench.runs.catalogue import Catalogue
 from bench.runs.database import VERSION
 from bench.runs.query import Query
-from bench.runs.remarks import side_file, with_note, with_tags
 from daq.recording import open_recording, verify
 from daq.recording.identity import content_id, stored_id
+from daq.recording.notebook import side_file, with_note, with_tags
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import record, verdict_on
 
@@ -106,7 +106,7 @@ def test_tags_and_notes_lie_beside_the_recording(folder: Path) -> None:
     with Catalogue(folder) as catalogue:
         catalogue.update()
         row = row_of(catalogue, "a.h5")
-    assert (row["tags"], row["added_note"], row["note"]) == (["warm"], "after\nlunch", "first <b>run</b>")
+    assert (row["tags"], row["notes"]) == (["warm"], "first <b>run</b>\nafter\nlunch")
     assert (folder / "one" / "a.h5").read_bytes() == before
     assert verify(folder / "one" / "a.h5").state == "complete"
 

@@ -41,10 +41,10 @@ def test_tag_and_note(folder: Path) -> None:
     assert bench("note", run, "[red]loose screw[/red]").exit_code == 0
     assert bench("note", run, "second").exit_code == 0
     told = json.loads(bench("note", run, "--undo", "--json", "-").stdout)
-    assert told["tags"] == ["warm"] and [note["text"] for note in told["notes"]] == ["[red]loose screw[/red]"]
+    assert told["tags"] == ["warm"] and [note["text"] for note in told["notes"]][1:] == ["[red]loose screw[/red]"]
     assert "[red]loose screw[/red]" in bench("note", run).output
     (row,) = json.loads(bench("runs", folder, "--tag", "warm", "--json", "-").stdout)["runs"]
-    assert row["added_note"] == "[red]loose screw[/red]"
+    assert row["notes"] == "first <b>run</b>\n[red]loose screw[/red]"
 
 
 def test_wrong_calls_leave_with_two(folder: Path) -> None:

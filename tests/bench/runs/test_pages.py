@@ -89,7 +89,7 @@ def test_tags_and_notes_from_a_page(client: TestClient, folder: Path) -> None:
     address = f"/runs/api/{run_id('one/a.h5')}/remarks"
     own = {"origin": OWN}
     told = client.post(address, json={"add": ["warm"], "note": "loose"}, headers=own).json()
-    assert told["tags"] == ["warm"] and told["notes"][0]["text"] == "loose"
+    assert told["tags"] == ["warm"] and told["notes"][-1]["text"] == "loose"
     assert (folder / "one" / "a.h5.remarks.json").exists()
     assert client.post(address, json={"add": ["two words"]}, headers=own).status_code == 422
     for wrong in (b"{", b"[1]", b'{"add": 3}'):

@@ -1,4 +1,8 @@
-"""Tags and notes of a recording, in a small file beside it: the recording itself stays as it was sealed."""
+"""The notebook of a recording: what persons noted before, during and after the run, and tags.
+
+What was noted until the run was over stands in the recording. What comes later, and tags, stand in a small file beside
+it, so that the recording stays as it was sealed.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from daq.files.whole_file import write_whole
+from daq.recording.header import Header
 from daq.recording.writer import now_utc
 from daq.setup.errors import InputError
 
@@ -25,6 +31,25 @@ class Note:
     """A note: when it was written (UTC, ISO 8601), and its text."""
 
     at: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the notebook.
+
+    Attributes
+    ----------
+    at
+        When it was written (UTC, ISO 8601); empty where that is not known.
+    at_s
+        Recorded time before it, s; None for one that was written before or after the run.
+    text
+        What was noted.
+    """
+
+    at: str
+    at_s: float | None
     text: str
 
 
@@ -45,6 +70,44 @@ class Remarks:
     identity: str = ""
     tags: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
+
+
+def entries_of(header: Header) -> tuple[Entry, ...]:
+    """What stands in the recording itself: the note that the run was given, and those typed while it went on."""
+    given = str(header.attrs.get("note") or "").strip()
+    first = (Entry(str(header.attrs.get("started") or ""), None, given),) if given else ()
+    return (*first, *(Entry(_utc(ns), sample / header.rate_hz, text) for sample, ns, text in header.notes))
+
+
+def notebook(header: Header | None, later: Remarks) -> tuple[Entry, ...]:
+    """All entries of a recording's notebook, in the order in which they were written.
+
+    Parameters
+    ----------
+    header
+        Of the recording (`daq.recording.header.header_of`); None where it does not read.
+    later
+        What was noted since.
+    """
+    own = () if header is None else entries_of(header)
+    return (*own, *(Entry(note.at, None, note.text) for note in later.notes))
+
+
+def as_line(entry: Entry) -> str:
+    """An entry as a line of text: when, where in the run, and what."""
+    where = "" if entry.at_s is None else f" ({entry.at_s:.2f} s)"
+    return f"{entry.at[:16].replace('T', ' ')}{where}  {' '.join(entry.text.split())}".strip()
+
+
+def as_text(header: Header | None, later: Remarks) -> str:
+    """Tags and all entries as a text; empty where there is nothing."""
+    tags = [f"tags: {' '.join(later.tags)}"] if later.tags else []
+    lines = [*tags, *map(as_line, notebook(header, later))]
+    return "\n".join(lines) + "\n" if lines else ""
+
+
+def _utc(unix_ns: int) -> str:
+    return datetime.fromtimestamp(unix_ns / 1e9, UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
 def side_file(recording: Path) -> Path:
