@@ -1,6 +1,7 @@
 // The page of a drop test: one websocket; files to choose, the verdict, the impacts of each file, the curves.
 import { showLease, socketAddress } from "/static/web/controls.js";
 import { Axes, colours } from "/static/web/plot.js";
+import { savers } from "/static/web/save.js";
 import { Scene } from "./scene.js";
 
 const $ = (id) => document.getElementById(id);
@@ -120,6 +121,12 @@ function buttons() {
 
 function figure(id, pick, labels) {
   const axes = new Axes($(id), { left: 62, right: 14 });
+  savers($(id).closest("section").querySelector("h2"), `drop-${id}`, () => [$(id)], () => {
+    const rows = [["set", ...(plot ? labels(plot) : [])]];
+    const name = (set) => (set.model === undefined ? "measured" : `model ${set.model + 1}`);
+    for (const set of plot ? pick(plot) : []) set.x.forEach((x, i) => rows.push([name(set), x, set.y[i]]));
+    return rows;
+  });
   const draw = () => {
     if (!plot) return;
     axes.fit();

@@ -1,5 +1,6 @@
 // One file of a drop test: its sound, its track or its times, with the impacts, which are dragged, added and taken away.
 import { Axes, colours } from "/static/web/plot.js";
+import { savers } from "/static/web/save.js";
 
 const NEAR = 7; // css px within which a pointer means a mark
 const make = (name, text = "", attributes = {}) => {
@@ -25,6 +26,7 @@ export class Scene extends EventTarget {
       button.addEventListener("click", does);
       this.head.append(button);
     }
+    savers(this.head, "impacts", () => [this.canvas], () => [["impact", "time (s)"], ...(this.file?.impacts ?? []).map((one, k) => [k + 1, one.t])]);
     this.canvas = make("canvas", "", { class: "scene", tabindex: "0", role: "application", "data-file": number,
       "aria-label": "impacts over time; the table below holds the same" });
     this.hint = make("p", "", { class: "faint hint" });

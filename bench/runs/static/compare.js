@@ -1,5 +1,6 @@
 // Runs over each other: diagrams, verdicts, and calibrations over time.
 import { Axes, colours } from "/static/web/plot.js";
+import { savers } from "/static/web/save.js";
 import { ask, asked, day, make, shown } from "./common.js";
 import { Diagram } from "./diagram.js";
 
@@ -42,6 +43,8 @@ class Drift {
     this.axes = new Axes(canvas, { x: "", y: unit, title: name, left: 70, bottom: 24 });
     new ResizeObserver(() => { this.axes.fit(); this.paint(); }).observe(figure);
     addEventListener("themechange", () => this.paint());
+    savers(figure, name, () => [canvas], () => [["run", "date", `${name} (${unit})`, "sigma", "origin"],
+      ...rows.map((row) => [row.path, row.date, row.value, row.sigma, row.origin])]);
   }
 
   paint() {

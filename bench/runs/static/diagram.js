@@ -1,5 +1,6 @@
 // Diagrams: flight times, in periods of the forcing, over the gamma of their step; one colour a run.
 import { Axes, colours } from "/static/web/plot.js";
+import { savers } from "/static/web/save.js";
 
 export class Diagram {
   constructor(canvas) {
@@ -7,6 +8,13 @@ export class Diagram {
     this.runs = [];
     new ResizeObserver(() => { this.axes.fit(); this.paint(); }).observe(canvas.parentElement);
     addEventListener("themechange", () => this.paint());
+    savers(canvas.closest("section").querySelector("h2"), "diagram", () => [canvas], () => this.table());
+  }
+
+  table() {
+    const rows = [["run", "step", "gamma set", "gamma measured", "flight time (periods)"]];
+    for (const { name, steps } of this.runs) for (const step of steps) for (const y of step.periods) rows.push([name, step.step, step.commanded, step.gamma, y]);
+    return rows;
   }
 
   // One run: its steps with flights, its name, the number of its colour.

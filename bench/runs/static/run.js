@@ -1,5 +1,6 @@
 // One run: scope, diagram, steps, verdict, tags and notes.
 import { ask, asked, day, gammas, make, shown } from "./common.js";
+import { savers } from "/static/web/save.js";
 import { Diagram } from "./diagram.js";
 import { Scope } from "./scope.js";
 
@@ -78,6 +79,7 @@ async function openScope() {
   const told = await asked(`${api}/open`, () => { where.textContent = "reading the recording, once \u2026"; });
   scope = new Scope(byId("scope"), id, told);
   scope.annotate(notes);
+  savers(document.querySelector(".scope .tools"), "scope", () => scope.axes.map((one) => one.canvas), () => scope.table());
   scope.addEventListener("seen", ({ detail }) => {
     const span = detail.stop_s - detail.start_s, lost = detail.lost.reduce((sum, row) => sum + row[2], 0);
     const each = detail.samples_per_point === 1 ? "every sample" : `${shown(detail.samples_per_point, 3)} samples a column`;

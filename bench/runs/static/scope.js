@@ -155,6 +155,13 @@ export class Scope extends EventTarget {
     }
   }
 
+  // What is shown, in volts: extremes of each column, or the samples.
+  table() {
+    const names = Object.keys(this.seen.channels), all = names.map((name) => this.seen.channels[name]);
+    const heads = names.flatMap((name, k) => (all[k].high ? [`${name} lowest (V)`, `${name} highest (V)`] : [`${name} (V)`]));
+    return [["time (s)", ...heads], ...this.seen.time_s.map((t, i) => [t, ...all.flatMap((x) => (x.high ? [x.low[i], x.high[i]] : [x.low[i]]))])];
+  }
+
   // Notes that were typed during the run, each at its time.
   annotate(notes) {
     this.notes = notes.filter((note) => note.at_s !== null);

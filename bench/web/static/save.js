@@ -7,6 +7,11 @@ function download(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
+function cell(x) {
+  if (x === null || x === undefined || (typeof x === "number" && !isFinite(x))) return "";
+  return /[",\n]/.test(x) ? `"${String(x).replaceAll('"', '""')}"` : x;
+}
+
 // Several canvases one above the other as one picture.
 function joined(canvases) {
   if (canvases.length === 1) return canvases[0];
@@ -19,7 +24,7 @@ function joined(canvases) {
 }
 
 // Two buttons at the end of `place`. `canvases` and `table` are functions: the latter gives rows, headings (with units)
-// first; `name` is that of the files, without ending.
+// first (without it there is only the picture); `name` is that of the files, without ending.
 export function savers(place, name, canvases, table) {
   const box = document.createElement("span");
   box.className = "savers";
@@ -30,8 +35,8 @@ export function savers(place, name, canvases, table) {
     box.append(button);
   };
   add("picture", `save ${name} as a picture (PNG)`, () => joined(canvases()).toBlob((blob) => download(blob, `${name}.png`)));
-  add("data", `save the numbers of ${name} (CSV)`, () => {
-    const lines = table().map((row) => row.map((x) => (typeof x === "number" && !isFinite(x) ? "" : x)).join(","));
+  if (table) add("data", `save the numbers of ${name} (CSV)`, () => {
+    const lines = table().map((row) => row.map(cell).join(","));
     download(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);
   });
   place.append(box);
