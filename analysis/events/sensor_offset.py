@@ -25,6 +25,7 @@ LONGEST_DELAY_S = 6e-3  # longest delay of the accelerometer by a converter's fi
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 MIN_PAIRS = 3  # landings needed
+MIN_SHARE = 0.5  # part of all landings that have an impact at a large offset, at least: chatters end at any distance
 HALF_WIDTH = 1.35  # width of the half of a normal distribution about its centre, in standard deviations
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
 MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
@@ -95,7 +96,9 @@ def calibrate(
     k = int(np.argmin(width))
     centre = float(np.median(ordered[k : k + (d.size - 1) // 2 + 1]))
     spread = max(float(width[k]) / HALF_WIDTH, float(np.median(own)))
-    if spread > MAX_SPREAD_S or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
+    shared = np.abs(impacts.time_s[nearest(impacts.time_s, landing_s + centre)] - landing_s - centre)
+    chance = abs(centre) > SMALL_OFFSET_S and float(np.mean(shared < CORE_SPREADS * spread)) < MIN_SHARE
+    if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     core = np.abs(d - centre) < CORE_SPREADS * spread
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))

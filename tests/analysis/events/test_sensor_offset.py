@@ -44,3 +44,18 @@ def test_a_converters_delay_of_many_samples_is_found() -> None:
     moved, offset = calibrate(impacts, edges.time_s - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S)
     assert offset.offset_s == pytest.approx(1.9e-3, abs=5e-6)
     assert np.abs(moved.time_s - exact).max() < 1e-5
+
+
+def test_a_few_chatters_of_one_length_are_no_offset_of_the_sensors() -> None:
+    """Closings at the end of chatters of .4 to 1.6 ms, of which one in eight has a single impact, all of one length."""
+    rng = np.random.default_rng(4)
+    first_s = 0.05 * np.arange(1, 401) + 1e-3 * rng.random(400)
+    alike = np.arange(400) % 8 == 0
+    lasts_s = np.where(alike, 6.2e-4 + 5e-6 * rng.standard_normal(400), rng.uniform(4e-4, 1.6e-3, 400))
+    second_s = first_s[~alike] + 0.6 * lasts_s[~alike]
+    order = np.argsort(impact_s := np.concatenate([first_s, second_s]))
+    impacts = Impacts(impact_s[order], np.full(order.size, 1e-6), rng.uniform(5.0, 20.0, order.size))
+    closed_s = first_s + lasts_s
+    moved, offset = calibrate(impacts, first_s - 0.02, closed_s, np.full(400, 5e-6), 0.0, SAMPLING_S)
+    assert np.isinf(offset.uncertainty_s)
+    assert moved.time_s == pytest.approx(impact_s[order])
