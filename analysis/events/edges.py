@@ -33,6 +33,11 @@ CLEAR_SIGMAS = 6.0  # height of a fitted edge above its uncertainty from which i
 PHASE_BINS = 20  # parts of the interval between two samples in which edges are counted
 MOST_READS = (1, 2, 3)  # reads of a clocked comparator in a sample
 FIXED_PART = 0.85  # share of the edges within two parts from which the comparator is clocked
+FILTER_RIPPLE, RIPPLE_SIGMAS = (
+    0.01,
+    5.0,
+)  # ripple from which a linear-phase filter shaped the edges: of the swing, noise
+BETWEEN_SAMPLES = 0.1  # error of a straight line between two samples at half of the swing, in samples
 VAGUE = 12.0  # samples per uncertainty below which the posterior is integrated instead
 POSTERIOR_POINTS = 200
 
@@ -94,6 +99,8 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     time of the edge before; where edges are slow, their shape is then measured anew.
     """
     noise = levels.noise_v / abs(levels.swing_v)
+    if levels.ripple > max(FILTER_RIPPLE, RIPPLE_SIGMAS * noise):
+        return _half_way(crossings, noise, rate_hz), SHARP, SHARP
     n, around = crossings.sample.size, crossings.around
     times, sigmas = np.full(n, -np.inf), np.empty(n)  # a dip has no time yet: nothing is unsettled after it
     rises = times.copy()
@@ -126,6 +133,21 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     times[dips] = (crossings.sample[dips] - 0.5) / rate_hz
     sigmas[dips] = 1.0 / (rate_hz * np.sqrt(12.0))
     return Edges(times, sigmas, crossings.kind), shapes[OPENS], shapes[CLOSES]
+
+
+def _half_way(crossings: Crossings, noise: float, rate_hz: float) -> Edges:
+    """Edges behind a linear-phase filter: it delays all frequencies alike, so an edge is where half of the swing is."""
+    before = crossings.around.before
+    rows = np.arange(crossings.sample.size)
+    rising = np.where((crossings.kind == CLOSES)[:, None], 1.0 - crossings.window, crossings.window)[:, : before + 1]
+    below = before - np.argmax(rising[:, ::-1] < 0.5, axis=1)  # the last sample on the side that is left
+    after = np.minimum(below + 1, before)
+    slope = np.maximum(rising[rows, after] - rising[rows, below], 1e-3)
+    place = below - before + np.clip((0.5 - rising[rows, below]) / slope, 0.0, 1.0)
+    times = np.where(crossings.kind == DIP, crossings.sample - 0.5, crossings.sample + place) / rate_hz
+    sigma = np.hypot(noise / slope, BETWEEN_SAMPLES) / rate_hz
+    sigma[crossings.kind == DIP] = 1.0 / (rate_hz * np.sqrt(12.0))
+    return Edges(np.maximum.accumulate(times), sigma, crossings.kind)
 
 
 def _alone(index: Ints, room: Ints, gap: Ints, around: Window) -> Ints:

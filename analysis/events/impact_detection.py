@@ -6,7 +6,7 @@ earlier impacts has been subtracted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from analysis.events.impact_template import FINE, LEAD, LENGTH, ImpactTemplate
 from analysis.signals.search import first_beyond
 from analysis.signals.stream import block_means
+from analysis.statistics import nearest
 from kernels import njit
 
 Floats = npt.NDArray[np.float64]
@@ -29,6 +30,7 @@ ECHO_END = 0.1  # most of an impact's ringing that is left at the template's end
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong
 ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
 PRECURSOR, PRECURSOR_PART = 20, 0.5  # samples within which no ball gains so much speed: the next impact's own ringing
+SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
 
@@ -53,6 +55,14 @@ class Impacts:
     strength: Floats
     onset_s: float = ONSET_S
     rounding_s: float = 0.0
+
+    def away_from(self, seams_s: Floats) -> Impacts:
+        """Those that are not within `SEAM_S` of a loss of samples, where the motion jumps; losses in order, (k,)."""
+        if not seams_s.size or not self.time_s.size:
+            return self
+        far = np.abs(seams_s[nearest(seams_s, self.time_s)] - self.time_s) > SEAM_S
+        kept = {name: getattr(self, name)[far] for name in ("time_s", "uncertainty_s", "strength")}
+        return replace(self, **kept)
 
 
 NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))

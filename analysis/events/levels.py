@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
 MIN_DIP, DIP_SIGMAS, MAX_DIP = 0.02, 10.0, 0.3  # depth of a visible dip: bounds, and in standard deviations of noise
-RIPPLE_SAMPLES, RIPPLE_PART = (3, 20), 1.5  # distances from an edge, times the stretch; ripples that a dip must exceed
+RIPPLE_SAMPLES, RIPPLE_PART = 20, 1.5  # samples from an edge on; ripples that a dip must exceed
 MIN_RIPPLES = 8  # edges needed to measure a ripple
 PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the longer first; times the stretch
 PLATEAU_AFTER = 5  # samples that stay on that side, its own included
@@ -35,7 +35,7 @@ class Levels:
 
     ``noise_v`` is the standard deviation on a plateau. Behind a coupling capacitor they are the levels
     restored by `analysis.events.ac_coupling`. ``rise_samples`` is the time that an edge takes from 10 to 90 % of the
-    swing, in samples. ``ripple`` is how far the voltage typically swings back from the open level near an edge, as a
+    swing, in samples. ``ripple`` is how far the voltage typically swings beyond the open level near an edge, as a
     fraction of the swing: what a linear-phase filter of a converter or of a resampling leaves.
     """
 
@@ -74,20 +74,21 @@ def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, dec
     if found.stretch > 1:
         settled = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, found.stretch)
         found = replace(settled, rise_samples=found.rise_samples)
-    return replace(found, ripple=_ripple((volts - found.closed_v) / found.swing_v, found.stretch))
+    return replace(found, ripple=_ripple((volts - found.closed_v) / found.swing_v))
 
 
-def _ripple(fraction: Floats, stretch: int) -> float:
-    """Median depth to which the open voltage swings back near an edge, after openings or before closings."""
+def _ripple(fraction: Floats) -> float:
+    """Median height to which the open voltage swings beyond its level, after openings or before closings."""
     is_open = fraction > 0.5
     change = np.flatnonzero(np.diff(is_open)) + 1
-    depths = []
+    heights = [0.0]
     for own, sign in ((change[is_open[change]], 1), (change[~is_open[change]] - 1, -1)):
-        index = own[:, None] + sign * stretch * np.arange(RIPPLE_SAMPLES[0], RIPPLE_SAMPLES[1])
-        index = index[(index.min(axis=1) >= 0) & (index.max(axis=1) < fraction.size)] if own.size else index
+        index = own[:, None] + sign * np.arange(RIPPLE_SAMPLES)
+        index = index[(index.min(axis=1) >= 0) & (index.max(axis=1) < fraction.size)]
         near = fraction[index][is_open[index].all(axis=1)]
-        depths.append(1.0 - float(np.median(near.min(axis=1))) if len(near) >= MIN_RIPPLES else 0.0)
-    return max(*depths, 0.0)
+        if len(near) >= MIN_RIPPLES:
+            heights.append(float(np.median(near.max(axis=1))) - 1.0)
+    return max(heights)
 
 
 def _rise_samples(volts: Floats, closed_v: float, swing_v: float) -> float:

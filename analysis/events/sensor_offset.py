@@ -29,6 +29,7 @@ MIN_SHARE = 0.5  # part of all landings that have an impact at a large offset, a
 HALF_WIDTH = 1.35  # width of the half of a normal distribution about its centre, in standard deviations
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
 MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
+CHATTER_S = 3e-4  # longest time from an impact to the contact's closing that follows it
 MIN_VARIETY = 0.3  # relative range of impact strengths below which a chatter cannot be excluded
 MIN_TO_ROUND, ONE_PLACE = 20, 0.9  # impacts needed, and length of their mean phasor, to call them rounded to samples
 CHATTER_SPREAD = 0.25  # spread of a chatter's length over that of the impact strengths, relative
@@ -161,7 +162,10 @@ def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
 
 
 def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -> Edges:
-    """Closings averaged with the accelerometer's impacts by inverse variance; both are rounded alike, if they are."""
+    """Closings averaged with the accelerometer's impacts by inverse variance; both are rounded alike, if they are.
+
+    A contact that chatters may close for good some time after the impact: then the impact is the landing.
+    """
     closing = np.flatnonzero(edges.kind == CLOSES)
     if not closing.size or not impacts.time_s.size:
         return edges
@@ -174,4 +178,9 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
     time_s[chosen] += share * difference[same]
     sigma[chosen] = np.maximum(sigma[chosen] * own / np.hypot(sigma[chosen], own), impacts.rounding_s)
+    before = np.append(-np.inf, edges.time_s)[closing]  # the edge before each closing
+    late = ~same & (difference < 0.0) & (difference > -CHATTER_S) & (impacts.time_s[partner] > before)
+    chosen = closing[late]
+    time_s[chosen] += difference[late]
+    sigma[chosen] = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)[late]
     return Edges(time_s, sigma, edges.kind)

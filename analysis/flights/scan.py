@@ -212,7 +212,7 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         steps=steps,
         crossings=contact.crossings(),
         starts_open=contact.started_open,
-        impacts=NO_IMPACTS if detector is None else detector.impacts(),
+        impacts=NO_IMPACTS if detector is None else detector.impacts().away_from(recording.gaps[:, 0] / rate_hz),
         plate=PlateMotion(
             with_coloured_noise(accumulator.finish()), _noise_mps2(recording, known), rate_hz, recording.gaps
         ),

@@ -59,3 +59,13 @@ def test_a_few_chatters_of_one_length_are_no_offset_of_the_sensors() -> None:
     moved, offset = calibrate(impacts, first_s - 0.02, closed_s, np.full(400, 5e-6), 0.0, SAMPLING_S)
     assert np.isinf(offset.uncertainty_s)
     assert moved.time_s == pytest.approx(impact_s[order])
+
+
+def test_the_impact_is_the_landing_where_a_chattering_contact_closes_later() -> None:
+    """One closing in five comes .1 ms after the impact: all landings are the impacts, none behind an edge before it."""
+    exact, impact_s, edges = closings(False)
+    late = np.arange(200) % 5 == 0
+    edges = Edges(exact + np.where(late, 1e-4, 2e-6), np.full(200, 4e-6), edges.kind)
+    impacts = Impacts(impact_s, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
+    moved, offset = calibrate(impacts, edges.time_s - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S)
+    assert np.abs(combine_with_impacts(edges, moved, offset).time_s - exact).max() < 1e-5
