@@ -14,7 +14,7 @@ RATE_HZ, FINE, DELAY = 20000.0, 16, 32
 
 
 def test_an_edge_is_where_half_of_the_swing_is_and_its_ringing_is_no_contact() -> None:
-    """Square edges anywhere between samples, seen through a sharp filter of 0.45 of the rate: to a tenth of a sample, no dips."""
+    """Square edges anywhere between samples, behind a sharp low-pass: to a tenth of a sample, and no dips."""
     rng = np.random.default_rng(3)
     exact = 0.02 + 0.01 * np.arange(120) + 1e-4 * rng.random(120)
     fine_s = np.arange(int(1.25 * RATE_HZ * FINE)) / (RATE_HZ * FINE)
