@@ -26,7 +26,6 @@ TURNS = 4
 LEAST_PART = 0.01  # least density used, as a part of the largest: there, no waveform is known well enough
 SLOW_HZ = 500.0  # below, a recording holds the plate's motion as well
 PREDICTED_FROM = 16  # samples from which the next one is predicted
-HALF_POWER = 0.5
 CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
 TAIL = 3.0  # standard deviations from which a detector's output counts as its tail
 DECAY_SIGMAS = 3.0  # significance from which a tail is heavier than that of normal noise
@@ -70,14 +69,6 @@ class NoiseSpectrum:
     def slow_v2phz(self) -> float:
         """Density at the lowest frequencies that a frame resolves."""
         return float(np.mean(self.density_v2phz[1:4]))
-
-    @property
-    def bandwidth_hz(self) -> float:
-        """Frequency from which on the density stays below half of its median below 2 kHz; the Nyquist rate if none."""
-        hz, density = self.frequencies_hz, self.density_v2phz
-        usual = float(np.median(density[(hz >= SLOW_HZ) & (hz <= 4.0 * SLOW_HZ)]))
-        above = np.flatnonzero(density > HALF_POWER * usual)
-        return float(hz[min(int(above[-1]) + 1 if above.size else 0, hz.size - 1)])
 
     def autocovariance(self, count: int) -> Floats:
         """Autocovariance in V^2 at lags of 0 to ``count - 1`` samples, at most ``FRAME // 2`` of them."""
