@@ -66,12 +66,12 @@ def native(columns: Columns, tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return seen(folder / "a.npz", folder / "a.h5", setup())
 
 
-def same(one: Seen, other: Seen, within_s: float) -> None:
-    """The flights that count in both are the same ones, and the steps move alike."""
+def same(one: Seen, other: Seen, within_s: float, share: float = 0.9) -> None:
+    """The flights that count in both are the same ones, at least that share of them, and the steps move alike."""
     first, second = (f.landing_s[f.good()] for f, _ in (one, other))
     apart = np.abs(first[:, None] - second[None, :]).min(axis=1)
     shared = apart < 1e-3
-    assert shared.mean() > 0.9 and len(second) > 40
+    assert shared.mean() > share and len(second) > 40
     assert apart[shared].max() < within_s
     np.testing.assert_allclose(other[1], one[1], rtol=2e-3)
 
@@ -102,9 +102,12 @@ def test_levels_that_nobody_declared_and_an_unknown_zero(columns: Columns, nativ
 
 
 def test_without_a_drive_the_steps_are_the_plates(columns: Columns, native: Seen, tmp_path: Path) -> None:
-    """No drive column and no scale of it: as many steps, the same gamma, the same flights in them."""
+    """No drive column and no scale of it: as many steps, the same gamma, the same flights in them.
+
+    Steps found in the accelerometer end two of their sixteen cycles early.
+    """
     np.savez(tmp_path / "a.npz", contact=columns["continuity_v"], accel=columns["accelerometer_v"])
-    same(native, seen(tmp_path / "a.npz", tmp_path / "r.h5", setup(drive__g_per_volt=None), (), RATE_HZ), 1e-6)
+    same(native, seen(tmp_path / "a.npz", tmp_path / "r.h5", setup(drive__g_per_volt=None), (), RATE_HZ), 1e-6, 0.8)
 
 
 def test_acceleration_in_its_own_unit(columns: Columns, native: Seen, tmp_path: Path) -> None:

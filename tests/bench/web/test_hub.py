@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 from typing import Any
 
 from bench.web.hub import Browser, Hub
@@ -13,11 +12,12 @@ class Socket:
     """A websocket that says what it was given, and hears."""
 
     def __init__(self, *texts: str) -> None:
-        self.texts = texts
+        self.texts = iter(texts)
 
-    async def iter_text(self) -> AsyncIterator[str]:
-        for text in self.texts:
-            yield text
+    async def receive(self) -> dict[str, Any]:
+        """The next message as the server's interface (ASGI) has it."""
+        text = next(self.texts, None)
+        return {"type": "websocket.disconnect"} if text is None else {"type": "websocket.receive", "text": text}
 
     async def send_text(self, text: str) -> None:
         """Hear."""
