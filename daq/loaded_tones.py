@@ -63,6 +63,11 @@ class LoadedTones:
     whole_contact: LockIn
     gravity: float
 
+    @classmethod
+    def of_sorts(cls, sums: LockIn, gravity: float) -> Self:
+        """From sums of four sorts: 0 unmasked, 2 masked, and one more where the ball touches the plate."""
+        return cls(sums.part([0, 1]), sums.part([0, 1, 2, 3]), sums.part([1]), sums.part([1, 3]), gravity)
+
     def __add__(self, other: Self) -> Self:
         return type(self)(
             self.unmasked + other.unmasked,

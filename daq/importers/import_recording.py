@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
+from daq.importers.achieved import achieved_gamma
 from daq.importers.background import Digest
 from daq.importers.diagnostics import range_warnings, rate_warnings, remarks
 from daq.importers.formats.columns import (
@@ -43,7 +44,6 @@ from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
 from daq.steps.forcing_detection import Read
-from daq.steps.tone_tracking import fit
 
 Floats = NDArray[np.float64]
 
@@ -308,7 +308,8 @@ def _ended_early(found: list[FoundStep], rate_hz: float) -> list[FoundStep]:
 
 def _table(found: list[FoundStep], volts: _Volts, channel: str, setup: Setup, rate_hz: float) -> NDArray[np.void]:
     """Step table; gamma is the drive's where its steps and its scale are known, else the plate's."""
-    achieved = np.array([_achieved(volts.of("accelerometer"), s, rate_hz, setup) for s in found]).reshape(-1, 2)
+    read = {role: volts.of(role) for role in volts.scales}
+    achieved = np.array([achieved_gamma(read, s, rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt
     if channel == "drive" and g_per_volt is not None:
         gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
@@ -345,17 +346,6 @@ def _found(
         if progress is not None:
             progress("finding steps", b)
     return found
-
-
-def _achieved(read: Callable[[int, int], Floats], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
-    """Gamma at the plate over a step's hold, from the accelerometer's tones, and its uncertainty."""
-    settled = step.settled(rate_hz)
-    tones = fit(read, settled, step.stop, rate_hz, step.frequency_hz, setup.forcing)
-    sensor = setup.channels.accelerometer
-    volts_per_g = sensor.volts_per_mps2 * setup.g_mps2.value
-    gamma = gamma_of(tones.amplitudes / volts_per_g, setup.forcing)
-    noise = gamma_of(tones.amplitude_sigma() / volts_per_g + 0j, setup.forcing)
-    return gamma, float(np.hypot(noise, gamma * sensor.sensitivity.uncertainty / sensor.sensitivity.value))
 
 
 def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:

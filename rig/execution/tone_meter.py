@@ -117,8 +117,7 @@ class ToneMeter:
             touching = np.zeros(len(piece.quiet), np.bool_) if piece.touching is None else piece.touching
             sort = np.where(piece.quiet, 0, 2) + np.where(touching, 1, 0)
             sums.add(piece.acceleration_mps2, piece.first_sample, sort.astype(np.int8))
-        unmasked, whole = sums.part([0, 1]), sums.part([0, 1, 2, 3])
-        return LoadedTones(unmasked, whole, sums.part([1]), sums.part([1, 3]), self._g_mps2)
+        return LoadedTones.of_sorts(sums, self._g_mps2)
 
     def _of(self, sums: LoadedTones) -> Amplitudes:
         """The wanted tones of a fit."""

@@ -56,10 +56,13 @@ def test_a_ramp_is_recorded(short: Path, tmp_path: Path) -> None:
 
 
 def test_seed_decides_the_noise(short: Path, tmp_path: Path) -> None:
-    """The same seed gives the same recording, another seed another one."""
+    """The same seed gives the same recording, another seed another one; the last line is the next command."""
     codes = []
     for i, seed in enumerate((1, 1, 2)):
-        assert bench("ramp", short, "--out", tmp_path / f"{i}.h5", "--seed", seed).exit_code == 0
+        result = bench("ramp", short, "--out", tmp_path / f"{i}.h5", "--seed", seed)
+        assert result.exit_code == 0, result.output
+        last = result.output.splitlines()[-1]
+        assert last.startswith("next: bench close-loop") and f"{i}.h5" in last
         with open_recording(tmp_path / f"{i}.h5") as recording:
             codes.append(recording.codes("accelerometer"))
     assert np.array_equal(codes[0], codes[1]) and not np.array_equal(codes[0], codes[2])

@@ -1,0 +1,112 @@
+"""Gamma at the plate over a step's hold, without what impacts add to the accelerometer.
+
+An impact and its ringing fall on the same phase of every cycle, so that a fit through them is wrong by up to half a
+percent. They are masked: after every closing of the contact circuit, and wherever the accelerometer is far from the
+motion (a contact may be shorter than a sample). What remains is fitted as in the run and in the analysis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.loaded_tones import LoadedTones
+from daq.lock_in import LockIn, fit_tones
+from daq.setup.setup import Setup
+from daq.steps.find_steps import FoundStep, gamma_of
+from daq.steps.forcing_detection import Read, weights
+from daq.steps.tone_tracking import fit, tones_hz
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+HARMONICS = 3  # of the first tone, which a mask at one phase of the cycle would mix in; more are undetermined there
+BELOW = 0.45  # of the sample rate: tones that are fitted
+RINGING_S = (3e-3, 2e-3, 1e-3)  # masked after a closing: the longest that leaves enough
+LEAD_S = 2e-4  # masked before it
+OUTLIER_SIGMAS = 6.0  # from the motion, beyond which a sample belongs to an impact
+OUTLIER_FLOOR = 1e-3  # the same over the motion's largest amplitude: a file without noise has harmonics
+LEAST_QUIET = 0.5  # part of a hold that remains
+ROUNDS = 2  # of fitting the motion and masking what is far from it
+PIECE_SAMPLES, PIECE_CYCLES = 1 << 18, 20  # read in one go
+
+
+def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
+    """Gamma by the accelerometer and its standard uncertainty, the sensitivity's included.
+
+    Parameters
+    ----------
+    volts
+        Gives volts of samples ``a .. b``, by channel; ``accelerometer`` is there.
+    step
+        The step; its hold counts from where it has settled.
+    rate_hz
+    setup
+        Forcing, sensitivity and levels of the contact.
+    """
+    sensor = setup.channels.accelerometer
+    volts_per_g = sensor.volts_per_mps2 * setup.g_mps2.value
+    forcing = [m for m, _ in weights(setup.forcing)]
+    harmonics = [m for m in range(1, HARMONICS + 1) if m * step.frequency_hz < BELOW * rate_hz]
+    multiples = sorted({*forcing, *harmonics})
+    try:
+        sums = _sums(volts, step, rate_hz, step.frequency_hz * np.array(multiples, np.float64), setup)
+        values, sigmas = LoadedTones.of_sorts(sums, volts_per_g).solve()
+        rows = [multiples.index(m) for m in forcing]
+        values, sigmas = values[rows], sigmas[rows]
+    except ValueError:  # too few samples for harmonics
+        tones = fit(volts["accelerometer"], step.settled(rate_hz), step.stop, rate_hz, step.frequency_hz, setup.forcing)
+        values, sigmas = tones.amplitudes, tones.amplitude_sigma()
+    gamma = gamma_of(values / volts_per_g, setup.forcing)
+    noise = gamma_of(sigmas / volts_per_g + 0j, setup.forcing)
+    return gamma, float(np.hypot(noise, gamma * sensor.sensitivity.uncertainty / sensor.sensitivity.value))
+
+
+def _sums(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, fitted_hz: Floats, setup: Setup) -> LockIn:
+    """Normal equations of the hold: masked and unmasked samples, in contact and in flight."""
+    contact = setup.channels.continuity if "continuity" in volts else None
+    sums = LockIn(rate_hz, fitted_hz, sorts=4)
+    motion_hz = tones_hz(step.frequency_hz, setup.forcing)
+    start = step.settled(rate_hz)
+    pieces = max((step.stop - start) // max(PIECE_SAMPLES, round(PIECE_CYCLES * rate_hz / step.frequency_hz)), 1)
+    cuts = np.linspace(start, step.stop, pieces + 1).astype(np.int64).tolist()
+    for a, b in pairwise(cuts):
+        x = volts["accelerometer"](a, b)
+        touching = np.zeros(b - a, np.bool_)
+        if contact is not None and contact.coupling == "dc":
+            touching = (volts["continuity"](a, b) < contact.middle_v) == (contact.swing_v > 0.0)
+        quiet = _quiet(x, a, rate_hz, motion_hz, touching)
+        sums.add(x, a, (np.where(quiet, 0, 2) + touching).astype(np.int8))
+    return sums
+
+
+def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: Bools) -> Bools:
+    """Samples that no impact has touched; all of them where too few would remain."""
+    closings = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
+    tones = np.exp(2j * np.pi * np.outer(motion_hz / rate_hz, np.arange(first, first + len(x))))
+    for ringing_s in RINGING_S:
+        quiet = _clear(len(x), closings, rate_hz, ringing_s)
+        for _ in range(ROUNDS):
+            if np.mean(quiet) < LEAST_QUIET:
+                break
+            motion = fit_tones(x, first, rate_hz, motion_hz, quiet)
+            away = np.abs(x - motion.offset - (motion.amplitudes @ tones).real)
+            limit = max(
+                1.4826 * float(np.median(away)) * OUTLIER_SIGMAS, OUTLIER_FLOOR * np.abs(motion.amplitudes).max()
+            )
+            outliers = np.flatnonzero(away > limit)
+            quiet = _clear(len(x), np.concatenate([closings, outliers]), rate_hz, ringing_s)
+        if np.mean(quiet) >= LEAST_QUIET:
+            return quiet
+    return np.ones(len(x), np.bool_)
+
+
+def _clear(n: int, impacts: NDArray[np.int64], rate_hz: float, ringing_s: float) -> Bools:
+    """Samples of ``n`` away from all ``impacts``."""
+    change = np.zeros(n + 1, np.int64)
+    np.add.at(change, np.maximum(impacts - round(LEAD_S * rate_hz), 0), 1)
+    np.add.at(change, np.minimum(impacts + max(round(ringing_s * rate_hz), 1), n), -1)
+    return np.asarray(np.cumsum(change[:-1]) == 0)
