@@ -54,8 +54,8 @@ FORMS = (
     ROWS, NOTES,
 )  # fmt: skip
 KNOWN = {suffix for form in FORMS for suffix in form.suffixes} | {
-    ".gz", ".npy", ".tsv", ".dat", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi", ".mp4",
-    ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
+    ".gz", ".npy", ".tsv", ".dat", ".lvm", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi",
+    ".mp4", ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
 }  # fmt: skip
 """Endings that mean a form to everybody; an ending that is not here may stand for anything."""
 

@@ -13,6 +13,13 @@ from bench.outputs import Overwrite
 UNKNOWN_ZERO = (
     "# offset_v = 0.0       # reading at zero, unknown yet: bench calibrate accelerometer, or as bench import says"
 )
+OF_A_CARD = {
+    "coupling": '"ac"         # capacitors in the inputs: contact is found by signed edges',
+    "range_v": "2.0            # volts at the input's full scale: measure it, with the gain where it will stay",
+    "open_v": "1.0             # in the air: divide the 5 V down into the card's range",
+    "output_range_v": "1.4     # volts of that output at full scale: measure it",
+}
+"""What the inputs and the output of a card are like; the shipped profile is that of `bench virtual soundcard`."""
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, no_args_is_help=True, help="List, show, make profiles.")
 
@@ -93,6 +100,9 @@ def new(
         text = with_values(_text_of(like), {"name": out.stem}, like)
         if not Path(like).is_file():  # the zero of a shipped profile's sensor is not this one's
             text = re.sub(r"(?m)^offset_v *=.*$", UNKNOWN_ZERO, text)
+        if like == "soundcard":
+            for key, value in OF_A_CARD.items():
+                text = re.sub(rf"(?m)^{key} *=.*$", f"{key} = {value}", text)
         parse_profile(text, like)
         out.write_text(text, encoding="utf-8")
     except InputError as error:

@@ -24,7 +24,19 @@ PIECE_ROWS = 65536
 _SHOWN, _SHOWN_CHARACTERS = 24, 80
 
 _ALIASES = {
-    "time": {"time", "t", "times", "timestamp", "timestamps", "elapsed", "elapsedtime", "seconds", "zeit"},
+    "time": {
+        "time",
+        "t",
+        "times",
+        "timestamp",
+        "timestamps",
+        "elapsed",
+        "elapsedtime",
+        "seconds",
+        "zeit",
+        "xvalue",
+        "xaxis",
+    },
     "continuity": {"continuity", "contact", "contactcircuit", "circuit", "continuitycircuit", "cont"},
     "accelerometer": {"accelerometer", "acceleration", "accel", "acc", "plateacceleration", "plate"},
     "drive": {"drive", "drivevoltage", "loopback", "loopbackdrive", "driveloopback", "excitation", "command"},
@@ -78,7 +90,12 @@ class Source(Protocol):
 
 def columns_of(source: Source) -> str:
     """The columns of a source for an error, and what cannot be a column."""
-    return listed(source.names) + (f"; not read: {_reasons(source)}" if source.left_out else "")
+    header = getattr(source, "header", "")  # of text alone
+    return (
+        listed(source.names)
+        + (f" ({header})" if header else "")
+        + (f"; not read: {_reasons(source)}" if source.left_out else "")
+    )
 
 
 def left_out_remarks(source: Source) -> list[str]:

@@ -7,6 +7,7 @@ read piece by piece.
 from __future__ import annotations
 
 import csv
+import datetime
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from daq.setup.errors import InputError
 _DELIMITERS = (",", ";", "\t")
 _SNIFFED_LINES = 200
 _LISTED = 64
+_END_OF_HEADER = "***End_of_Header***"  # of LabVIEW's .lvm
 _QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')
 
 
@@ -101,10 +103,13 @@ class CsvSource:
         while head and not head[-1]:
             head.pop()
         head = [line.rstrip("\r\n") for line in head]
+        ends = [i + 1 for i, line in enumerate(head) if line.startswith(_END_OF_HEADER)]
+        below = max(ends, default=0)
         lines = [(i, line) for i, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")]
+        lines = [(i, line) for i, line in lines if i >= below]
         for delimiter, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, ".")):
             bare = [_unquoted(line.encode(), delimiter).decode() for _, line in lines]
-            first = next((k for k, line in enumerate(bare) if _is_numbers(line, delimiter, decimal)), None)
+            first = next((k for k in range(len(bare)) if _is_first_row(bare[k : k + 2], delimiter, decimal)), None)
             if first is not None:
                 break
         else:
@@ -118,14 +123,21 @@ class CsvSource:
         self._is_quoted = any('"' in line for _, line in lines[first:])
         self._width = len(_fields(bare[first], delimiter))
         comments = [line.lstrip().lstrip("#") for line in head[: self._first_line] if line.lstrip().startswith("#")]
-        headers = [_titles(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
-        headers = [h for h in headers if len(h) == self._width]
-        named = next((h for h in headers if any(split_name(n)[0] for n in h)), None)
+        titles = [_titles(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
+        titles = [t[:-1] if t[-1].strip() in ("", "Comment") and len(t) == self._width + 1 else t for t in titles]
+        named = next((t for t in titles if len(t) == self._width and any(split_name(n)[0] for n in t)), None)
         names = [n.strip().strip('"') for n in named] if named else [str(i + 1) for i in range(self._width)]
         if len(set(names)) != len(names):
             twice = next(n for n in names if names.count(n) > 1)
             raise InputError(f"{self.path}: the header names {twice!r} twice; give each column its own name.")
         self.names = self._base = tuple(names)
+        where = [i for i, _ in lines[:first]] + [
+            i for i in range(self._first_line) if head[i].lstrip().startswith("#")
+        ][::-1]
+        self.header = "no line was taken for a header"
+        if named is not None:
+            self.header = f"line {where[titles.index(named)] + 1} was taken for the header"
+        self.header += f", line {self._first_line + 1} for the first of the numbers; a # before a line skips it"
 
     def _line(self, file: TextFile, number: int) -> bytes:
         """The next line, or what is left of one."""
@@ -198,7 +210,7 @@ class CsvSource:
             if value is None:
                 raise InputError(
                     f"{self.path}: line {numbers[lines[row]]}, column {columns[column]}: wanted a number, "
-                    f"got {field.strip()!r}."
+                    f"got {field.strip()!r}; {self.header}."
                 )
             table[column, row] = value
         if wrong >= 0:
@@ -313,7 +325,20 @@ def _is_number(text: str) -> bool:
 def _number(field: str, decimal: str | None) -> float | None:
     """Value, by Python's parser, of a field that the compiled loop left; None where it is no number."""
     text = field.strip().replace(",", ".") if decimal == "," else field.strip()
-    return float(text) if text.isascii() and "_" not in text and _is_number(text) else None
+    if _is_number(text):
+        return float(text) if text.isascii() and "_" not in text else None
+    return _stamp_s(text)
+
+
+def _stamp_s(text: str) -> float | None:
+    """Seconds since 1970 of a date with a time of day (ISO 8601; UTC where it names no zone); None for other text."""
+    if ":" not in text:
+        return None
+    try:
+        when = datetime.datetime.fromisoformat(text.strip())
+    except ValueError:
+        return None
+    return (when if when.tzinfo else when.replace(tzinfo=datetime.UTC)).timestamp()
 
 
 def _decimal_of(text: str, delimiter: str) -> str:
@@ -332,7 +357,15 @@ def _is_numbers(line: str, delimiter: str | None, decimal: str) -> bool:
     fields = _fields(line, delimiter)
     if decimal != ".":
         fields = [f.replace(decimal, ".") for f in fields]
-    return len(fields) > 1 and sum(_is_number(f) for f in fields) * 2 > len(fields)
+    return len(fields) > 1 and sum(_number(f, None) is not None for f in fields) * 2 > len(fields)
+
+
+def _is_first_row(lines: list[str], delimiter: str | None, decimal: str) -> bool:
+    """Whether the first of two lines holds numbers and is no header, as an oscilloscope's ``x-axis,1,2``."""
+    if not _is_numbers(lines[0], delimiter, decimal):
+        return False
+    leads = [_number(_fields(line, delimiter)[0], decimal) for line in lines]
+    return leads[0] is not None or len(lines) == 1 or (leads[1] is None and _is_numbers(lines[1], delimiter, decimal))
 
 
 def _same(field: str, value: str) -> bool:

@@ -21,7 +21,7 @@ from daq.setup.errors import InputError, require_file
 
 
 def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
-    """Open a foreign file by its ending: .csv .txt .tsv .dat (also .gz), .h5 .hdf5 .mat, .npz, .wav, .uff, .tdms, .mf4.
+    """Open a foreign file by its ending: .csv .txt .tsv .dat .lvm (also .gz), .h5 .mat, .npz, .wav, .uff, .tdms, .mf4.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     """
     require_file(path)
     ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
-    if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat"):
+    if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat", ".lvm"):
         return CsvSource(path, select or {}, select_column)
     if select:
         raise InputError(f"{path}: --channel is for long tables in text files (CSV); here use --map.")
@@ -48,6 +48,8 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     kinds |= dict.fromkeys((".uff", ".unv", ".uf", ".bunv"), UffSource) | {".tdms": TdmsSource}
     kinds |= dict.fromkeys((".mf4", ".mdf"), MdfSource)
     if ending not in kinds:
-        raise InputError(f"{path}: wanted a file that ends in .csv .txt .tsv .dat (or .gz of these) {' '.join(kinds)}.")
+        raise InputError(
+            f"{path}: wanted a file that ends in .csv .txt .tsv .dat .lvm (or .gz of these) {' '.join(kinds)}."
+        )
     source: Source = kinds[ending](path)
     return source

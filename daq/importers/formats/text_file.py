@@ -35,7 +35,7 @@ class TextFile(Closing):
         self._file: Any = (gzip.open if packed else open)(path, "rb")
         self.sha256 = ""
         head = self._file.read(LONGEST_LINE)
-        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "")
+        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "" if _is_utf8(head) else "cp1252")
         self._file.seek(0)
         is_recoded = bool(encoding) or (b"\r" in head and b"\n" not in head)
         self._digest = None if packed or is_recoded else hashlib.sha256()
@@ -88,6 +88,15 @@ class TextFile(Closing):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _is_utf8(head: bytes) -> bool:
+    """Whether the beginning of a file is UTF-8; a character that the end cuts is none of its faults."""
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 class _Recoded(io.RawIOBase):

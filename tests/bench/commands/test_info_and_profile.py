@@ -15,7 +15,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from bench.cli import app
-from bench.commands.profile import UNKNOWN_ZERO
+from bench.commands.profile import OF_A_CARD, UNKNOWN_ZERO
 from bench.profiles.find import load, shipped_folder
 
 ROOT = Path(__file__).parents[3]
@@ -95,7 +95,13 @@ def test_profile_list_show_and_new(run: Path, tmp_path: Path) -> None:
         wanted = re.sub(r"(?m)^name = .*$", f'name = "{mine.stem}"', shown, count=1)
         if like == "soundcard":  # the zero of another sensor is not known of this one
             wanted = re.sub(r"(?m)^offset_v = .*$", UNKNOWN_ZERO, wanted)
-            assert load(mine)[0].channels.accelerometer.offset_v is None
+            for key, value in OF_A_CARD.items():
+                wanted = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", wanted)
+            channels = load(mine)[0].channels
+            assert channels.accelerometer.offset_v is None and channels.continuity is not None
+            assert (channels.continuity.coupling, channels.accelerometer.coupling) == ("ac", "ac")
+            assert channels.continuity.range_v == channels.accelerometer.range_v == 2.0
+            assert bench("plan", mine).exit_code == 0
         assert mine.read_text(encoding="utf-8") == wanted
         assert load(mine)[0].name == mine.stem
     assert bench("profile", "show", "nothing").exit_code == 2
