@@ -10,6 +10,10 @@ import typer
 from bench.outputs import Overwrite
 from bench.terminal.console import finite_or_none
 
+COLUMNS = (
+    "n: measured flights; ratio: their mean time over the model's; rms: of their distance to the nearest time predicted"
+)
+
 if TYPE_CHECKING:
     from analysis.flights.compare import Comparison, StepComparison
     from analysis.report.gamma import GammaScale
@@ -127,6 +131,7 @@ def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> N
     from rich.table import Table
 
     from bench.terminal.comparison import sentences, unfit_steps
+    from bench.terminal.console import CYCLES
 
     title = f"{name}{' (simulated rig)' if simulated else ''} against the model"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
@@ -134,14 +139,14 @@ def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> N
         words = column in ("measured", "model")  # these alone are folded where the terminal is narrow
         shown.add_column(column, justify="left" if words else "right", no_wrap=not words, overflow="fold")
     for s in held.steps:
+        model = s.predicted.removesuffix(f", period {s.predicted.partition('-')[0]}")
         ratio = f"{s.mean_ratio:.4f}" if s.mean_ratio == s.mean_ratio else ""
         rms = f"{1e6 * s.rms_s:.1f}" if s.rms_s == s.rms_s else ""
-        model = s.predicted.replace("with ", "").replace(", period ", " p").replace("at rest on the plate", "at rest")
         shown.add_row(
             str(s.step), f"{scale.factor * s.gamma:.4f}", s.measured.label, model,
             str(s.measured.flights), ratio, rms, "?" if s.unfit_reason else "",
         )  # fmt: skip
     console = Console()
     console.print(shown)
-    for line in (*unfit_steps(held), *sentences(held, scale)):
+    for line in (*unfit_steps(held), *sentences(held, scale), COLUMNS, CYCLES):
         console.print(line, soft_wrap=True, highlight=False)

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
-from bench.terminal.console import EXIT_USAGE, fail, next_command, print_lines, print_table, readable, write_json
+from bench.terminal.console import (
+    ACHIEVED,
+    EXIT_USAGE,
+    fail,
+    next_command,
+    print_lines,
+    print_table,
+    readable,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from daq.instrument.instrument import Instrument
@@ -170,3 +179,4 @@ def _print(payload: dict[str, Any], instrument: Instrument) -> None:
             *shown,
         )
     print_table(table)
+    print_lines(ACHIEVED)

@@ -100,7 +100,7 @@ def _print(told: dict[str, Any]) -> None:
     from rich import box
     from rich.table import Table
 
-    from bench.terminal.console import print_lines, print_table
+    from bench.terminal.console import ACHIEVED, print_lines, print_table
     from daq.instrument.instrument import Instrument
     from daq.recording.notebook import Entry, as_line
 
@@ -146,6 +146,7 @@ def _print(told: dict[str, Any]) -> None:
             str(step["ratio"]),
         )  # fmt: skip
     print_table(table)
+    print_lines(ACHIEVED)
 
 
 def _short(value: Any, digits: int = 5) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.predict.request import Request, forcing_of
-from bench.terminal.console import write_json
+from bench.terminal.console import CYCLES, print_lines, write_json
 from daq.setup.errors import InputError
 from model.orbits.attractor import Attractor, Ball, attractor, sweep
 
@@ -29,6 +29,9 @@ def orbit(ball: Ball, request: Request) -> None:
         for tau in found.tau:
             seconds = "" if request.frequency_hz is None else f"   {tau / (2 * math.pi * request.frequency_hz):.9f} s"
             print(f"  tau = {tau:.9f}{seconds}")
+        print_lines(
+            "gamma = A w^2/g of the first tone; tau = w t: a flight's time in radians of the first tone", CYCLES
+        )
 
 
 def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float | None) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from bench.predict.diagram import Progress
 from bench.predict.orbit import orbit_json
 from bench.predict.request import Request, ball_for
 from bench.profiles.find import load, load_measuring
+from bench.terminal.console import CYCLES, print_lines
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from model.effects.routing import Effects, accelerometer_response, ball_effects, plate_gain, shapes_the_plate
@@ -118,6 +119,7 @@ def print_ramp(rows: list[dict[str, Any]]) -> None:
         times = [f"{1e3 * t:.3f}" for t in row["flight_time_s"] or []]
         shown = ", ".join(times[:6]) + (", ..." if len(times) > 6 else "")
         print(f"{row['step']:>4} {row['asked_gamma']:>8.4f} {row['gamma']:>8.4f}  {_words(row)}: {shown}".rstrip(": "))
+    print_lines("gamma = A w^2/g of the first tone: asked for, and at the plate as declared", CYCLES)
 
 
 def _words(row: dict[str, Any]) -> str:
@@ -125,5 +127,5 @@ def _words(row: dict[str, Any]) -> str:
         return "at rest on the plate"
     if row["kind"] == "chaotic":
         return "chaotic"
-    how = "locked" if row["locked"] else "chatter" if row["kind"] == "chattering" else "reset"
-    return f"{row['flights']}-cycle ({how}), period {row['period']}"
+    how = "locked" if row["locked"] else "with chatter" if row["kind"] == "chattering" else "with reset"
+    return f"{row['flights']}-cycle {how}, period {row['period']}"

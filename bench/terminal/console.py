@@ -70,6 +70,19 @@ def print_lines(*lines: str) -> None:
 GAMMA = "gamma = A w^2/g of the first tone; peak: largest downward acceleration of the plate over g, 2 gamma at c = 1"
 """Below every table of gammas."""
 
+ACHIEVED = (
+    "gamma = A w^2/g of the first tone: as asked for, and as the accelerometer measures it at the plate, impacts left "
+    "out, with the sensitivity's uncertainty"
+)
+"""Below every table of a recording's steps."""
+
+CYCLES = (
+    "n-cycle: a motion of n flights that repeats after n periods of the forcing, or after the period that is named; "
+    "locked: every landing is a take-off; with reset: the ball rests on the plate in between; with chatter: ever "
+    "smaller bounces before that rest"
+)
+"""Below every table of predicted motions."""
+
 
 def next_command(recording: Path) -> str:
     """The line after a command that made a recording: what to do with it."""

@@ -33,6 +33,7 @@ def test_no_number_is_cut(columns: str, monkeypatch: pytest.MonkeyPatch, capsys:
     compare._print(held(1), "run.h5", True, gamma_scale(Forcing(frequency_hz=25.0, ratio=1), 1))
     shown = capsys.readouterr().out
     assert "\u2026" not in shown
+    assert "n-cycle: a motion of n flights" in " ".join(shown.split()) and "n: measured flights" in shown
     for number in ("3.8000", "1.0056", "5207.3", "22"):
         assert number in shown
     assert "unsettled" in shown and "step 11" in shown and "sensitive" in shown and "step 22" in shown

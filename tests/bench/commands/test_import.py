@@ -42,6 +42,8 @@ def test_gamma_at_the_plate_is_that_of_reprocess(tmp_path: Path, low_pass_hz: fl
         "import", tmp_path / "raw.npz", "-p", "simulated", "-o", tmp_path / "i.h5", "--json", tmp_path / "i.json"
     )
     assert said.splitlines()[-1].startswith("next: bench close-loop") and "i.h5" in said.splitlines()[-1]
+    for shown in (said, bench("info", tmp_path / "i.h5")):
+        assert "gamma = A w^2/g of the first tone" in shown
     seen = json.loads((tmp_path / "i.json").read_text())["steps"]
     right = json.loads((tmp_path / "r.json").read_text())["steps"]
     assert len(seen) == len(right) == 8

@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.cli import app
+from bench.predict.profile_ramp import print_ramp
 
 SIMULATED = (Path(__file__).parents[3] / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
 
@@ -59,3 +60,13 @@ def test_what_contradicts_is_refused(tmp_path: Path) -> None:
     assert "forcing.ratio = 1" in str(predicted(tmp_path, SIMULATED, "--c", "3", "--gamma", "1", code=2))
     text = SIMULATED.replace("ratio = 1 ", "ratio = 2 ").replace("amplitude = [1.0, 1.0]", "amplitude = [1.0, 0.5]")
     assert "equal size" in str(predicted(tmp_path, text, "--gamma", "1", code=2))
+
+
+def test_words_of_a_cycle_are_defined_below_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    """Motions are named as `bench predict` names an orbit, and every name stands explained below."""
+    names = ("step", "asked_gamma", "gamma", "flights", "kind", "locked", "period", "flight_time_s")
+    rows = [(0, 1.7, 1.7, 1, "periodic", True, 1, [0.039]), (1, 2.4, 2.4, 1, "periodic", False, 2, [0.0655])]
+    print_ramp([dict(zip(names, row, strict=True)) for row in rows])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].endswith("1-cycle locked, period 1: 39.000") and "1-cycle with reset, period 2: 65.5" in lines[2]
+    assert lines[-2].startswith("gamma = A w^2/g") and lines[-1].startswith("n-cycle: ")
