@@ -51,6 +51,6 @@ def compared(hidden: Mapping[str, Mapping[str, float]], loop: ClosedLoop) -> lis
 
 def in_words(row: Compared) -> str:
     """A line for a person."""
-    hidden = "not hidden" if math.isnan(row.hidden) else f"{row.hidden:.4g}"
-    found = "not found" if math.isnan(row.found) else f"{row.found:.4g} ({row.low:.4g} to {row.high:.4g})"
-    return f"{row.effect + '.' + row.parameter:<34} hidden {hidden:<12} found {found}"
+    hidden = "not hidden" if math.isnan(row.hidden) else f"hidden {row.hidden:.4g}"
+    found = "not found" if math.isnan(row.found) else f"found {row.found:.4g} ({row.low:.4g} to {row.high:.4g})"
+    return f"{row.effect + '.' + row.parameter:<34} {hidden:<19} {found}"
