@@ -33,10 +33,7 @@ CLEAR_SIGMAS = 6.0  # height of a fitted edge above its uncertainty from which i
 PHASE_BINS = 20  # parts of the interval between two samples in which edges are counted
 MOST_READS = (1, 2, 3)  # reads of a clocked comparator in a sample
 FIXED_PART = 0.85  # share of the edges within two parts from which the comparator is clocked
-FILTER_RIPPLE, RIPPLE_SIGMAS = (
-    0.01,
-    5.0,
-)  # ripple from which a linear-phase filter shaped the edges: of the swing, noise
+FILTER_RIPPLE, RIPPLE_SIGMAS = 0.01, 5.0  # ripple of a linear-phase filter, at least: of the swing, of the noise
 BETWEEN_SAMPLES = 0.1  # error of a straight line between two samples at half of the swing, in samples
 VAGUE = 12.0  # samples per uncertainty below which the posterior is integrated instead
 POSTERIOR_POINTS = 200

@@ -131,9 +131,8 @@ def template_from_snippets(
         return None
     size = flat @ (mean / strength)
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
-    size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = (
-        0.0  # one placed a period of the ringing off spoils the mean
-    )
+    # a landing placed a period of the ringing off would spoil the mean
+    size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
     known = ringing_part(fine, sigma_v, noise.rate_hz)

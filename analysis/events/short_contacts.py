@@ -174,18 +174,23 @@ def refine_short_contacts(
         else:
             (time_s[k], sigma[k]), (time_s[k + 1], sigma[k + 1]) = closing, opening
     left = kind != DIP
-    time_s[left] = np.maximum.accumulate(time_s[left])  # a fit may pass the edge before
-    more = np.array(added).reshape(-1, 2, 3)
-    before = np.searchsorted(time_s[left], more[:, :, 0])
-    in_air = np.append(CLOSES if kind[left][:1] == OPENS else OPENS, kind[left])[before] == OPENS
-    # ringing of the voltage after an edge is no contact: one lies within a single interval in the air
-    more = more[in_air.all(axis=1) & (before[:, 0] == before[:, 1])].reshape(-1, 3)
-    merged = np.concatenate([time_s[left], more[:, 0]])
-    order = np.argsort(merged, kind="stable")
+    return _with_dips(Edges(np.maximum.accumulate(time_s[left]), sigma[left], kind[left]), added)
+
+
+def _with_dips(edges: Edges, added: list[tuple[Floats, Floats, int]]) -> Edges:
+    """Edges, with pairs of a closing and an opening that lie within a single interval in the air put in their places.
+
+    Ringing of the voltage after an edge is no contact.
+    """
+    pairs = np.array(added).reshape(-1, 2, 3)
+    before = np.searchsorted(edges.time_s, pairs[:, :, 0])
+    in_air = np.append(CLOSES if edges.kind[:1] == OPENS else OPENS, edges.kind)[before] == OPENS
+    more = pairs[in_air.all(axis=1) & (before[:, 0] == before[:, 1])].reshape(-1, 3)
+    order = np.argsort(merged := np.concatenate([edges.time_s, more[:, 0]]), kind="stable")
     return Edges(
         merged[order],
-        np.concatenate([sigma[left], more[:, 1]])[order],
-        np.concatenate([kind[left], more[:, 2].astype(np.int8)])[order],
+        np.concatenate([edges.uncertainty_s, more[:, 1]])[order],
+        np.concatenate([edges.kind, more[:, 2].astype(np.int8)])[order],
     )
 
 
