@@ -104,7 +104,7 @@ def make(seed_base: int, trials: int, folder: Path) -> list[Path]:
         place = folder / job.key.replace("/", "_")
         if not (place / "recording.h5").exists():
             place.mkdir(parents=True, exist_ok=True)
-            (trial._other if plant == "other" else trial._own)(job, place)
+            (trial.other if plant == "other" else trial.own)(job, place)
         out.append(place / "recording.h5")
     return out
 

@@ -62,7 +62,7 @@ def run(job: Job) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        recording = (_other if job.plant == "other" else _own)(job, folder)
+        recording = (other if job.plant == "other" else own)(job, folder)
         start = time.process_time()
         loop, fitted = fit_loop([recording])
         seconds = time.process_time() - start
@@ -122,7 +122,7 @@ def _beyond_noise(z: NDArray[np.float64]) -> float:
 
 
 # -- the other plant ----------------------------------------------------------------------------------------------
-def _other(job: Job, folder: Path) -> Path:
+def other(job: Job, folder: Path) -> Path:
     """A foreign recording (CSV of volts, no step table), imported with its profile."""
     from daq.importers.formats.open import open_source
     from daq.importers.import_recording import import_recording
@@ -206,7 +206,7 @@ def _declare(profile: Path, hidden: dict[str, float]) -> None:
 
 
 # -- the own rig --------------------------------------------------------------------------------------------------
-def _own(job: Job, folder: Path) -> Path:
+def own(job: Job, folder: Path) -> Path:
     """A ramp on the simulated rig, as `bench ramp` drives it."""
     from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.find import load
