@@ -134,7 +134,7 @@ class Profile(Setup):
         return self
 
     def setup(self) -> Setup:
-        """The measuring part alone, as a recording keeps it."""
+        """Measuring part, which a recording keeps."""
         return Setup.model_validate(self.model_dump(include=set(Setup.model_fields)))
 
 

@@ -23,10 +23,10 @@ from daq.clocks.clock_sync import ClockTracker, fit_clock, played_s
 from daq.recording import RecordingWriter, open_recording
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
-from rig.fakes.serial_loopback import WiredCard, WiredPort
 from rig.profile import parse_profile
 from rig.sim.scenario import Scenario
 from rig.virtual.serial_device import SerialDevice
+from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE_HZ = 20000.0
 NEAR_S = 2e-4

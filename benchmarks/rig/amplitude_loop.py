@@ -26,8 +26,8 @@ from rig.execution.amplitude_loop import target_acceleration
 from rig.execution.operator import RunSummary
 from rig.execution.run import run_ramp
 from rig.profile import ControlTable, Profile
-from rig.programme.sequencer import commanded, fades_of_changes
 from rig.sim.scenario import Scenario
+from tests.fakes.commanded_drive import commanded, fades_of_changes
 
 Effects = dict[str, dict[str, float]]
 F_HZ = 25.37

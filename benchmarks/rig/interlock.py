@@ -24,7 +24,10 @@ from rig.backends.base import Backend
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.operator import Status, StopRequest
 from rig.execution.run import run_ramp
-from rig.fakes.faults import (
+from rig.profile import Profile
+from rig.programme.sequencer import Stop
+from rig.sim.scenario import Scenario
+from tests.fakes.faults import (
     AmplifierTrip,
     Clipping,
     Fault,
@@ -33,9 +36,6 @@ from rig.fakes.faults import (
     LooseCable,
     Unplugged,
 )
-from rig.profile import Profile
-from rig.programme.sequencer import Stop
-from rig.sim.scenario import Scenario
 
 AT = 60_000
 RNG = np.random.default_rng(1)

@@ -20,10 +20,10 @@ from daq.files.tables import Block
 from daq.recording import RecordingWriter, open_recording, verify
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import run_ramp
-from rig.fakes.faults import Device, Fault, FaultyBackend, LostFrames
 from rig.profile import Profile
 from rig.programme.ramp import plan
 from rig.sim.scenario import Scenario
+from tests.fakes.faults import Device, Fault, FaultyBackend, LostFrames
 
 BUFFER = 600  # samples; less than a cycle, or the interlock takes the silence for a dead accelerometer
 

@@ -43,7 +43,7 @@ class NiDaqmxBackend:
     drive_range_v
         Full scale of the output.
     lead_s
-        Drive kept in the output buffer; the interlock sees the plate so much later.
+        Drive held in the output buffer; the interlock sees the plate so much later.
     daqmx
         The package `nidaqmx`; a test hands in one of its own.
 

@@ -63,7 +63,7 @@ class CardStream:
             if not alive or (counter is not None and counter.gone):
                 import sounddevice
 
-                sounddevice._initialized = 0  # so that nobody ends it
+                sounddevice._initialized = 0  # so that it is not ended
                 if counter is not None:
                     counter.leave()
                 return
@@ -125,12 +125,12 @@ def cards() -> list[Card]:
 def open_stream(
     device: str, rate_hz: float, output: int, n_inputs: int, exchange: Exchange, woke: Callable[[int], None]
 ) -> CardStream:
-    """A running stream on ``device``: full duplex, or output alone where ``n_inputs`` is 0.
+    """A running stream on ``device``: full duplex, or output only where ``n_inputs`` is 0.
 
     Parameters
     ----------
     device
-        A card's name, or words of it that fit one card alone.
+        A card's name, or words of it that fit only one card.
     rate_hz
         Frames a second.
     output

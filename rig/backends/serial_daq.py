@@ -33,10 +33,10 @@ Codes = NDArray[np.int16]
 POLL_S = 0.05  # longest time a read of the port waits
 FIRST_S = 5.0  # until the first frame: a port that is opened makes some devices start anew
 SILENCE_S = 0.5  # without a frame: the device is stuck
-HELD_S = 60.0  # of frames that nobody takes, before the reader gives up
+HELD_S = 60.0  # of frames that are not taken, before the reader gives up
 QUIET_S = 0.1  # of silence before the marker, and at least after it
 MARKER_WAIT_S = 4.0  # within which the marker must come back
-MARGIN_FRAMES = 2  # of the device's frames kept between what came and what is asked for
+MARGIN_FRAMES = 2  # of the device's frames left between what came and what is asked for
 FADE_S = 0.2
 WRONG_RATE = 0.02  # relative: no two quartzes differ by so much
 WINDOW_S = 0.05
@@ -214,7 +214,7 @@ class SerialReader:
             self._newest = frames[-1].next_sample
             self.rows_in_frame = max(self.rows_in_frame, *(len(frame.codes) for frame in frames))
             self._changed.notify_all()
-        return f"serial DAQ {self.name}: nobody took its samples for {HELD_S:g} s" if self._held > self._most else ""
+        return f"serial DAQ {self.name}: its samples were not taken for {HELD_S:g} s" if self._held > self._most else ""
 
 
 class SoundcardSerialBackend:

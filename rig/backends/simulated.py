@@ -26,7 +26,7 @@ class SimulatedBackend:
     rate_hz
         Samples a second.
     scenario
-        What the rig hides; the recording gets its hash alone.
+        What the rig hides; the recording gets only its hash.
     seed
         Of the sensors' noise and the contact's bounce.
     real_time

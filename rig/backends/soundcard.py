@@ -173,7 +173,7 @@ class SoundcardBackend:
             if not self._changed.wait(0.05) and time.monotonic() > until:
                 raise BackendError(self._failed(f"no samples for {patience_s:.2g} s"))
         if self._ring.at - frame > self._ring.size // 2:
-            raise BackendError(self._failed("nobody took its samples for seconds"))
+            raise BackendError(self._failed("its samples were not taken for seconds"))
 
     def _failed(self, what: str) -> str:
         return (

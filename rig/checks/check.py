@@ -31,7 +31,7 @@ GAIN_OFF = 0.02  # by which the loop-back may be off
 SWAPPED_OFF = 0.2  # by which the loop-back is off where it is another input's signal
 SCALE_OFF = 0.05  # by which the accelerometer may be off, at least
 NOISE_PART = 0.05  # of g: accelerometer noise
-MARGIN_DB = 3.0  # kept to a converter's limit
+MARGIN_DB = 3.0  # left to a converter's limit
 LEVEL_OFF = 0.25  # of the contact circuit's swing
 
 
@@ -133,8 +133,8 @@ class Check:
             for name in ("drive", "accelerometer")
         )
         sent = drive_amplitudes(profile, QUIET_PEAK / self._per_g)[k]
-        kept = 1.0 / (1.0 - 1j * (profile.drive.highpass_hz or 0.0) / frequencies_hz[k])
-        gain = abs(loop / (sent * kept))
+        passed = 1.0 / (1.0 - 1j * (profile.drive.highpass_hz or 0.0) / frequencies_hz[k])
+        gain = abs(loop / (sent * passed))
         exchanged = self._exchanged(hold, heard, delay, gain)
         if exchanged is not None:
             return [exchanged]

@@ -19,8 +19,8 @@ from rig.programme.forcing import Complexes, PhaseClock, drive_amplitudes
 from rig.programme.ramp import fade_cycles
 from rig.programme.sequencer import Sequencer, State
 
-COVERAGE = 2.5  # standard uncertainties kept between an estimate and its tolerance
-SMALL_ERROR = 0.25  # of the tolerance: below, an error is left alone; above, it is corrected once it is certain
+COVERAGE = 2.5  # standard uncertainties between an estimate and its tolerance
+SMALL_ERROR = 0.25  # of the tolerance: below, an error is not corrected; above, it is corrected once it is certain
 OTHERWISE = 5.0  # spreads by which a window differs from those before only if the plate answers otherwise
 SMALL_CORRECTION = 0.05  # a change of the drive over which the plate's response is one number
 LARGEST_CORRECTION = 2.0  # factor by which one correction may change a tone

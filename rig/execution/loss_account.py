@@ -35,8 +35,8 @@ class LossAccount:
         Column of the looped-back drive in a frame.
     scale
         Its ``(volts_per_code, offset_v)``.
-    beside
-        Whether searches run in a thread: for a device, which waits for nobody.
+    threaded
+        Whether searches run in a thread: for a device, which does not wait.
 
     Attributes
     ----------
@@ -45,11 +45,11 @@ class LossAccount:
     """
 
     def __init__(
-        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, beside: bool = False
+        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, threaded: bool = False
     ) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
-        self._finder = LossDetector(rate_hz, chunk, Beside() if beside else AtOnce())
+        self._finder = LossDetector(rate_hz, chunk, Beside() if threaded else AtOnce())
         self._column = drive_column
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0

@@ -48,7 +48,7 @@ class StopRequest:
     pause
         Whether to pause at the end of the present step.
     notes
-        Texts to be kept with the sample at which they are read; the run empties the list.
+        Texts to record with the sample at which they are read; the run empties the list.
     """
 
     def __init__(self, check: Callable[[NextSteps], object] | None = None) -> None:
@@ -70,11 +70,11 @@ class StopRequest:
         return self._check is not None
 
     def hold(self, who: str, why: str = "") -> None:
-        """Hold the drive as it is at the end of the present step, until told to go on; kept as a note."""
+        """Hold the drive as it is at the end of the present step, until asked to go on; recorded as a note."""
         self._pause(True, f"{who}: hold after this step", why)
 
     def go_on(self, who: str, why: str = "") -> None:
-        """Go on after a hold; kept as a note."""
+        """Go on after a hold; recorded as a note."""
         self._pause(False, f"{who}: go on", why)
 
     def take_over(self, who: str, steps: NextSteps) -> None:

@@ -68,7 +68,7 @@ def run_ramp(
     -------
     RunSummary
         ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed`` when the device or the disk
-        failed. Whatever was recorded is kept.
+        failed. Whatever was recorded stays readable.
     """
     instruments = _Instruments.of(profile, backend, programme or plan(profile))
     watcher = Watcher(progress or _silent, stop_request or StopRequest())
@@ -146,7 +146,7 @@ class _Run:
         self._instruments, self._watcher = instruments, watcher
         self._sequencer, self._meter, self._interlock = instruments.sequencer, instruments.meter, instruments.interlock
         drive = backend.channels.index("drive")
-        self.account = LossAccount(profile, drive, backend.scales["drive"], beside=not backend.simulated)
+        self.account = LossAccount(profile, drive, backend.scales["drive"], threaded=not backend.simulated)
         self._metered = -1
         self._last_achieved = math.nan, math.nan
         self._touching: NDArray[np.bool_] | None = None
@@ -177,7 +177,7 @@ class _Run:
                 self._exchange()
                 self._watcher.progress(self._status())
             if self._sequencer.given_up:
-                self.end("stopped", f"held for {LONGEST_PAUSE_S:g} s, and nobody went on")
+                self.end("stopped", f"held for {LONGEST_PAUSE_S:g} s, without being resumed")
         finally:
             self._ramp_down()
             self._release(everything=True)
@@ -226,7 +226,7 @@ class _Run:
             self._sequencer.stop(wanted)
 
     def _note(self, texts: list[str]) -> None:
-        """Keep the operator's words beside the samples."""
+        """Write the operator's words into the recording."""
         self.flush()
         if self._recording:
             try:

@@ -12,7 +12,7 @@ from daq.setup.setup import Setup
 from rig.execution.plate_monitor import Mask
 from rig.programme.forcing import Complexes, Floats, PhaseClock
 
-HARMONICS = 3  # harmonics fitted beside the tones, which a mask that follows the cycle would mix in
+HARMONICS = 3  # harmonics fitted with the tones: a mask that follows the cycle would mix them in
 ENOUGH_WINDOWS = 3  # number of windows from which their scatter is a better uncertainty than the fits' own
 LEAST_QUIET = 0.3  # least unmasked part of a window; a window with less is dropped
 
@@ -80,7 +80,7 @@ class ToneMeter:
         self.begin(0, 0)
 
     def begin(self, first_sample: int, end_sample: int | None = None) -> None:
-        """Measure anew from ``first_sample`` (a cycle's first), to ``end_sample``; how the load acts is kept."""
+        """Measure anew from ``first_sample`` (a cycle's first), to ``end_sample``; how the load acts stays known."""
         self._start, self._end = first_sample, end_sample
         self.windows: list[Amplitudes] = []
         self._total: LoadedTones | None = None
@@ -111,7 +111,7 @@ class ToneMeter:
             self._open_window()
 
     def _sums(self) -> LoadedTones:
-        """Normal equations of the window, unmasked and masked samples and contact and flight kept apart."""
+        """Normal equations of the window, unmasked and masked samples and contact and flight separately."""
         sums = LockIn(self._rate_hz, self._frequencies_hz, sorts=4)
         for piece in self._pieces:
             touching = np.zeros(len(piece.quiet), np.bool_) if piece.touching is None else piece.touching

@@ -1,4 +1,4 @@
-"""The forcing as drive samples: every sample is a function of its index alone, whatever block it falls in.
+"""The forcing as drive samples: every sample is a function of its index only, whatever block it falls in.
 
 Phase is counted in whole numbers. With the forcing at ``num / den`` turns a sample (an exact
 fraction), the phase of sample n is ``(n * num) mod den``: nothing accumulates, so nothing drifts. The sine is a
@@ -81,7 +81,7 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
     Raises
     ------
     ValueError
-        When nobody measured the drive's scale.
+        Where the drive's scale was not measured.
     """
     f_hz, corner_hz = setup.forcing.frequency_hz, setup.drive.highpass_hz or 0.0
     volts = []

@@ -1,8 +1,7 @@
 """From a programme to blocks of drive samples and step marks: a state machine without I/O.
 
 Which state follows which is data (`TRANSITIONS`), and a sample depends on the programme, the stops
-asked for and its index, never on how the run was cut into blocks. `commanded` gives the same samples again from a
-recording's tables alone.
+asked for and its index, never on how the run was cut into blocks.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from rig.programme.ramp import Programme, Step
 # A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.
 STOP_FADE_CYCLES = Fraction(3, 2)
 BLOCKS_PER_CYCLE = 4
-LONGEST_PAUSE_S = 600.0  # a plate that nobody watches does not shake for ever
+LONGEST_PAUSE_S = 600.0  # an unattended plate must not shake for ever
 
 _OPEN_END = 2**62
 
@@ -166,9 +165,9 @@ class Sequencer:
             self._handle(Event.STOP if how is Stop.RAMP_DOWN else Event.CUT)
 
     def pause(self, wanted: bool) -> None:
-        """Pause at the end of the present step, its amplitude kept; or go on with the next cycle.
+        """Pause at the end of the present step, at its amplitude; or go on with the next cycle.
 
-        A pause that nobody ends is a stop after `LONGEST_PAUSE_S`.
+        A pause that is not ended becomes a stop after `LONGEST_PAUSE_S`.
         """
         self._pausing = wanted
         if self.state is State.PAUSED and not wanted:
@@ -283,74 +282,3 @@ def change_rows(setup: Setup, fades: Sequence[Fade]) -> NDArray[np.void]:
         for multiple, start, end in zip(multiples, fade.start, fade.end, strict=True)
     ]
     return np.array(rows, DRIVE_DTYPE)
-
-
-def fades_of_changes(setup: Setup, rows: NDArray[np.void]) -> list[Fade]:
-    """The fades of a recording's table of drive changes (`DRIVE_DTYPE`)."""
-    n_tones = len(setup.forcing.displacement_tones())
-    return [
-        Fade(
-            int(group["first_sample"][0]),
-            int(group["n_samples"][0]),
-            tuple((group["start_re_v"] + 1j * group["start_im_v"]).tolist()),
-            tuple((group["end_re_v"] + 1j * group["end_im_v"]).tolist()),
-        )
-        for group in (rows[i : i + n_tones] for i in range(0, len(rows), n_tones))
-    ]
-
-
-def fades_of_steps(setup: Setup, steps: NDArray[np.void], *, zero_from: int | None = None) -> list[Fade]:
-    """The fades of an open-loop run, from its step table alone.
-
-    Parameters
-    ----------
-    setup
-        The recording's measuring part.
-    steps
-        Its step table (`daq.files.tables.STEP_DTYPE`): of each row the first sample, length, fade and gamma are
-        used.
-    zero_from
-        First sample of a hard zero, where the run was stopped *now* (the recording's ``why`` names it).
-    """
-    clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
-    zero = before = tuple(0j for _ in setup.forcing.displacement_tones())
-    fades: list[Fade] = []
-    for row in steps:
-        target = drive_amplitudes(setup, float(row["gamma"]))
-        fades.append(Fade(int(row["first_sample"]), int(row["fade_samples"]), before, target))
-        before = target
-    if fades:
-        end = int(steps[-1]["first_sample"] + steps[-1]["n_samples"])
-        fades.append(Fade(end, stop_fade_samples(clock), fades[-1].at(end), zero))
-    if zero_from is not None:
-        fades.append(Fade(zero_from, 0, zero, zero))
-    return fades
-
-
-def commanded(setup: Setup, fades: Sequence[Fade], first_sample: int, n_samples: int) -> Floats:
-    """The drive samples of a run again, bit for bit, from its changes of amplitude.
-
-    Parameters
-    ----------
-    setup
-        The recording's measuring part.
-    fades
-        `fades_of_changes` of the recording, or `fades_of_steps` of an open-loop one; each holds until the next begins.
-    first_sample, n_samples
-        Which samples, by the device's own index (lost samples counted).
-
-    Returns
-    -------
-    array, shape (n_samples,)
-        Commanded volts; zero before the first fade.
-    """
-    clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
-    multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
-    out = np.zeros(n_samples)
-    end = first_sample + n_samples
-    for fade in reversed(fades):
-        start = max(first_sample, fade.first_sample)
-        if start < end:
-            out[start - first_sample : end - first_sample] = synthesise(clock, multiples, fade, start, end - start)
-            end = start
-    return out

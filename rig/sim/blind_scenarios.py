@@ -1,7 +1,7 @@
 """Sealed scenarios for scoring: effects drawn by chance, at a stated strength, unknown to whoever analyses the run.
 
 All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
-truth can be kept aside and opened after the verdict is written.
+truth can be stored elsewhere and opened after the verdict is written.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STRENGTHS: dict[str, tuple[float, float]] = {"weak": (1.0, 3.0), "medium": (3.0,
 """Typical residual in units of the noise floor, and least size in units of what a calibration leaves open."""
 
 NUISANCES = ("contact_gap", "contact_closure")
-"""Effects of the contact circuit alone: never the one to be found, but may be added."""
+"""Effects of the contact circuit only: never the one to be found, but may be added."""
 
 INVISIBLE = ("clock_error",)
 """Where drive and recording share one clock, the motion keeps its phases and only the table's ringing changes pitch."""
@@ -41,7 +41,7 @@ def pool(kind: Literal["named", "beyond", "covariate"]) -> tuple[str, ...]:
 def left_open(setup: Setup) -> dict[tuple[str, str], float]:
     """Size of each effect that the stated uncertainties of a rig's calibrations allow, by effect and parameter.
 
-    Gravity enters through gamma alone, so it is no better known than the scales of acceleration.
+    Gravity enters only through gamma, so it is no better known than the scales of acceleration.
     """
     drive, sensitivity = setup.drive, setup.channels.accelerometer.sensitivity
     reads = sensitivity.uncertainty / abs(sensitivity.value)

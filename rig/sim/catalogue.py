@@ -124,7 +124,7 @@ NAMED: tuple[EffectEntry, ...] = (
         "adhesion",
         5.8,
         "threshold",
-        "extra pull in contact that is gone once apart",
+        "extra pull in contact that is gone once they part",
         _size("pull_g", 0.05, 0.3, 0.0, 5.0),
     ),
     _named(
@@ -469,7 +469,7 @@ RIG_DEFAULTS: dict[str, float] = {
     "contact_mains_v": 0.0,
     "drive_mains_v": 0.0,  # in the recorded drive
     "fir_samples": 0.0,  # delay of a sigma-delta converter's linear-phase filter, of all channels
-    "fir_accelerometer_only": 0.0,  # 1: the accelerometer alone has it
+    "fir_accelerometer_only": 0.0,  # 1: only the accelerometer has it
     "between_channels_s": 0.0,  # a multiplexed card takes each channel so much later than the one before
     "film_v": 0.0,  # by so much a film raises the closed contact's voltage, each time by half to one and a half of it
     "hysteresis_v": 0.0,  # width between the thresholds of a comparator behind the contact circuit

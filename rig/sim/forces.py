@@ -80,7 +80,7 @@ def friction(s: Any, p: Any, h: float, v: float, t: float, direction: int) -> fl
 
 @njit()
 def _other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> float:
-    """Sum of the forces on the ball beside weight and friction, over its mass, m/s^2."""
+    """Sum of the forces on the ball other than weight and friction, over its mass, m/s^2."""
     force = -p.viscous_damping_rate_per_s * v - p.position_force_spring_per_s2 * h
     if p.quadratic_drag_k_per_m != 0.0:
         gained = u * (s.a0 + u * (s.a1 / 2.0 + u * (s.a2 / 3.0 + u * s.a3 / 4.0)))

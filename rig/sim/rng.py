@@ -1,6 +1,6 @@
 """Random numbers inside the compiled plant: SplitMix64 words of a counter, from keys drawn off the passed generator.
 
-A number depends on its key and counter alone, so blocks of any size see the same chance.
+A number depends on its key and counter only, so blocks of any size see the same chance.
 """
 
 from __future__ import annotations

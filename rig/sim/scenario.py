@@ -1,4 +1,4 @@
-"""Scenario files: what the simulated rig hides, read strictly, and known outside by a hash alone.
+"""Scenario files: what the simulated rig hides, read strictly, and known outside only by a hash.
 
 The hash covers the canonical content and a nonce, so it cannot be found by trying likely
 contents; nothing else of a scenario leaves this package.

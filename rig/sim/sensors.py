@@ -31,13 +31,13 @@ def _insert(s: Any, t: float, kind: int) -> None:
 @njit()
 def _cancel(s: Any, kind: int, after_s: float) -> None:
     """Forget pending edges of one kind later than ``after_s``."""
-    kept = 0
+    left = 0
     for i in range(s.n_edges):
         if s.edge_kind[i] == kind and s.edge_s[i] > after_s:
             continue
-        s.edge_s[kept], s.edge_kind[kept] = s.edge_s[i], s.edge_kind[i]
-        kept += 1
-    s.n_edges = kept
+        s.edge_s[left], s.edge_kind[left] = s.edge_s[i], s.edge_kind[i]
+        left += 1
+    s.n_edges = left
 
 
 @njit()

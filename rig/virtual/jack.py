@@ -123,7 +123,7 @@ class JackPlant(PlantClient):
     server
         Name of the JACK server.
     log
-        Where all that the plant gave is kept.
+        Record of all that the plant gave.
 
     Raises
     ------
@@ -131,14 +131,7 @@ class JackPlant(PlantClient):
         When there is no such server, or it runs at another rate.
     """
 
-    def __init__(
-        self,
-        profile: Profile,
-        scenario: Scenario,
-        seed: int,
-        server: str,
-        log: PlantLog,
-    ) -> None:
+    def __init__(self, profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog) -> None:
         rng = np.random.default_rng(seed)
         Plant(scenario, profile.sampling.rate_hz, rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
         self._plant = Plant(scenario, profile.sampling.rate_hz, rng)
@@ -192,7 +185,7 @@ class JackPlant(PlantClient):
 def jack_server(name: str, rate_hz: float, period: int) -> Iterator[bool]:
     """The JACK server ``name`` with the dummy driver for as long as the block runs; gives whether it was started here.
 
-    A server of that name that is there already is used, and left alone.
+    A server of that name that is there already is used, and left running.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The plant behind two drivers: the drive comes by JACK, frames leave by a pseudo-terminal, on a clock of their own.
 
 Between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
-alone has pseudo-terminals: elsewhere this is refused.
+only it has pseudo-terminals: elsewhere this is refused.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class JackSerialPlant(PlantClient):
         self._periods.put(drive_v)  # the device runs in a thread of its own
 
     def _send(self) -> None:
-        """The device: every period in, bytes out; what nobody reads for some periods is lost, as on a cable."""
+        """The device: every period in, bytes out; what is not read for some periods is lost, as on a cable."""
         while (drive_v := self._periods.get()) is not None:
             wire = self.device.play(drive_v)
             while wire and self._periods.qsize() < HELD_PERIODS:

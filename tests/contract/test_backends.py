@@ -22,11 +22,11 @@ from rig.backends.registry import open_backend
 from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
-from rig.fakes.fake_nidaqmx import Bench
-from rig.fakes.faults import FaultyBackend
-from rig.fakes.serial_loopback import WiredCard, WiredPort
 from rig.sim.scenario import Scenario
 from rig.virtual.serial_device import SerialDevice
+from tests.fakes.faults import FaultyBackend
+from tests.fakes.nidaqmx_bench import Bench
+from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE_HZ = 20000.0
 

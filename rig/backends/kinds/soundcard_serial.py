@@ -1,4 +1,4 @@
-"""Options of a sound card with a serial DAQ beside it."""
+"""Options of a sound card with a serial DAQ."""
 
 from __future__ import annotations
 

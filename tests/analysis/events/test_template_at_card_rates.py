@@ -13,9 +13,9 @@ from bench.profiles.find import load
 from daq.recording import RecordingWriter, open_recording
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import run_ramp
-from rig.fakes.faults import Fault, FaultyBackend, LostFrames
 from rig.profile import parse_profile
 from rig.sim.scenario import Scenario
+from tests.fakes.faults import Fault, FaultyBackend, LostFrames
 
 
 def flights_at(rate_hz: int, folder: Path, faults: Sequence[Fault] = ()) -> Flights:

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from bench.cli import app
 from bench.profiles.find import shipped_folder
 from daq.recording import open_recording
-from rig.programme.sequencer import commanded, fades_of_changes
+from tests.fakes.commanded_drive import commanded, fades_of_changes
 
 SIMULATED = (shipped_folder() / "simulated.toml").read_text(encoding="utf-8")
 

@@ -11,8 +11,8 @@ from bench.jobs.run_ramp import make_backend, record
 from bench.profiles.find import load
 from daq.recording import open_recording
 from daq.setup.errors import InputError
-from rig.fakes.faults import FaultyBackend, Unplugged
 from rig.profile import parse_profile
+from tests.fakes.faults import FaultyBackend, Unplugged
 
 GAMMA = "gamma = { start = 0.4, stop = 2.6, steps = 23 }   # or a list: gamma = [0.5, 0.7]"
 

@@ -12,9 +12,9 @@ from daq.recording import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.operator import Status
 from rig.execution.run import run_ramp
-from rig.fakes.faults import Fault, FaultyBackend, LooseCable, LostFrames
 from rig.programme.sequencer import State
 from rig.sim.scenario import Scenario
+from tests.fakes.faults import Fault, FaultyBackend, LooseCable, LostFrames
 
 
 def seen(tmp_path: Path, faults: list[Fault]) -> list[Status]:

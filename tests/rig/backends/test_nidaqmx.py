@@ -13,8 +13,8 @@ from daq.recording import RecordingWriter, open_recording, verify
 from rig.backends.base import BackendError, Running
 from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.execution.run import run_ramp
-from rig.fakes.fake_nidaqmx import Bench
 from rig.profile import parse_profile
+from tests.fakes.nidaqmx_bench import Bench
 
 RATE = 20000.0
 LEAD = 2000

@@ -24,10 +24,10 @@ from daq.recording import RecordingWriter, open_recording, verify
 from rig.backends.base import BackendError, Running, TwoClocked
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
 from rig.execution.run import run_ramp
-from rig.fakes.serial_loopback import WiredCard, WiredPort
 from rig.profile import Profile, parse_profile
 from rig.sim.scenario import Scenario
 from rig.virtual.serial_device import SerialDevice
+from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE = 20000.0
 CHANNELS = ("continuity", "accelerometer", "drive")

@@ -25,7 +25,7 @@ from rig.checks.check import Check
 from rig.execution.priority import before_other_work
 from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
-from rig.programme.sequencer import commanded, fades_of_changes
+from tests.fakes.commanded_drive import commanded, fades_of_changes
 
 RATE_HZ = 20000.0
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]

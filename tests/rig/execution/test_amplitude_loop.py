@@ -18,8 +18,8 @@ from rig.execution.operator import RunSummary
 from rig.execution.run import run_ramp
 from rig.execution.tone_meter import Amplitudes, MeterBlock, ToneMeter
 from rig.profile import ControlTable, Profile
-from rig.programme.sequencer import commanded, fades_of_changes
 from rig.sim.scenario import Scenario
+from tests.fakes.commanded_drive import commanded, fades_of_changes
 
 F_HZ = 25.37
 LAG_S = math.tan(math.radians(20.0)) / (2.0 * math.pi * F_HZ)  # 20 degrees at the first tone, more at the second

@@ -13,8 +13,8 @@ from daq.recording import RecordingWriter, open_recording, verify
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.loss_account import LossAccount
 from rig.execution.run import run_ramp
-from rig.fakes.faults import Fault, FaultyBackend, LostFrames, RepeatedBlock
 from rig.sim.scenario import Scenario
+from tests.fakes.faults import Fault, FaultyBackend, LostFrames, RepeatedBlock
 
 LONGER = ("hold_cycles = 3", "hold_cycles = 60")
 

@@ -20,12 +20,10 @@ from rig.programme.sequencer import (
     State,
     Stop,
     change_rows,
-    commanded,
-    fades_of_changes,
-    fades_of_steps,
     largest_block,
     stop_fade_samples,
 )
+from tests.fakes.commanded_drive import commanded, fades_of_changes, fades_of_steps
 
 
 def rows(marks) -> np.ndarray:

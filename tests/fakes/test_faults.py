@@ -10,7 +10,8 @@ import pytest
 from daq.files.tables import Block, BlockFlag
 from rig.backends.base import BackendError
 from rig.backends.simulated import SimulatedBackend
-from rig.fakes.faults import (
+from rig.sim.scenario import Scenario
+from tests.fakes.faults import (
     AcCoupling,
     AmplifierTrip,
     Clipping,
@@ -23,7 +24,6 @@ from rig.fakes.faults import (
     RepeatedBlock,
     Unplugged,
 )
-from rig.sim.scenario import Scenario
 
 RATE_HZ = 20000.0
 BLOCK = 500
