@@ -7,7 +7,7 @@ tones), propagated through the prediction; it is never taken from the scatter of
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -260,12 +260,10 @@ class ForwardModel:
         ev = self.evidence
         return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
 
-    def slopes(
-        self, values: Values, places: Sequence[int] = (), changes: Sequence[float] = ()
-    ) -> tuple[Inputs, Slopes]:
+    def slopes(self, values: Values) -> tuple[Inputs, Slopes]:
         """Inputs of a prediction, and its derivatives: `model.integrator.event_slopes.slopes_of`."""
         x, found = self.inputs(values), self.predicted(values)
-        return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found, places, changes)
+        return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, kept: what touches plate data only needs no new flight."""

@@ -6,7 +6,6 @@ is written without its derivatives. Whole predictions, differenced, are the test
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted
 from model.integrator.problem import Problem, active, for_kernel
 from model.integrator.takeoff_slopes import LANDING, LANDING_BEFORE
-from model.integrator.variation import TONES, Columns
+from model.integrator.variation import TONES
 
 Array = NDArray[np.float64]
 
@@ -30,8 +29,6 @@ class Slopes:
         Of opening, landing and impact speed by the landing before and the one before that, (n, 3) each.
     tones
         By the real and imaginary part of each tone of the event's step, (n, 3, k, 2).
-    parameters
-        By each parameter asked for, (n, 3, c).
     info
         What the second order is about, (n, `model.integrator.takeoff_slopes.INFO`).
     """
@@ -39,7 +36,6 @@ class Slopes:
     landing: Array
     landing_before: Array
     tones: Array
-    parameters: Array
     info: Array
 
 
@@ -49,8 +45,6 @@ def slopes_of(
     rows: Array,
     detection: Detection,
     found: Predicted,
-    places: Sequence[int] = (),
-    changes: Sequence[float] = (),
 ) -> Slopes:
     """Derivatives of a prediction without another flight: of all it depends on.
 
@@ -60,9 +54,6 @@ def slopes_of(
         Those of the prediction.
     found
         The prediction, see `one_ahead`.
-    places, changes
-        Parameters to which derivatives are wanted, as places in a row, (c,), and a small change of each: hooks have
-        differences, in that direction.
 
     Raises
     ------
@@ -73,18 +64,14 @@ def slopes_of(
     problem, tones = Problem(measured, plate, rows, detection, (0.0, 0.0)), plate.acceleration_mps2
     if active(rows, "plate_mode"):
         raise ValueError("a plate with a mode has no derivatives; wanted one without")
-    columns = None
-    if places:
-        columns = Columns(for_kernel(np.asarray(places, np.int64)), for_kernel(np.asarray(changes, np.float64)))
     if found.table is None:
         raise ValueError("the prediction was not made by one_ahead; wanted one with the kernel's table")
-    out, info = problem.slopes(tones, measured.wanted, columns, found.table)
+    out, info = problem.slopes(tones, measured.wanted, found.table)
     out[info[:, 0] == 0.0] = 0.0
     k, first = tones.shape[1], TONES
     return Slopes(
         out[..., LANDING],
         out[..., LANDING_BEFORE],
         out[..., first : first + 2 * k].reshape(len(out), 3, k, 2),
-        out[..., first + 2 * k :],
         info,
     )

@@ -24,14 +24,6 @@ rebound: Callable[..., float]
 plate_mode: Callable[..., tuple[float, float, float]]
 """Plate mode struck by impacts: angular frequency, damping ratio, mass ratio, of ``(p)``."""
 
-gravity_of: Callable[..., float]
-"""What the one effect that owns the ``place`` in the row adds to gravity, m/s^2, of ``(place, p)``."""
-force_of: Callable[..., float]
-"""Acceleration by that one effect, m/s^2, of ``(place, s, h, v, u, p)``."""
-dry_friction_of: Callable[..., float]
-"""Dry friction by that one effect, m/s^2, of ``(place, h, speed, direction, p)``."""
-OF_ONE = ("gravity", "force", "dry_friction")
-
 _SIGNATURES = {
     "gravity": ("p", "p[-1]"),
     "force": ("s, h, v, u, p", "0.0"),
@@ -56,16 +48,6 @@ def _source() -> str:
             raise ValueError("only one effect may bring a plate mode")
         total = " + ".join([nothing, *terms] if hook == "gravity" else terms) or nothing
         lines += ["", "@njit(error_model='numpy')", f"def {hook}({arguments}):", f"    return {total}"]
-    for hook in OF_ONE:
-        arguments, _ = _SIGNATURES[hook]
-        lines += ["", "@njit(error_model='numpy')", f"def {hook}_of(place, {arguments}):"]
-        for e in entries:
-            if hook in e.hooks:
-                end = e.offset + len(e.effect.parameters)
-                lines.append(
-                    f"    if {e.offset} <= place < {end}: return {hook}_{e.effect.name}({arguments}, {e.offset})"
-                )
-        lines.append("    return 0.0")
     return "\n".join(lines)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from model.effects.registry import null_row, registry
 from model.integrator import predict, slopes, takeoff_slopes
 from model.integrator.records import Events, Probe, Steps, Visibility
-from model.integrator.variation import TONES, Columns
+from model.integrator.variation import TONES
 
 if TYPE_CHECKING:
     from model.integrator.one_step import Detection, Measured, PlateSteps
@@ -87,13 +87,11 @@ class Problem:
         predict.one_ahead(self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out)
         return out
 
-    def slopes(
-        self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], columns: Columns | None, table: Array
-    ) -> tuple[Array, Array]:
+    def slopes(self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], table: Array) -> tuple[Array, Array]:
         """Derivatives (n, 3, d) of openings, landings and impact speeds in ``table``, and `takeoff_slopes.INFO`."""
-        n, d = len(table), TONES + 2 * tones.shape[1] + (0 if columns is None else len(columns.place))
+        n, d = len(table), TONES + 2 * tones.shape[1]
         out, info = np.zeros((n, 3, d)), np.zeros((n, takeoff_slopes.INFO))
-        slopes.slopes_ahead(self.events(wanted), self.steps(tones), self.rows, self.acting, columns, table, out, info)
+        slopes.slopes_ahead(self.events(wanted), self.steps(tones), self.rows, self.acting, table, out, info)
         return out, info
 
     @property

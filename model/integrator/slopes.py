@@ -1,4 +1,4 @@
-"""Derivatives of what is predicted one event ahead: by earlier landings, the plate's tones and wanted parameters.
+"""Derivatives of what is predicted one event ahead: by earlier landings and the plate's tones.
 
 They go along the chain of flights as the predictions do: from the landing before, by way of the impact speed, to
 take-off, flight and landing. Where a prediction passes flights over, it has none; nor where the plate has a mode, whose
@@ -16,7 +16,7 @@ from model.integrator.plate import between_steps, step_length
 from model.integrator.predict import AS_PREDICTED, TWO_POINTS
 from model.integrator.records import Chain, Events, Floats, Law, Mode, Plate, Steps, clear, clear_rows, compiled
 from model.integrator.takeoff_slopes import LANDING, LANDING_BEFORE, Leaving, Work, at_takeoff, work_for
-from model.integrator.variation import LAUNCH, MOST_NODES, TAKEOFF, TONES, Columns, Room, flight_variations, room_for
+from model.integrator.variation import LAUNCH, MOST_NODES, TAKEOFF, TONES, Room, flight_variations, room_for
 
 SAME_S = 1e-7  # a measured flight that is flown again must land so near
 
@@ -36,7 +36,6 @@ def slopes_ahead(
     steps: Steps,
     rows: Floats,
     acting: tuple[bool, bool],
-    columns: Columns | None,
     found: Floats,
     out: Floats,
     info: Floats,
@@ -48,7 +47,7 @@ def slopes_ahead(
     """
     k, d = steps.tones.shape[1], out.shape[2]
     turning, nodes = np.empty((k + 1, 6)), np.empty((MOST_NODES, 12))
-    room, work = room_for(k, d - TONES - 2 * k), work_for(d)
+    room, work = room_for(k), work_for(d)
     last, sound, hit = Chain(np.inf, 0.0, 0.0, 0.0, False, 0), True, np.zeros(d)
     lengths = np.empty(len(steps.period))
     for j in range(len(lengths)):
@@ -75,14 +74,14 @@ def slopes_ahead(
             last, sound = Chain(events.opening[i], last.impact, 0.0, 0.0, False, 0), True
             clear(hit)
         elif events.wanted[i] and _is_direct(found[i]):
-            _predicted(events.gap_m[i], last, plate, law, hit, columns, found[i], room, work, out[i], info[i])
+            _predicted(events.gap_m[i], last, plate, law, hit, found[i], room, work, out[i], info[i])
             if not sound:
                 info[i, 0] = 0.0
         if found[i, 11] == 0.0:
             last, sound = Chain(landing, last.impact, 0.0, 0.0, True, 0), True
             clear(hit)
             continue
-        last, sound = _measured(landing, last, plate, law, hit, columns, found[i], room, work)
+        last, sound = _measured(landing, last, plate, law, hit, found[i], room, work)
 
 
 @compiled
@@ -101,7 +100,6 @@ def _predicted(
     plate: Plate,
     law: Law,
     hit: Floats,
-    columns: Columns | None,
     found: Floats,
     room: Room,
     work: Work,
@@ -110,11 +108,11 @@ def _predicted(
 ) -> None:
     """Derivatives of one prediction, ``out`` (3, d), and its `INFO`."""
     off, v0, kind = found[0], found[1], int(found[6])
-    at_takeoff((last.t, last.impact, off, v0, kind, 0.0), plate, law, hit, columns, work, work.leaving, info)
+    at_takeoff((last.t, last.impact, off, v0, kind, 0.0), plate, law, hit, work, work.leaving, info)
     by = work.elementary
     law.nodes[0, 0] = 0.0
     lasts, _, opened = flight(off, v0, plate, law, gap_m)
-    usable, net, v = flight_variations(off, v0, opened, plate.tones, law, columns, room, by)
+    usable, net, v = flight_variations(off, v0, opened, plate.tones, law, room, by)
     same = abs(off + lasts - found[2]) + abs(off + max(opened, 0.0) - found[4]) < SAME_S
     info[0] = 1.0 if usable and same else 0.0
     info[3], info[4], info[5] = lasts, net, v
@@ -130,7 +128,6 @@ def _measured(
     plate: Plate,
     law: Law,
     hit: Floats,
-    columns: Columns | None,
     found: Floats,
     room: Room,
     work: Work,
@@ -142,11 +139,11 @@ def _measured(
     begun, v0, speed, way = found[10], found[7], found[8], found[11]
     leaving, by = work.leaving, work.elementary
     start = (last.t, 0.0, begun, 0.0, 0 if begun > last.t else 1, 1e9)
-    at_takeoff(start, plate, law, hit, columns, work, leaving, work.info)
+    at_takeoff(start, plate, law, hit, work, leaving, work.info)
     clear(leaving.launch)  # it is found from both ends of the flight
     law.nodes[0, 0] = 0.0
     lasts, _, opened = flight(begun, v0, plate, law, 0.0)
-    usable, _, _ = flight_variations(begun, v0, opened, plate.tones, law, columns, room, by)
+    usable, _, _ = flight_variations(begun, v0, opened, plate.tones, law, room, by)
     own_hit = 0.0
     if way == TWO_POINTS:
         usable = usable and abs(begun + lasts - landing) < SAME_S and by[0, LAUNCH] > 0.0

@@ -1,4 +1,4 @@
-"""Derivatives of a take-off by the landing before, its impact speed, tones and parameters: plates without a mode."""
+"""Derivatives of a take-off by the landing before, its impact speed and tones: plates without a mode."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from model.integrator.flight import pull
-from model.integrator.hooks import dry_friction, force, gravity, rebound, takeoff_threshold
+from model.integrator.hooks import dry_friction, force, rebound, takeoff_threshold
 from model.integrator.plate import tones_at
 from model.integrator.records import Floats, Law, Plate, clear, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
-from model.integrator.variation import SPEED_MPS, TONES, Columns
+from model.integrator.variation import SPEED_MPS, TONES
 
 LANDING, LANDING_BEFORE = 0, 1
-"""Places of a derivative: by the landing before, and by the one before that; the two quadratures of every tone follow,
-and after them the parameters wanted."""
+"""Places of a derivative: by the landing before and by the one before that; both quadratures of every tone follow."""
 INFO = 7
 """Of each event: usable or not; slope and half the relative curvature of what throws the ball, at take-off; how long
 the flight lasts; relative acceleration and velocity at its end; by how much time its kind might change."""
@@ -68,7 +67,6 @@ def at_takeoff(
     plate: Plate,
     law: Law,
     hit: Floats,
-    columns: Columns | None,
     work: Work,
     out: Leaving,
     info: Floats,
@@ -90,12 +88,12 @@ def at_takeoff(
     info[1], info[2] = 0.0, 0.0
     if kind == 0 and over < AT_ONCE_MPS2 and rate > 0.0:
         info[1], info[2], info[6] = rate, 0.5 * bend / rate, since
-        _when_thrown(off, since + more, rate, plate, law, columns, work, out)
+        _when_thrown(off, since + more, rate, plate, law, work, out)
     else:
         out.off[LANDING] = 1.0
         info[6] = abs(over / rate) if rate != 0.0 and launched == 0.0 else 1.0
     if kind == 1:
-        _rebounds(impact, hit, columns, out, law.p)
+        _rebounds(impact, hit, out, law.p)
 
 
 @compiled
@@ -113,15 +111,7 @@ def _plate_at(off: float, tones: Floats, work: Work) -> None:
 
 
 @compiled
-def _pull_at_rest(u: float, dwell: float, p: Floats) -> float:
-    """What parameters contribute to `_throws` where the plate moves at ``u``: all but the plate's acceleration."""
-    return float(force(0.0, 0.0, 0.0, u, p) - gravity(p) - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell, p))
-
-
-@compiled
-def _when_thrown(
-    off: float, dwell: float, rate: float, plate: Plate, law: Law, columns: Columns | None, work: Work, out: Leaving
-) -> None:
+def _when_thrown(off: float, dwell: float, rate: float, plate: Plate, law: Law, work: Work, out: Leaving) -> None:
     """Derivatives of the time at which a ball at rest is thrown; ``rate`` is the slope of what throws it."""
     p, d = law.p, len(out.off)
     moves, u = 0.0, tones_at(off, plate.tones)[1]
@@ -131,16 +121,6 @@ def _when_thrown(
         out.off[j] = -(moves * work.velocity[j] - work.acceleration[j]) / rate
     grows = 0.5 * (takeoff_threshold(dwell + NEAR_S, p) - takeoff_threshold(dwell - NEAR_S, p)) / NEAR_S
     out.off[LANDING] -= grows / rate
-    if columns is not None:
-        c = len(columns.place)
-        base = _pull_at_rest(u, dwell, p)
-        for i in range(c):
-            k = columns.place[i]
-            kept = p[k]
-            p[k] = kept + columns.change[i]
-            there = _pull_at_rest(u, dwell, p)
-            p[k] = kept
-            out.off[d - c + i] = -(there - base) / columns.change[i] / rate
 
 
 @compiled
@@ -150,18 +130,10 @@ def steeper(impact: float, p: Floats) -> float:
 
 
 @compiled
-def _rebounds(impact: float, hit: Floats, columns: Columns | None, out: Leaving, p: Floats) -> None:
+def _rebounds(impact: float, hit: Floats, out: Leaving, p: Floats) -> None:
     """Derivatives of the speed with which the ball leaves an impact."""
-    e, d = rebound(impact, p), len(out.launch)
+    e = rebound(impact, p)
     if 0.0 < e < MOST_RESTITUTION:
         rate = e + impact * steeper(impact, p)
-        for j in range(d):
+        for j in range(len(out.launch)):
             out.launch[j] = rate * hit[j]
-    if columns is not None:
-        c = len(columns.place)
-        for i in range(c):
-            k = columns.place[i]
-            kept = p[k]
-            p[k] = kept + columns.change[i]
-            out.launch[d - c + i] += impact * (rebound(impact, p) - e) / columns.change[i]
-            p[k] = kept

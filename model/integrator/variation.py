@@ -19,26 +19,15 @@ import numpy as np
 
 from model.integrator.flight import _effects
 from model.integrator.hermite import hermite5, standstill
-from model.integrator.hooks import dry_friction_of, force_of, gravity, gravity_of
-from model.integrator.records import Floats, Integers, Law, StepEnds, clear, clear_rows, compiled
+from model.integrator.hooks import gravity
+from model.integrator.records import Floats, Law, StepEnds, clear, clear_rows, compiled
 
 TAKEOFF, LAUNCH, TONES = 0, 1, 2
-"""Places of a variation: of the take-off's time and speed; the two quadratures of every tone follow, and after them the
-parameters wanted."""
+"""Places of a variation: of the take-off's time and speed; the two quadratures of every tone follow."""
 MOST_NODES = 2000
 HEIGHT_M, SPEED_MPS, TIME_S = 1e-7, 1e-5, 1e-6  # differences of a hook
-HANGS_S = 1e-12  # a longer stand is one
+HANGS_S = 1e-12  # a standstill that lasts longer is a hang
 STEEP_MPS2 = 1e-6  # least change of acceleration at a standstill
-
-
-class Columns(NamedTuple):
-    """Parameters to which derivatives are wanted: places in the row (c,), and the small changes of each (c,).
-
-    None takes its place where there are none: what only they need is then not compiled.
-    """
-
-    place: Integers
-    change: Floats
 
 
 class Room(NamedTuple):
@@ -61,8 +50,7 @@ class Room(NamedTuple):
 class Walk(NamedTuple):
     """One flight's variations under way: its take-off, the plate's tones and the law.
 
-    ``phi`` (2, 2) is the fundamental matrix since the segment began, ``pushes`` (c,) are changes of the acceleration by
-    a unit of each parameter.
+    ``phi`` (2, 2) is the fundamental matrix since the segment began.
     """
 
     t0: float
@@ -70,13 +58,12 @@ class Walk(NamedTuple):
     law: Law
     room: Room
     phi: Floats
-    pushes: Floats
 
 
 @compiled
-def room_for(tones: int, columns: int) -> Room:
-    """Room for variations by ``tones`` tones and ``columns`` parameters."""
-    e = TONES + 2 * tones + columns
+def room_for(tones: int) -> Room:
+    """Room for variations by ``tones`` tones."""
+    e = TONES + 2 * tones
     wide = np.zeros((3, e)), np.zeros((3, e)), np.zeros((2, e))
     return Room(np.zeros(e), np.zeros(e), wide[0], wide[1], wide[2], np.zeros(e), np.zeros(e))
 
@@ -88,7 +75,7 @@ def plate_response(t: float, tones: Floats, out: Floats) -> tuple[float, float]:
     for k in range(tones.shape[0]):
         w, re, im = tones[k, 0], tones[k, 1], tones[k, 2]
         j = TONES + 2 * k
-        if re == 0.0 and im == 0.0:  # unused: nobody varies it
+        if re == 0.0 and im == 0.0:  # a place that no tone uses
             continue
         c, sn = math.cos(w * t), math.sin(w * t)
         out[2, j], out[2, j + 1] = c, -sn
@@ -151,11 +138,10 @@ def _carry(tau: float, weight: float, by: tuple[float, float, float, float], wal
 
     ``tau`` is the time since the start of the segment, ``by`` the `partials` there.
     """
-    room, phi, pushes = walk.room, walk.phi, walk.pushes
+    room, phi = walk.room, walk.phi
     by_s, by_h, by_v, by_u = by
     det = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
     back_h, back_v = -weight * phi[0, 1] / det, weight * phi[0, 0] / det
-    n = len(room.height) - len(pushes)
     if by_h != 0.0 or by_v != 0.0 or by_u != 0.0 or by_s != 0.0:
         for e in range(len(room.height)):
             rate = room.start[1, e]
@@ -166,34 +152,10 @@ def _carry(tau: float, weight: float, by: tuple[float, float, float, float], wal
                 b -= by_s
             room.carried[0, e] += back_h * b
             room.carried[1, e] += back_v * b
-    for c in range(len(pushes)):
-        room.carried[0, n + c] += back_h * pushes[c]
-        room.carried[1, n + c] += back_v * pushes[c]
 
 
 @compiled
-def _push(k: int, s: float, h: float, v: float, u: float, direction: float, p: Floats) -> float:
-    """Acceleration by the one effect that owns the parameter ``k``."""
-    moving = force_of(k, s, h, v, u, p) - direction * dry_friction_of(k, h, abs(v), direction, p)
-    return float(moving - gravity_of(k, p))
-
-
-@compiled
-def _pushes(s: float, h: float, v: float, u: float, direction: float, law: Law, columns: Columns, out: Floats) -> None:
-    """Change of the acceleration for a unit of each wanted parameter, (c,): one hook more for each."""
-    p = law.p
-    for c in range(len(out)):
-        k = columns.place[c]
-        base, kept = _push(k, s, h, v, u, direction, p), p[k]
-        p[k] = kept + columns.change[c]
-        out[c] = (_push(k, s, h, v, u, direction, p) - base) / columns.change[c]
-        p[k] = kept
-
-
-@compiled
-def _walk_part(
-    row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk, columns: Columns | None
-) -> None:
+def _walk_part(row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk) -> None:
     """One part of a step by Simpson's rule: `_carry` at both ends and in the middle, ``phi`` carried along."""
     d, law = (z1 - z0) * row[1], walk.law
     direction = row[8]
@@ -210,8 +172,6 @@ def _walk_part(
             by = partials(s, h, v, v + velocity, direction, law)
         if i > 0:
             _turn(walk.phi, 0.5 * d, 0.5 * (before[1] + by[1]), 0.5 * (before[2] + before[3] + by[2] + by[3]))
-        if columns is not None:
-            _pushes(s, h, v, v + velocity, direction, law, columns, walk.pushes)
         _carry(s - began, d * (4.0 if i == 1 else 1.0) / 6.0, by, walk)
 
 
@@ -237,14 +197,14 @@ def _opening(tau: float, opened: float, walk: Walk) -> None:
 
 
 @compiled
-def _walk_step(row: Floats, began: float, opened: float, walk: Walk, columns: Columns | None) -> float:
+def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
     """Carry the variations over one step, see `flight.note`; the velocity at the opening where it lies inside, else 0.
 
-    Where forces are constant, and no parameter is asked for, nothing has to be integrated.
+    Where forces are constant nothing has to be integrated.
     """
     ends = StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7])
     until, opens = row[10], (opened - row[0]) / row[1] if opened > 0.0 else 2.0
-    if row[9] == 1.0 and len(walk.pushes) == 0:
+    if row[9] == 1.0:
         if 0.0 < opens < until:
             _opening(opened - began, opened, walk)
             return hermite5(opens, ends)[1]
@@ -253,7 +213,7 @@ def _walk_step(row: Floats, began: float, opened: float, walk: Walk, columns: Co
     z, speed = 0.0, 0.0
     for stop in (first, second, until):
         if stop <= 1.0:
-            _walk_part(row, ends, z, stop, began, walk, columns)
+            _walk_part(row, ends, z, stop, began, walk)
             z = stop
             if stop == opens:
                 _opening(opened - began, opened, walk)
@@ -285,7 +245,7 @@ def _begin_segment(walk: Walk) -> None:
 
 @compiled
 def flight_variations(
-    t0: float, v0: float, opened: float, tones: Floats, law: Law, columns: Columns | None, room: Room, out: Floats
+    t0: float, v0: float, opened: float, tones: Floats, law: Law, room: Room, out: Floats
 ) -> tuple[bool, float, float]:
     """Derivatives of a flight whose steps stand in ``law.nodes``: of its end, impact speed and opening, ``out`` (3, e).
 
@@ -300,7 +260,7 @@ def flight_variations(
     clear_rows(room.start)
     clear_rows(room.now)
     room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, 4], 1.0
-    walk = Walk(t0, tones, law, room, np.empty((2, 2)), np.empty(len(room.height) - TONES - 2 * len(tones)))
+    walk = Walk(t0, tones, law, room, np.empty((2, 2)))
     height, speed = np.empty(len(room.height)), np.empty(len(room.height))
     opening_speed, began, begins = 0.0, 0.0, True
     for r in range(1, count + 1):
@@ -309,7 +269,7 @@ def flight_variations(
             began = row[0]
             plate_response(t0 + began, tones, room.start)
             _begin_segment(walk)
-        opening_speed += _walk_step(row, began, opened, walk, columns)
+        opening_speed += _walk_step(row, began, opened, walk)
         begins = row[11] != 0.0
         if not begins:
             continue
