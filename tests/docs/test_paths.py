@@ -1,0 +1,41 @@
+"""Documents name only files, folders and modules that are there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = {"model/effects/updraught.py", "rig.toml", "rig.bounce_s", "shakerbench.backends", "shakerbench.effects"}
+"""Files that a reader makes, keys of a scenario, and names of entry points."""
+FOLDERS = "analysis|bench|benchmarks|daq|docs|firmware|kernels|model|rig|rig_profiles|scenarios|shakerbench|tests"
+PATH = re.compile(rf"(?:{FOLDERS})/[\w./*-]*")
+MODULE = re.compile(r"(?:analysis|bench|benchmarks|daq|kernels|model|rig|shakerbench)(?:\.\w+)+")
+
+
+def _named(page: Path) -> Iterator[str]:
+    """Words of the code in a page: in backticks, fenced or indented by four."""
+    for code in re.findall(r"`+([^`]+)`+|^ {4}(.+)$", page.read_text(encoding="utf-8"), re.MULTILINE):
+        yield from (word.strip(",;:()[]\"'").split("::")[0] for word in "".join(code).split())
+
+
+def _is_there(name: str) -> bool:
+    """Whether a path or pattern matches a file, or a dotted name a module and what is defined in it."""
+    if PATH.fullmatch(name):
+        return any(ROOT.glob(name.rstrip("/")))
+    parts = name.split(".")
+    for i in range(len(parts), 0, -1):
+        for file in (ROOT.joinpath(*parts[:i]).with_suffix(".py"), ROOT.joinpath(*parts[:i], "__init__.py")):
+            if file.is_file():
+                return all(re.search(rf"\b{part}\b", file.read_text(encoding="utf-8")) for part in parts[i:])
+    return False
+
+
+def test_paths_and_modules_in_documents_exist() -> None:
+    """Every path and dotted module that a document shows as code is in the repository."""
+    pages = [ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")]
+    words = {(page.relative_to(ROOT).as_posix(), word) for page in pages for word in _named(page)}
+    named = [(page, w) for page, w in words if w not in EXAMPLES and (PATH.fullmatch(w) or MODULE.fullmatch(w))]
+    assert len(named) > 100
+    assert not sorted((page, word) for page, word in named if not _is_there(word))
