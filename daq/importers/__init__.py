@@ -1,4 +1,4 @@
 """Foreign recordings: streamed in, checked, given a time base and steps.
 
-Other rooms take `import_recording`, `diagnostics`.
+Other rooms take `import_recording`.
 """

@@ -1,4 +1,4 @@
-"""What an import does beside its main work, in a thread: reading ahead, and the hash of the file.
+"""Threads of an import besides its main work: one reads ahead, one makes the hash of the file.
 
 Both let go of the interpreter while they work (compiled code, OpenSSL), so that a second core has something to do.
 """
@@ -28,7 +28,7 @@ def ahead(items: Iterator[Item]) -> Iterator[Item]:
 
 
 class Digest(Closing):
-    """SHA-256 of a file, made in a thread unless it is ``known``; `close` gives it up where nobody asked."""
+    """SHA-256 of a file, made in a thread unless it is ``known``; `close` gives it up."""
 
     def __init__(self, path: Path, known: str = "") -> None:
         self._path, self._stop = path, Event()

@@ -1,15 +1,16 @@
 """Import of a foreign file: rows streamed in, time base and steps found, everything checked, then renamed.
 
-The recording appears under its name only when everything in it was read, found
-consistent, written and read back; values are stored as they came, never requantised.
+The recording appears under its name only when everything in it was read, found consistent, written and read back;
+values are stored as they came, never requantised.
 """
 
 from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,19 +22,25 @@ from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.achieved import achieved_gamma
 from daq.importers.background import Digest
-from daq.importers.diagnostics import range_warnings, rate_warnings, remarks
 from daq.importers.formats.columns import (
     ACCELERATION_UNITS,
     CHANNEL_ROLES,
+    SET_ROLES,
     VOLT_UNITS,
     Column,
     Source,
     assign,
     left_out_remarks,
 )
-from daq.importers.implausible_rates import refuse_mixed_rates, refuse_other_unit
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.lost_rows import lost_rows
+from daq.importers.plausibility import (
+    range_warnings,
+    rate_warnings,
+    refuse_mixed_rates,
+    refuse_other_unit,
+    remarks,
+)
 from daq.importers.scratch import Scratch
 from daq.importers.timebase import Timebase, timebase_of
 from daq.instrument.instrument import STORED, Instrument
@@ -75,11 +82,11 @@ class ImportOptions:
     Attributes
     ----------
     mapping
-        Columns by role where their names do not tell.
+        Columns by role where their names do not say it.
     rate_hz
         Sample rate where there is no time column.
     note, extra
-        Kept in the recording.
+        Stored in the recording.
     """
 
     mapping: Mapping[str, Column] = field(default_factory=dict)
@@ -120,41 +127,44 @@ def import_recording(
     options = options or ImportOptions()
     columns, rate_hz = _assigned(source, options)
     channels = [role for role in CHANNEL_ROLES if role in columns]
-    setup = _adapted(setup, columns, channels)
+    setup = _adapted(setup, columns)
     attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)
+    attributes |= {"channels": channels, "started": "", "ended": "complete", "why": "", "ended_at": ""}
+    dtypes = {role: source.dtype(columns[role].name) for role in channels}  # values are stored as they came
     scales = {role: _scale(source, columns[role], role, setup) for role in channels}
-    writer = _begun(source, columns, out, setup, scales, attributes)
+    writer = ColumnWriter(out, setup, dtypes, scales, attributes)
     try:
-        with _scratch(source, columns, out) as scratch:
-            intake = take_in(source, columns, scales, setup, writer, scratch, progress)
+        with Scratch(out.parent, ({"timestamp": np.dtype("<i8")} if "time" in columns else {}) | dtypes) as scratch:
+            intake = Intake(source, columns, scales, setup, set_values={r: [] for r in SET_ROLES if r in columns})
+            take_in(intake, writer, scratch, progress)
             with Digest(source.path, source.sha256) as digest:
-                volts = _Volts(scratch, scales)
-                base = _timebase(source, writer, scratch, intake, columns.get("time"), setup, rate_hz)
-                found, channel = _find(volts, writer.n_samples, setup, base, intake, progress)
-                if "time" not in columns and len(lost := lost_rows(volts.of(channel), found, base.rate_hz)):
+                volts = {role: partial(_volts, scratch, role, scales[role]) for role in channels}
+                base = _timebase(intake, scratch, rate_hz)
+                _write_times(writer, scratch, base)
+                found, channel = _find(volts, base, intake, progress)
+                if "time" not in columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
                     base = replace(base, gaps=lost)
-                    found, channel = _find(volts, writer.n_samples, setup, base, intake, progress)
+                    found, channel = _find(volts, base, intake, progress)
                 steps = _table(found, volts, channel, setup, base.rate_hz)
                 warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
-                setup = _at_rate(setup, base.rate_hz)
-                read = {role: volts.of(role) for role in channels}
-                instrument = examine(read, writer.n_samples, base.rate_hz, steps, base.gaps, setup)
-                late = _late_attributes(source, columns, setup, base, intake, options.extra)
-                late[STORED] = json.dumps(instrument.as_json())
-                writer.check(steps, _blocks(base, writer.n_samples), **late, imported_sha256=digest.result())
+                sampling = setup.sampling.model_copy(update={"rate_hz": base.rate_hz})
+                setup = setup.model_copy(update={"sampling": sampling})
+                instrument = examine(volts, writer.n_samples, base.rate_hz, steps, base.gaps, setup)
+                late = _late_attributes(intake, setup, base) | {"extra_json": json.dumps(dict(options.extra))}
+                late |= {STORED: json.dumps(instrument.as_json()), "imported_sha256": digest.result()}
+                writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
         writer.abandon()
         raise
     writer.rename()
     named = {role: column.name for role, column in columns.items()}
-    said = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
-    return ImportSummary(
-        out, writer.n_samples, base, steps, named, [*left_out_remarks(source), *said, *warnings], instrument
-    )
+    findings = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
+    lines = [*left_out_remarks(source), *findings, *warnings]
+    return ImportSummary(out, writer.n_samples, base, steps, named, lines, instrument)
 
 
 def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column], float | None]:
-    """Columns by role, and the sample rate where it is given; raises `InputError` where neither tells the times."""
+    """Columns by role, and the sample rate where it is given; raises `InputError` where neither gives the times."""
     if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
         raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
     columns = assign(source, options.mapping)
@@ -165,20 +175,6 @@ def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column]
             "the sample rate with --rate HZ."
         )
     return columns, rate_hz
-
-
-def _begun(
-    source: Source,
-    columns: Mapping[str, Column],
-    out: Path,
-    setup: Setup,
-    scales: Mapping[str, tuple[float, float]],
-    attributes: Mapping[str, Any],
-) -> ColumnWriter:
-    """The column file, empty; each channel in the type that its column has."""
-    dtypes = {role: source.dtype(columns[role].name) for role in scales}
-    ending = {"channels": list(scales), "started": "", "ended": "complete", "why": "", "ended_at": ""}
-    return ColumnWriter(out, setup, dtypes, scales, {**attributes, **ending})
 
 
 def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[float, float]:
@@ -192,10 +188,10 @@ def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[flo
     return factor * unit_v, offset * unit_v
 
 
-def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -> Setup:
-    """The set-up as the file has it: without a channel that is absent; 1 V a unit for a calibrated acceleration."""
+def _adapted(setup: Setup, columns: Mapping[str, Column]) -> Setup:
+    """The set-up as the file has it: without a contact that is absent; 1 V a unit for a calibrated acceleration."""
     changed: dict[str, Any] = {}
-    if "continuity" not in channels:
+    if "continuity" not in columns:
         changed["continuity"] = None
     unit = columns["accelerometer"].unit
     if unit in ACCELERATION_UNITS:
@@ -209,107 +205,71 @@ def _adapted(setup: Setup, columns: Mapping[str, Column], channels: list[str]) -
     return setup.model_copy(update={"channels": setup.channels.model_copy(update=changed)})
 
 
-def _scratch(source: Source, columns: Mapping[str, Column], out: Path) -> Scratch:
-    """For the times in nanoseconds, and the channels as they come."""
-    channels = {role: source.dtype(columns[role].name) for role in CHANNEL_ROLES if role in columns}
-    return Scratch(out.parent, ({"timestamp": np.dtype("<i8")} if "time" in columns else {}) | channels)
+def _volts(scratch: Scratch, role: str, scale: tuple[float, float], a: int, b: int) -> Floats:
+    """Volts of samples ``a .. b`` of a channel."""
+    values, (factor, offset) = scratch.read(role, a, b), scale
+    if scale == (1.0, 0.0):  # text holds the volts themselves
+        return values.astype(np.float64, copy=False)
+    return np.asarray(values * factor + offset, np.float64)
 
 
-def _at_rate(setup: Setup, rate_hz: float) -> Setup:
-    """The set-up with the rate that was found."""
-    return setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": rate_hz})})
-
-
-def _timebase(
-    source: Source,
-    writer: ColumnWriter,
-    scratch: Scratch,
-    intake: Intake,
-    time: Column | None,
-    setup: Setup,
-    rate_hz: float | None,
-) -> Timebase:
-    """Rate, pauses, jitter; the times are written: even ones where they are even, else as they came."""
+def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timebase:
+    """Rate, pauses and jitter of the times; the given rate where there are none."""
+    path, time = intake.source.path, intake.columns.get("time")
     if time is None:
-        base = Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
-    else:
+        return Timebase(float(rate_hz or 0.0), True, 0.0, np.zeros((0, 3), np.int64))
 
-        def times(start: int, stop: int) -> Floats:
-            return np.asarray(scratch.read("timestamp", start, stop) * 1e-9, np.float64)
+    def times(start: int, stop: int) -> Floats:
+        return np.asarray(scratch.read("timestamp", start, stop) * 1e-9, np.float64)
 
-        refuse_mixed_rates(source.path, times, writer.n_samples, intake.rounding_s)
-        base = timebase_of(times, writer.n_samples, intake.rounding_s)
-        if intake.repeated and not base.uniform:
-            raise InputError(f"{source.path}: {intake.repeated} comes twice; wanted times that rise.")
-        if rate_hz is not None and abs(base.rate_hz / rate_hz - 1.0) > 0.01:
-            raise InputError(
-                f"{source.path}: the time column says {base.rate_hz:.6g} samples/s, not {rate_hz:.6g}; is the unit of "
-                "time right (--map time=COLUMN:ms)?"
-            )
-        refuse_other_unit(source.path, time, base.rate_hz, setup)
-    even = base.uniform
+    refuse_mixed_rates(path, times, intake.n_rows, intake.rounding_s)
+    base = timebase_of(times, intake.n_rows, intake.rounding_s)
+    if intake.repeated and not base.uniform:
+        raise InputError(f"{path}: {intake.repeated} comes twice; wanted times that rise.")
+    if rate_hz is not None and abs(base.rate_hz / rate_hz - 1.0) > 0.01:
+        raise InputError(
+            f"{path}: the time column says {base.rate_hz:.6g} samples/s, not {rate_hz:.6g}; is the unit of "
+            "time right (--map time=COLUMN:ms)?"
+        )
+    refuse_other_unit(path, time, base.rate_hz, intake.setup)
+    return base
+
+
+def _write_times(writer: ColumnWriter, scratch: Scratch, base: Timebase) -> None:
+    """Write the times: even ones where they are even, else as they came."""
 
     def stamps(start: int, stop: int) -> NDArray[np.int64]:
-        if even:
+        if base.uniform:
             return timestamps_ns(start, stop, base.rate_hz, base.gaps[:, :2])
         return scratch.read("timestamp", start, stop)
 
     writer.write_timestamps(stamps)
-    return base
-
-
-@dataclass(frozen=True)
-class _Volts:
-    """Volts of the channels taken in."""
-
-    scratch: Scratch
-    scales: Mapping[str, tuple[float, float]]
-
-    def of(self, role: str) -> Read:
-        """Gives volts of samples ``a .. b`` of a channel."""
-        factor, offset = self.scales[role]
-
-        def volts(a: int, b: int) -> Floats:
-            values = self.scratch.read(role, a, b)
-            if (factor, offset) == (1.0, 0.0):  # text holds the volts themselves
-                return values.astype(np.float64, copy=False)
-            return np.asarray(values * factor + offset, np.float64)
-
-        return volts
 
 
 def _find(
-    volts: _Volts,
-    n_samples: int,
-    setup: Setup,
-    base: Timebase,
-    intake: Intake,
-    progress: Progress | None,
+    volts: Mapping[str, Read], base: Timebase, intake: Intake, progress: Progress | None
 ) -> tuple[list[FoundStep], str]:
     """Steps, and the channel that shows them: a drive that is absent or flat leaves the accelerometer."""
-    if "drive" in volts.scales and (found := _found(volts.of("drive"), n_samples, setup, base, intake, progress)):
+    if "drive" in volts and (found := _found(volts["drive"], base, intake, progress)):
         return found, "drive"
-    found = _found(volts.of("accelerometer"), n_samples, setup, base, intake, progress)
-    if not intake.set_values:
-        shortest = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz
-        found = _ended_early([s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest], base.rate_hz)
-    return found, "accelerometer"
-
-
-def _ended_early(found: list[FoundStep], rate_hz: float) -> list[FoundStep]:
-    """Steps without their last cycles, which go to the next one's fade: its slow beginning drowns in the noise."""
+    found = _found(volts["accelerometer"], base, intake, progress)
+    if intake.set_values:
+        return found, "accelerometer"
+    shortest, rate_hz = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz, base.rate_hz
+    found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
+    # the last cycles go to the next step's fade, whose slow beginning drowns in the noise
     cut = [replace(s, stop=max(s.stop - round(EARLY_CYCLES * rate_hz / s.frequency_hz), s.hold)) for s in found]
-    starts = [
-        last.stop if step.start == before.stop else step.start
-        for before, last, step in zip(found, cut, cut[1:], strict=False)
-    ]
-    return cut[:1] + [replace(step, start=start) for step, start in zip(cut[1:], starts, strict=True)]
+    for i in range(1, len(cut)):
+        if found[i].start == found[i - 1].stop:
+            cut[i] = replace(cut[i], start=cut[i - 1].stop)
+    return cut, "accelerometer"
 
 
-def _table(found: list[FoundStep], volts: _Volts, channel: str, setup: Setup, rate_hz: float) -> NDArray[np.void]:
+def _table(
+    found: list[FoundStep], volts: Mapping[str, Read], channel: str, setup: Setup, rate_hz: float
+) -> NDArray[np.void]:
     """Step table; gamma is the drive's where its steps and its scale are known, else the plate's."""
-    read = {role: volts.of(role) for role in volts.scales}
-    achieved = np.array([achieved_gamma(read, s, rate_hz, setup) for s in found]).reshape(-1, 2)
+    achieved = np.array([achieved_gamma(volts, s, rate_hz, setup) for s in found]).reshape(-1, 2)
     g_per_volt = setup.drive.g_per_volt
     if channel == "drive" and g_per_volt is not None:
         gammas = np.array([gamma_of(s.tones.amplitudes, setup.forcing) for s in found]) * g_per_volt.value
@@ -318,31 +278,25 @@ def _table(found: list[FoundStep], volts: _Volts, channel: str, setup: Setup, ra
     return step_table(found, setup.forcing, rate_hz, gammas, achieved)
 
 
-def _found(
-    read: Callable[[int, int], Floats],
-    n_samples: int,
-    setup: Setup,
-    base: Timebase,
-    intake: Intake,
-    progress: Progress | None,
-) -> list[FoundStep]:
+def _found(read: Read, base: Timebase, intake: Intake, progress: Progress | None) -> list[FoundStep]:
     """Steps of one channel: cut where the file says that something was set, else where the channel changes."""
     set_hz = dict(intake.set_values.get("frequency", []))
     changes = {row for values in intake.set_values.values() for row, _ in values}
-    cuts = sorted({0, n_samples, *changes, *(int(g) for g in base.gaps[:, 0])})
+    cuts = sorted({0, intake.n_rows, *changes, *(int(g) for g in base.gaps[:, 0])})
     found: list[FoundStep] = []
-    near_hz = setup.forcing.frequency_hz
+    forcing, rate_hz = intake.setup.forcing, base.rate_hz
+    near_hz = forcing.frequency_hz
     for a, b in pairwise(cuts):
         near_hz = set_hz.get(a, near_hz)
-        if near_hz > 0.5 * base.rate_hz and set_hz:
+        if near_hz > 0.5 * rate_hz and set_hz:
             raise InputError(
                 f"set frequency {near_hz:.6g} from sample {a} on: wanted less than half the sample rate, "
-                f"{0.5 * base.rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
+                f"{0.5 * rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
             )
         if intake.set_values:
-            found += given_step(read, a, b, base.rate_hz, setup.forcing, near_hz)
+            found += given_step(read, a, b, rate_hz, forcing, near_hz)
         else:
-            found += find_steps(read, a, b, base.rate_hz, setup.forcing)
+            found += find_steps(read, a, b, rate_hz, forcing)
         if progress is not None:
             progress("finding steps", b)
     return found
@@ -359,14 +313,8 @@ def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:
     return rows
 
 
-def _late_attributes(
-    source: Source,
-    columns: Mapping[str, Column],
-    setup: Setup,
-    base: Timebase,
-    intake: Intake,
-    extra: Mapping[str, Any],
-) -> dict[str, Any]:
+def _late_attributes(intake: Intake, setup: Setup, base: Timebase) -> dict[str, Any]:
+    """Root attributes that are known once all rows were read."""
     started = ""
     if EPOCH_S < intake.origin_s < YEAR_9999_S:
         when = datetime.datetime.fromtimestamp(intake.origin_s, datetime.UTC)
@@ -378,10 +326,10 @@ def _late_attributes(
         "jitter_s": base.jitter_s,
         "started": started,
         "imported_at": now_utc(),
-        "imported_from": source.path.name,
+        "imported_from": intake.source.path.name,
         "imported_columns": [
-            f"{role}={column.name}" + (f":{column.unit}" if column.unit else "") for role, column in columns.items()
+            f"{role}={column.name}" + (f":{column.unit}" if column.unit else "")
+            for role, column in intake.columns.items()
         ],
         "time_origin_s": intake.origin_s,
-        "extra_json": json.dumps(dict(extra)),
     }

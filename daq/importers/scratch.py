@@ -1,7 +1,7 @@
-"""Numbers of an import that are looked at again and again, kept as they are while it lasts.
+"""Scratch files of an import: numbers that are read again and again while it lasts.
 
-A file without a name beside the recording holds them: memory does not depend on their number, and nothing is left of
-it, however the import ends. Reading a column here costs a tenth of unpacking it from the recording.
+A file without a name in the recording's folder holds them: memory does not depend on their number, and nothing is left
+of it, however the import ends. Reading a column here costs a tenth of unpacking it from the recording.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Scratch(Closing):
     Parameters
     ----------
     folder
-        Where there is room: that of the recording.
+        That of the recording, where there is room.
     dtypes
         Column name to type.
     """

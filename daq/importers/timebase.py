@@ -1,12 +1,12 @@
 """Time base of a foreign recording: one sample rate, pauses, or real jitter.
 
-A column that is uniform up to its own rounding is uniform, and its rate is the one number that
-explains all of it; a column that jitters is kept as it came, with the jitter stated.
+A column that is uniform up to its own rounding is uniform, and its rate is the one number that explains all of it; a
+column that jitters is stored as it came, with the jitter stated. Compiled passes take sums and extremes in one go,
+without an array for each operation between.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.timebase_kernel import are_whole, distances, line_sums, longest_step
+from kernels import njit
 
 Floats = NDArray[np.float64]
 
@@ -66,10 +66,18 @@ def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) ->
     piece
         Samples read at once.
     """
-    typical = _typical_step(times, n)
+    first = times(0, min(n, 1 << 18))
+    stride = min(_STRIDE, max(1, (len(first) - 1) // 3))  # long, so that rounding does not bias the step
+    typical = float(np.median(first[stride:] - first[:-stride])) / stride
     gaps = _pauses(times, n, typical, quantum_s, piece)
     slope, slope_sigma = _slope(times, n, gaps, piece)
-    step = _nice(slope, (n - 1) - len(gaps), quantum_s)
+    step = slope
+    allowed = (0.5 * quantum_s + 1e-9) / max(n - 1 - len(gaps), 1)
+    for digits in range(0, 7):  # the roundest rate that the column cannot tell from the fitted one
+        rate = round(1.0 / slope, digits)
+        if rate > 0 and abs(1.0 / rate - slope) <= allowed:
+            step = 1.0 / rate
+            break
     lost, sigma = _missing(times, gaps, step, slope_sigma, quantum_s)
     worst, rms = _distance(times, n, gaps, step, piece)
     found = np.stack([gaps, lost, sigma], axis=1).astype(np.int64)
@@ -85,32 +93,18 @@ def quantum_of(values: Floats) -> float:
     return float("inf")
 
 
-def _pieces(n: int, piece: int) -> Iterator[tuple[int, int]]:
-    """Ranges that overlap by one sample, so that every difference is seen once."""
-    for start in range(0, n - 1, piece):
-        yield start, min(start + piece + 1, n)
-
-
-def _typical_step(times: Times, n: int) -> float:
-    """Median, over strides near the start, of the mean time between samples; rounding does not bias it."""
-    first = times(0, min(n, 1 << 18))
-    stride = min(_STRIDE, max(1, (len(first) - 1) // 3))
-    return float(np.median(first[stride:] - first[:-stride])) / stride
-
-
 def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) -> NDArray[np.int64]:
     """First samples after each pause."""
     limit, found = PAUSE_SAMPLES * typical + quantum_s, [np.zeros(0, np.int64)]
-    for start, stop in _pieces(n, piece):
-        own = times(start, stop)
+    for start in range(0, n - 1, piece):
+        own = times(start, min(start + piece + 1, n))  # pieces overlap by a sample: every difference counts once
         if longest_step(own) > limit:
             found.append(start + 1 + np.flatnonzero(np.diff(own) > limit))
     return np.concatenate(found).astype(np.int64)
 
 
 def _runs(n: int, gaps: NDArray[np.int64]) -> list[tuple[int, int]]:
-    edges = [0, *(int(g) for g in gaps), n]
-    return list(pairwise(edges))
+    return list(pairwise([0, *(int(g) for g in gaps), n]))
 
 
 def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[float, float]:
@@ -130,16 +124,6 @@ def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[f
     # a clock that wanders from run to run shows in the runs' own slopes, not in the residuals
     wander = sum(w * (xy / w - slope) ** 2 for xy, w in own if w > 0) / sxx
     return slope, float(np.sqrt(variance / sxx + wander))
-
-
-def _nice(step: float, n: int, quantum_s: float) -> float:
-    """The round rate (or round step) nearest to ``step`` if the column cannot tell the two apart."""
-    allowed = (0.5 * quantum_s + 1e-9) / max(n, 1)
-    for digits in range(0, 7):
-        rate = round(1.0 / step, digits)
-        if rate > 0 and abs(1.0 / rate - step) <= allowed:
-            return 1.0 / rate
-    return step
 
 
 def _missing(
@@ -164,3 +148,65 @@ def _distance(times: Times, n: int, gaps: NDArray[np.int64], step: float, piece:
         worst = max(worst, (high - low) / 2.0)
         squares += max(square - total**2 / (stop - start), 0.0)
     return worst, float(np.sqrt(squares / n))
+
+
+@njit(error_model="numpy")
+def to_nanoseconds(raw, origin, factor, last_s, longest_s, stamps):  # type: ignore[no-untyped-def]
+    """Fill in nanoseconds since ``origin``; whether one is too far from it, one falls, one equals that before.
+
+    ``last_s`` is the time before the first, in seconds since the origin. The last one comes back, too.
+    """
+    far = falls = same = False
+    before = last_s
+    for i in range(raw.shape[0]):
+        seconds = (raw[i] - origin) * factor
+        far |= not abs(seconds) < longest_s
+        falls |= seconds < before
+        same |= seconds == before
+        stamps[i] = 0 if far else np.int64(np.rint(seconds * 1e9))
+        before = seconds
+    return far, falls, same, before
+
+
+@njit(error_model="numpy")
+def are_whole(values, scale):  # type: ignore[no-untyped-def]
+    """Whether all values times ``scale`` are whole numbers, but for rounding."""
+    for i in range(values.shape[0]):
+        scaled = values[i] * scale
+        if not abs(scaled - np.rint(scaled)) <= 1e-4 + 4e-16 * abs(scaled):
+            return False
+    return True
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def longest_step(seconds):  # type: ignore[no-untyped-def]
+    """Largest difference of neighbours."""
+    longest = -np.inf
+    for i in range(seconds.shape[0] - 1):
+        longest = max(longest, seconds[i + 1] - seconds[i])
+    return longest
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def line_sums(seconds, first, centre, middle, sums):  # type: ignore[no-untyped-def]
+    """Add to ``sums``: number, y, x y, x x, y y of samples from ``first`` on, x from ``centre``, y from ``middle``."""
+    y_sum = xy = xx = yy = 0.0
+    for i in range(seconds.shape[0]):
+        x, y = first + i - centre, seconds[i] - middle
+        y_sum += y
+        xy += x * y
+        xx += x * x
+        yy += y * y
+    sums += np.array([seconds.shape[0], y_sum, xy, xx, yy])
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def distances(seconds, first, origin, step):  # type: ignore[no-untyped-def]
+    """Of times from sample ``first`` on, less those of an even grid: smallest, largest, sum, sum of squares."""
+    low, high, total, square = np.inf, -np.inf, 0.0, 0.0
+    for i in range(seconds.shape[0]):
+        off = seconds[i] - origin - (first + i) * step
+        low, high = min(low, off), max(high, off)
+        total += off
+        square += off * off
+    return low, high, total, square

@@ -1,11 +1,12 @@
 """Base classes of the binary importers: arrays of a file as a table of columns of equal length.
 
-Numbers keep the type they have in the file. A file's own scale (`scale_factor`, a WAV's full scale) is stored beside
+Numbers keep the type they have in the file. A file's own scale (`scale_factor`, a WAV's full scale) is stored with
 them and never applied to them.
 """
 
 from __future__ import annotations
 
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,16 +26,11 @@ MOST_PACKED = 2000  # largest credible compression factor of a measurement
 SMALL_BYTES = 1 << 24  # content below this size is read whatever its compression
 _KINDS = {"c": "complex numbers", "S": "text", "U": "text", "O": "text or lists", "M": "dates", "m": "durations"}
 READ_ERRORS = (
-    OSError,
-    ValueError,
-    EOFError,
-    RuntimeError,
-    NotImplementedError,
-    KeyError,
-    TypeError,
-    zlib.error,
+    OSError, ValueError, EOFError, RuntimeError, NotImplementedError, KeyError, TypeError, zlib.error,
     zipfile.BadZipFile,
-)
+)  # fmt: skip
+LIBRARY_ERRORS = (*READ_ERRORS, struct.error, IndexError, OverflowError, AttributeError, MemoryError)
+"""What a package for one format may raise at a damaged file, besides its own."""
 
 
 class ArraySource:
@@ -87,22 +83,11 @@ class ArraySource:
             return np.dtype("i1")
         return np.dtype("<f8") if dtype.kind == "f" and dtype.itemsize > 8 else dtype.newbyteorder("<")
 
-    def _length(self, names: Sequence[str]) -> int:
-        lengths = {name: self._lengths[name] for name in names}
-        if len(set(lengths.values())) > 1:
-            listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
-            shortest = min(lengths.values())
-            raise InputError(
-                f"{self.path}: the columns have different lengths ({listed} values); the first row that is not whole "
-                f"is row {shortest + 1}."
-            )
-        return next(iter(lengths.values()))
-
     def _read(self, name: str, start: int, stop: int) -> NDArray[Any]:
         raise NotImplementedError
 
     def _refuse_claims(self, name: str) -> None:
-        """Refuse a column that says it is larger than the file can hold; here nothing is known of that."""
+        """Refuse a column that claims more than the file can hold; a format that states no sizes refuses none."""
 
     def _refuse_size(self, name: str, claimed: int, stored: int) -> None:
         """Refuse ``claimed`` bytes of content in ``stored`` bytes of file."""
@@ -114,7 +99,14 @@ class ArraySource:
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time; rows are numbered from 1."""
-        length = self._length(names)
+        lengths = {name: self._lengths[name] for name in names}
+        length = min(lengths.values())
+        if length < max(lengths.values()):
+            each = ", ".join(f"{name} {n}" for name, n in lengths.items())
+            raise InputError(
+                f"{self.path}: the columns have different lengths ({each} values); the first row that is not whole "
+                f"is row {length + 1}."
+            )
         for name in names:
             self._refuse_claims(name)
         for start in range(0, length, PIECE_ROWS):

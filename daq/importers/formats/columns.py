@@ -24,26 +24,17 @@ PIECE_ROWS = 65536
 _SHOWN, _SHOWN_CHARACTERS = 24, 80
 
 _ALIASES = {
-    "time": {
-        "time",
-        "t",
-        "times",
-        "timestamp",
-        "timestamps",
-        "elapsed",
-        "elapsedtime",
-        "seconds",
-        "zeit",
-        "xvalue",
-        "xaxis",
-    },
+    "time": {"time", "t", "times", "timestamp", "timestamps", "elapsed", "elapsedtime", "seconds", "zeit", "xvalue",
+             "xaxis"},
     "continuity": {"continuity", "contact", "contactcircuit", "circuit", "continuitycircuit", "cont"},
     "accelerometer": {"accelerometer", "acceleration", "accel", "acc", "plateacceleration", "plate"},
     "drive": {"drive", "drivevoltage", "loopback", "loopbackdrive", "driveloopback", "excitation", "command"},
-}
+}  # fmt: skip
+_SUFFIXES = ("voltage", "volts", "signal", "channel")  # of a name that mean nothing
 TIME_UNITS_S = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 VOLT_UNITS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3}
 ACCELERATION_UNITS = {"g": "V/g", "m/s^2": "V/(m/s^2)", "m/s2": "V/(m/s^2)", "mps2": "V/(m/s^2)"}
+_SPELLINGS = {"m/s²": "m/s^2", "m/s**2": "m/s^2", "gn": "g", "g_n": "g", "volts": "v", "microseconds": "us"}
 MAP_UNITS = "s ms us ns V mV fs g m/s^2"  # as bench import --help has them
 RATE_NAMES = {"rate", "ratehz", "fs", "samplerate", "samplingrate", "sampleratehz", "fshz"}
 
@@ -76,13 +67,13 @@ class Source(Protocol):
     names: tuple[str, ...]
     left_out: Mapping[str, str]  # what cannot be a column, by name: why
     rate_hz: float | None
-    sha256: str  # of the file, where reading all of it has told; else empty
+    sha256: str  # of the file, where all of it was read; else empty
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
         """``(volts, offset_v)`` of one unit of a column, where the file itself says so; else ``(1, 0)``."""
 
     def dtype(self, name: str) -> np.dtype[Any]:
-        """Type in which the column's numbers are kept."""
+        """Type in which the column's numbers are stored."""
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time."""
@@ -90,7 +81,7 @@ class Source(Protocol):
 
 def columns_of(source: Source) -> str:
     """The columns of a source for an error, and what cannot be a column."""
-    header = getattr(source, "header", "")  # of text alone
+    header = getattr(source, "header", "")  # text files only
     return (
         listed(source.names)
         + (f" ({header})" if header else "")
@@ -104,9 +95,9 @@ def left_out_remarks(source: Source) -> list[str]:
 
 
 def _reasons(source: Source) -> str:
-    """What is left out, each with its reason."""
-    told = [f"{listed([name])} ({why})" for name, why in source.left_out.items()]
-    return ", ".join(told[:_SHOWN]) + (f" and {len(told) - _SHOWN} more" if len(told) > _SHOWN else "")
+    """Columns that are left out, each with its reason."""
+    each = [f"{listed([name])} ({why})" for name, why in source.left_out.items()]
+    return ", ".join(each[:_SHOWN]) + (f" and {len(each) - _SHOWN} more" if len(each) > _SHOWN else "")
 
 
 def listed(names: Sequence[str]) -> str:
@@ -165,15 +156,23 @@ def split_name(name: str) -> tuple[str, str]:
     return re.sub(r"[^a-z0-9]", "", text), unit
 
 
+def with_unit(name: str, unit: Any) -> str:
+    """``name (unit)`` where a file states a unit that is understood, and the name states none."""
+    text = str(unit or "").strip().lower()
+    text = _SPELLINGS.get(text, text)
+    known = text in TIME_UNITS_S or text in VOLT_UNITS or text in ACCELERATION_UNITS
+    return f"{name} ({text})" if known and not split_name(name)[1] else name
+
+
 def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
-    """Which column plays which role.
+    """Columns by role.
 
     Parameters
     ----------
     source
         The file.
     mapping
-        What the caller said; it wins. Set frequency and set level are used only when mapped.
+        The caller's choice, which wins. Set frequency and set level are used only when mapped.
 
     Raises
     ------
@@ -182,10 +181,16 @@ def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
     """
     chosen = {role: _mapped(source, role, column) for role, column in mapping.items()}
     taken = {column.name for column in chosen.values()}
-    for role in _ALIASES:
+    for role, aliases in _ALIASES.items():
         if role in chosen:
             continue
-        found = [n for n in source.names if n not in taken and _plays(role, n)]
+        found = []
+        for name in source.names:
+            bare, unit = split_name(name)
+            for word in _SUFFIXES:
+                bare = bare.removesuffix(word) if bare != word else bare
+            if name not in taken and bare in aliases and (not unit or _unit_fits(role, unit)):
+                found.append(name)
         exact = [n for n in found if split_name(n)[0] == role]
         if len(exact) == 1:
             found = exact
@@ -199,13 +204,6 @@ def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
             "or say --map accelerometer=COLUMN."
         )
     return chosen
-
-
-def _plays(role: str, name: str) -> bool:
-    bare, unit = split_name(name)
-    for word in ("voltage", "volts", "signal", "channel"):
-        bare = bare.removesuffix(word) if bare != word else bare
-    return bare in _ALIASES[role] and (not unit or _unit_fits(role, unit))
 
 
 def _mapped(source: Source, role: str, column: Column) -> Column:

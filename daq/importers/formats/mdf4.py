@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import warnings
 import weakref
 from pathlib import Path
@@ -11,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.formats.arrays import MOST_OBJECTS, READ_ERRORS, ArraySource
-from daq.importers.formats.units import with_unit
+from daq.importers.formats.arrays import LIBRARY_ERRORS, MOST_OBJECTS, ArraySource
+from daq.importers.formats.columns import with_unit
 from daq.setup.errors import InputError
-
-_ERRORS = (*READ_ERRORS, struct.error, IndexError, OverflowError, AttributeError, MemoryError)
 
 
 class MdfSource(ArraySource):
@@ -30,7 +27,7 @@ class MdfSource(ArraySource):
             raise InputError(
                 f"{path}: MDF needs the package asammdf: pip install asammdf, or pip install 'shakerbench[interchange]'"
             ) from error
-        self._errors = (*_ERRORS, MdfException)
+        self._errors = (*LIBRARY_ERRORS, MdfException)
         self._places: dict[str, tuple[int, int]] = {}
         handle = path.open("rb")
         head = handle.read(68)
@@ -57,7 +54,7 @@ class MdfSource(ArraySource):
         lead = f"group {group + 1}/" if len(self._file.groups) > 1 else ""
         for index, channel in enumerate(own.channels):
             if len(self._places) >= MOST_OBJECTS:
-                raise InputError(f"{self.path}: holds more than {MOST_OBJECTS} channels; keep the measured ones alone.")
+                raise InputError(f"{self.path}: holds more than {MOST_OBJECTS} channels; keep only the measured ones.")
             if n < 2:
                 continue
             first = self._signal(group, index, 0, 1)

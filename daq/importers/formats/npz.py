@@ -27,7 +27,7 @@ class NpzSource(ArraySource):
         try:
             self._archive = zipfile.ZipFile(path)
             if len(self._archive.namelist()) > MOST_OBJECTS:
-                raise InputError(f"{path}: holds more than {MOST_OBJECTS} arrays; keep the columns alone.")
+                raise InputError(f"{path}: holds more than {MOST_OBJECTS} arrays; keep only the columns.")
             for member in self._archive.namelist():
                 with self._archive.open(member) as stream:
                     shape, order, dtype = _npy_header(stream)
@@ -35,7 +35,7 @@ class NpzSource(ArraySource):
                     if shape in ((), (1,)) and dtype.kind in "iuf":
                         self._offer_rate(name, np.frombuffer(stream.read(dtype.itemsize), dtype)[0])
                 if len(shape) == 2 and 1 not in shape and order:
-                    continue  # column-major matrices cannot be read row by row; nobody needs them here
+                    continue  # column-major matrices cannot be read row by row
                 self._shapes[name] = (shape, dtype)
                 self._members[name] = member
                 self._offer(name, shape, dtype)

@@ -9,7 +9,6 @@ from typing import Any
 import h5py
 
 from daq.importers.formats.columns import Source
-from daq.importers.formats.csv import CsvSource
 from daq.importers.formats.hdf5 import Hdf5Source
 from daq.importers.formats.mat import Mat73Source, MatSource
 from daq.importers.formats.mdf4 import MdfSource
@@ -17,6 +16,7 @@ from daq.importers.formats.npz import NpzSource
 from daq.importers.formats.tdms import TdmsSource
 from daq.importers.formats.uff58 import UffSource
 from daq.importers.formats.wav import WavSource
+from daq.importers.text.csv import CsvSource
 from daq.setup.errors import InputError, require_file
 
 

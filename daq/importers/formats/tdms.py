@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import weakref
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.formats.arrays import MOST_OBJECTS, READ_ERRORS, ArraySource
-from daq.importers.formats.columns import listed
-from daq.importers.formats.units import with_unit
+from daq.importers.formats.arrays import LIBRARY_ERRORS, MOST_OBJECTS, ArraySource
+from daq.importers.formats.columns import listed, with_unit
 from daq.setup.errors import InputError
 
-_ERRORS = (*READ_ERRORS, struct.error, IndexError, OverflowError, AttributeError, MemoryError)
 _TICKS_NS = 1_000_000_000
 
 
@@ -44,7 +41,7 @@ class TdmsSource(ArraySource):
             for group in self._file.groups():
                 for channel in group.channels():
                     self._take(group.name, channel, increments)
-        except _ERRORS as error:
+        except LIBRARY_ERRORS as error:
             if isinstance(error, InputError):
                 raise
             handle.close()
@@ -53,25 +50,27 @@ class TdmsSource(ArraySource):
             handle.close()
             raise InputError(f"{path}: cannot be read as TDMS: it holds no channel of numbers.")
         if len(increments) == 1 and (step := increments.pop()) > 0:
-            self.rate_hz = _rate(step)
+            rate_hz = 1.0 / step
+            whole = round(rate_hz)  # taken where the increment is its reciprocal in double precision
+            self.rate_hz = float(whole) if whole > 0 and abs(rate_hz / whole - 1.0) < 1e-14 else rate_hz
 
     def _take(self, group: str, channel: Any, increments: set[float]) -> None:
         if len(self._channels) >= MOST_OBJECTS:
-            raise InputError(f"{self.path}: holds more than {MOST_OBJECTS} channels; keep the measured ones alone.")
+            raise InputError(f"{self.path}: holds more than {MOST_OBJECTS} channels; keep only the measured ones.")
         name = with_unit(f"{group}/{channel.name}", channel.properties.get("unit_string"))
-        n, kind, told = len(channel), channel.dtype, channel.properties
-        linear = kind.kind in "iuf" and _linear(told)
+        n, kind, properties = len(channel), channel.dtype, channel.properties
+        linear = kind.kind in "iuf" and _linear(properties)
         if kind.kind == "M":
             kind = np.dtype("<i8")
-        elif told.get("NI_Number_Of_Scales") and linear is None:
+        elif properties.get("NI_Number_Of_Scales") and linear is None:
             kind = np.dtype("<f8")
         self._channels[name] = channel, linear is not None
         if linear:
             self._scales[name] = linear
             kind = np.dtype(channel.data_type.nptype)
         self._offer(name, (n,), kind)
-        if name in self._lengths and "wf_increment" in told:
-            increments.add(float(told["wf_increment"]))
+        if name in self._lengths and "wf_increment" in properties:
+            increments.add(float(properties["wf_increment"]))
 
     def _refuse_claims(self, name: str) -> None:
         self._refuse_size(name, self._lengths[name] * self._types[name].itemsize, self.path.stat().st_size)
@@ -80,23 +79,17 @@ class TdmsSource(ArraySource):
         channel, raw = self._channels[name]
         try:
             values = channel.read_data(start, stop - start, scaled=not raw)
-        except _ERRORS as error:
+        except LIBRARY_ERRORS as error:
             raise InputError(f"{self.path}: {listed([name])} does not read ({error}).") from error
         if values.dtype.kind == "M":
             return np.asarray(values.astype("datetime64[ns]").astype(np.int64) / _TICKS_NS)
         return np.asarray(values)
 
 
-def _linear(told: Any) -> tuple[float, float] | None:
+def _linear(properties: Any) -> tuple[float, float] | None:
     """Slope and intercept where the one scale is linear; None where there is another, or none."""
-    if int(told.get("NI_Number_Of_Scales", 0)) != 1 or told.get("NI_Scale[0]_Scale_Type") != "Linear":
+    if int(properties.get("NI_Number_Of_Scales", 0)) != 1 or properties.get("NI_Scale[0]_Scale_Type") != "Linear":
         return None
-    if told.get("NI_Scaling_Status", "unscaled") == "scaled":
+    if properties.get("NI_Scaling_Status", "unscaled") == "scaled":
         return None
-    return float(told["NI_Scale[0]_Linear_Slope"]), float(told["NI_Scale[0]_Linear_Y_Intercept"])
-
-
-def _rate(step_s: float) -> float:
-    """Samples a second of an increment; the whole number where the increment is its reciprocal in double precision."""
-    rate = 1.0 / step_s
-    return float(round(rate)) if round(rate) > 0 and abs(rate / round(rate) - 1.0) < 1e-14 else rate
+    return float(properties["NI_Scale[0]_Linear_Slope"]), float(properties["NI_Scale[0]_Linear_Y_Intercept"])

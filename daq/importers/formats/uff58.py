@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.importers.formats.arrays import MOST_OBJECTS, HeldSource
-from daq.importers.formats.columns import listed
-from daq.importers.formats.units import with_unit
+from daq.importers.formats.columns import listed, with_unit
 from daq.setup.errors import InputError
 
 MOST_BYTES = 512 << 20  # of a file; in memory it is several times as large
@@ -42,7 +41,7 @@ class UffSource(HeldSource):
         if not sets:
             raise InputError(f"{path}: holds no data set 58 with a time response; export the time signals themselves.")
         if len(sets) > MOST_OBJECTS:
-            raise InputError(f"{path}: holds more than {MOST_OBJECTS} data sets; keep the measured ones alone.")
+            raise InputError(f"{path}: holds more than {MOST_OBJECTS} data sets; keep only the measured ones.")
         columns: dict[str, list[Floats]] = {}
         times: dict[str, list[Floats]] = {}
         for name, one in zip(_names(sets), sets, strict=True):

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from daq.importers.formats.columns import parse_map
-from daq.importers.formats.csv_kernel import parse_rows
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
+from daq.importers.text.csv_kernel import parse_rows
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
@@ -186,18 +186,17 @@ def test_numbers_are_read_to_the_last_bit() -> None:
         np.frombuffer("".join(f"7,{w},8\n" for w in words).encode(), np.uint8),
         ",",
         ".",
-        3,
         np.array([0, 1, 2]),
         (3, len(words)),
     )
     assert wrong == -1 and len(left) == 0 and lines.tolist() == list(range(len(words)))
     np.testing.assert_array_equal(table[1].view(np.int64), np.array([float(w) for w in words]).view(np.int64))
     zeros = f"7,{'0' * 30}\n7,{'0' * 30}".encode()  # the scan for leading zeros ends with the field
-    table, _, left, wrong = parse_rows(np.frombuffer(zeros + b"\n", np.uint8), ",", ".", 2, np.arange(2), (2, 2))
+    table, _, left, wrong = parse_rows(np.frombuffer(zeros + b"\n", np.uint8), ",", ".", np.arange(2), (2, 2))
     assert (table.tolist(), len(left), wrong) == ([[7.0, 7.0], [0.0, 0.0]], 0, -1)
     odd = ["", "-", ".", "1e", "e5", "1_0", "nan", "1.2.3", "1 2", "0x10", "1e400", "12345678901234567890123", "\u0663"]
     text = "".join(f"7,{w},8\n" for w in odd)
-    _, _, left, _ = parse_rows(np.frombuffer(text.encode(), np.uint8), ",", ".", 3, np.arange(3), (3, len(odd)))
+    _, _, left, _ = parse_rows(np.frombuffer(text.encode(), np.uint8), ",", ".", np.arange(3), (3, len(odd)))
     assert left[:, 0].tolist() == list(range(len(odd)))
 
 

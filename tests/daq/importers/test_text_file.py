@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.importers.formats import text_file
-from daq.importers.formats.text_file import LongLineError, TextFile
+from daq.importers.text import text_file
+from daq.importers.text.text_file import LongLineError, TextFile
 
 
 @pytest.mark.parametrize("end", ["\n", "", "\n\n", "x" * 70])

@@ -25,6 +25,12 @@ NAMED = "time,accelerometer_v,drive_v\n"
 Columns = dict[str, NDArray[np.float64]]
 
 
+def test_an_empty_comment_above_columns_that_blanks_separate(tmp_path: Path) -> None:
+    """A ``#`` with nothing behind it is no header, and no error either."""
+    (tmp_path / "a.txt").write_text("#\n0.0 1.5 2.5\n0.1 1.5 2.5\n", encoding="utf-8")
+    assert open_source(tmp_path / "a.txt").names == ("1", "2", "3")
+
+
 def _rows(columns: Columns, times: list[str] | None = None) -> str:
     """Time, accelerometer and drive, separated by commas."""
     times = times or [f"{t:.6f}" for t in columns["time_s"]]

@@ -1,4 +1,4 @@
-"""Files of text, read once from beginning to end: whatever they are kept as, they come as UTF-8 with newlines."""
+"""Text files in any usual encoding, read once from beginning to end as UTF-8 with newlines."""
 
 from __future__ import annotations
 
@@ -35,7 +35,12 @@ class TextFile(Closing):
         self._file: Any = (gzip.open if packed else open)(path, "rb")
         self.sha256 = ""
         head = self._file.read(LONGEST_LINE)
-        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "" if _is_utf8(head) else "cp1252")
+        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "")
+        if not encoding:
+            try:  # incremental: the end of what was read may cut a character
+                codecs.getincrementaldecoder("utf-8")().decode(head)
+            except UnicodeDecodeError:
+                encoding = "cp1252"
         self._file.seek(0)
         is_recoded = bool(encoding) or (b"\r" in head and b"\n" not in head)
         self._digest = None if packed or is_recoded else hashlib.sha256()
@@ -79,6 +84,7 @@ class TextFile(Closing):
             left = end - whole
             if left >= LONGEST_LINE:
                 raise LongLineError
+            # the beginning of a line moves to the front, where the next read continues it
             held[:left] = held[whole:end]
         self.sha256 = self._digest.hexdigest() if self._digest is not None else ""
         if left:
@@ -88,15 +94,6 @@ class TextFile(Closing):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def _is_utf8(head: bytes) -> bool:
-    """Whether the beginning of a file is UTF-8; a character that the end cuts is none of its faults."""
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(head)
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 class _Recoded(io.RawIOBase):

@@ -1,4 +1,4 @@
-"""Numbers out of text, at a few hundred megabytes a second: the inner loop of `daq.importers.formats.csv`.
+"""Numbers out of text, at a few hundred megabytes a second: the inner loop of `daq.importers.text.csv`.
 
 A number comes out as Python's ``float`` would read it, to the last bit, or is left to ``float``.
 Decimal to binary: D. Lemire, Software: Practice and Experience 51 (2021) 1700.
@@ -6,7 +6,7 @@ Decimal to binary: D. Lemire, Software: Practice and Experience 51 (2021) 1700.
 
 from __future__ import annotations
 
-from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ _TEN = np.uint64(10)
 _NEXT, _NOWHERE = np.uint64(1), np.uint64(2**64 - 1)  # places are unsigned: a signed one may count from the end
 
 
-@cache
 def powers_of_five() -> NDArray[np.uint64]:
     """Leading 128 bits of ``5**q`` for ``q`` from -64 to 64, shape (129, 2), high word first."""
     rows = []
@@ -42,14 +41,32 @@ def powers_of_five() -> NDArray[np.uint64]:
     return np.array(rows, np.uint64)
 
 
+_POWERS = powers_of_five()
+
+
+class Rows(NamedTuple):
+    """Numbers read from a block of lines.
+
+    Attributes
+    ----------
+    table : array, shape (n_columns, rows)
+    lines : int array, shape (rows,)
+        Number of the line, from 0, of each row.
+    left : int array, shape (m, 4)
+        Fields left to Python: row, column, first byte, end.
+    wrong
+        Line, from 0, of another width; -1 where there is none.
+    """
+
+    table: NDArray[np.float64]
+    lines: NDArray[np.int64]
+    left: NDArray[np.int64]
+    wrong: int
+
+
 def parse_rows(
-    block: NDArray[np.uint8],
-    delimiter: str | None,
-    decimal: str,
-    width: int,
-    role_of: NDArray[np.int64],
-    shape: tuple[int, int],
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], int]:
+    block: NDArray[np.uint8], delimiter: str | None, decimal: str, role_of: NDArray[np.int64], shape: tuple[int, int]
+) -> Rows:
     """Numbers of a block of whole lines.
 
     Parameters
@@ -58,29 +75,16 @@ def parse_rows(
         Text as bytes, ending in a newline; blank lines and those that start with ``#`` are passed over.
     delimiter, decimal
         One character each; delimiter None is any run of blanks and tabs.
-    width
-        Columns that each line must have.
     role_of
-        For each of them the place in the table, -1 where nobody wants it, shape (width,).
+        Place in the table of each column that a line must have, -1 where it is not read, shape (width,).
     shape
         Columns of the table, and the lines of the block.
-
-    Returns
-    -------
-    table
-        Shape ``(n_columns, rows)``.
-    lines
-        Number of the line, from 0, of each row.
-    left
-        Fields left to Python: row, column, first byte, end, shape ``(m, 4)``.
-    wrong
-        Line, from 0, of another width; -1 where there is none.
     """
     table = np.empty(shape)
     lines, left = np.empty(shape[1], np.int64), np.empty((table.size, 4), np.int64)
     limit = ord(delimiter) if delimiter is not None else 0
-    n, m, wrong = _parse(block, limit, ord(decimal), width, role_of, powers_of_five(), table, lines, left)
-    return table[:, :n], lines[:n], left[:m], wrong
+    n, m, wrong = _parse(block, limit, ord(decimal), role_of, table, lines, left)
+    return Rows(table[:, :n], lines[:n], left[:m], wrong)
 
 
 @njit(inline="always")
@@ -94,7 +98,7 @@ def _high_low(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _nearest(mantissa, power, powers):  # type: ignore[no-untyped-def]
+def _nearest(mantissa, power):  # type: ignore[no-untyped-def]
     """Double nearest to ``mantissa * 10**power``, and whether that is certain (Eisel and Lemire)."""
     one = np.uint64(1)
     zeros = 0
@@ -104,9 +108,9 @@ def _nearest(mantissa, power, powers):  # type: ignore[no-untyped-def]
             w <<= np.uint64(step)
             zeros += step
     row = power - _FIRST_POWER
-    high, low = _high_low(w, powers[row, 0])
+    high, low = _high_low(w, _POWERS[row, 0])
     if high & np.uint64(0x1FF) == np.uint64(0x1FF):
-        more, _ = _high_low(w, powers[row, 1])
+        more, _ = _high_low(w, _POWERS[row, 1])
         before = low
         low = low + more
         if low < before:
@@ -134,7 +138,7 @@ def _digits(block, at, mantissa):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
+def _number(block, start, decimal):  # type: ignore[no-untyped-def]
     """Number that starts at a place, the place after it, and whether it was understood."""
     at = start
     c = block[at]
@@ -153,7 +157,7 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
         power = -np.int64(at - point - _NEXT)
         digits -= power
     sure = bool(digits > 0)
-    if digits > _DIGITS:
+    if digits > _DIGITS:  # leading zeros are no digits
         k = first
         while block[k] == 48 or k == point:
             digits -= k != point
@@ -179,19 +183,21 @@ def _number(block, start, decimal, powers):  # type: ignore[no-untyped-def]
     elif power < _FIRST_POWER or power > _LAST_POWER:
         sure = False
     else:
-        value, sure = _nearest(mantissa, power, powers)
+        value, sure = _nearest(mantissa, power)
     return (-value if negative else value), at, sure
 
 
 @njit(nogil=True)
-def _parse(block, limit, decimal, width, role_of, powers, table, lines, left):  # type: ignore[no-untyped-def]
+def _parse(block, limit, decimal, role_of, table, lines, left):  # type: ignore[no-untyped-def]
     """See `_rows`: what Python calls counts references to arrays, at each number; what a kernel calls does not."""
-    return _rows(block, limit, decimal, width, role_of, powers, table, lines, left)
+    return _rows(block, limit, decimal, role_of, table, lines, left)
 
 
 @njit()
-def _rows(block, limit, decimal, width, role_of, powers, table, lines, left):  # type: ignore[no-untyped-def]
+def _rows(block, limit, decimal, role_of, table, lines, left):  # type: ignore[no-untyped-def]
+    """Fill in numbers, lines and fields left to Python; returns how many rows and fields, and a line of other width."""
     n = m = line = 0
+    width = role_of.shape[0]
     at, size = np.uint64(0), np.uint64(block.shape[0])
     while at < size:
         start = at
@@ -203,7 +209,7 @@ def _rows(block, limit, decimal, width, role_of, powers, table, lines, left):  #
             at += _NEXT
             line += 1
             continue
-        if limit:
+        if limit:  # blanks at the beginning belong to the first field
             at = start
         column = 0
         while True:
@@ -213,7 +219,7 @@ def _rows(block, limit, decimal, width, role_of, powers, table, lines, left):  #
             if wanted:
                 while block[at] == 32 or (block[at] == 9 and limit != 9):
                     at += _NEXT
-                value, at, sure = _number(block, at, decimal, powers)
+                value, at, sure = _number(block, at, decimal)
                 while limit and (block[at] == 32 or (block[at] == 9 and limit != 9)):
                     at += _NEXT
                 table[role_of[column], n] = value

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.importers.implausible_rates import refuse_mixed_rates
-from daq.importers.timebase_kernel import are_whole, distances, line_sums, longest_step, to_nanoseconds
+from daq.importers.plausibility import refuse_mixed_rates
+from daq.importers.timebase import are_whole, distances, line_sums, longest_step, to_nanoseconds
 from daq.setup.errors import InputError
 
 TIMES = np.cumsum(np.random.default_rng(4).uniform(0.5e-3, 1.5e-3, 1000)) + 0.25

@@ -19,11 +19,14 @@ from numpy.typing import NDArray
 
 from daq.importers.background import ahead
 from daq.importers.formats.columns import Piece, listed, split_name
-from daq.importers.formats.csv_kernel import parse_rows
-from daq.importers.formats.text_file import LONGEST_LINE, LongLineError, TextFile
+from daq.importers.text.csv_kernel import parse_rows
+from daq.importers.text.text_file import LONGEST_LINE, LongLineError, TextFile
 from daq.setup.errors import InputError
 
-_DELIMITERS = (",", ";", "\t")
+Floats = NDArray[np.float64]
+
+# comma before semicolon: a decimal comma is believed only where nothing reads with a point
+_DIALECTS = ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, "."))
 _SNIFFED_LINES = 200
 _LISTED = 64
 _END_OF_HEADER = "***End_of_Header***"  # of LabVIEW's .lvm
@@ -50,21 +53,25 @@ class CsvSource:
 
     def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
         self.path = path
-        self.names: tuple[str, ...] = ()
-        self._base: tuple[str, ...] = ()
-        self._sniff()
+        self.names = self._base = self._sniff()
         self._select = dict(select)
         self._seen: set[str] = set()
-        self._selector = self._find_selector(select_column) if select else -1
-        if select and "" not in select:
-            self.names = (*self.names, *select)
+        if select:
+            wanted = [select_column.lower()] if select_column else ["channel", "sensor"]
+            found = [i for i, name in enumerate(self._base) if name.lower() in wanted]
+            if not found:
+                raise InputError(
+                    f"{path}: --channel needs a column called {' or '.join(wanted)}; it has {listed(self._base)}."
+                )
+            self._selector = found[0]
+            self.names = self._base if "" in select else (*self._base, *select)
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
         """Scale 1 and offset 0: text holds the values themselves."""
         return 1.0, 0.0
 
     def dtype(self, name: str) -> np.dtype[Any]:
-        """Text is kept as float64."""
+        """Text is stored as float64."""
         return np.dtype("<f8")
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
@@ -75,26 +82,65 @@ class CsvSource:
         InputError
             Naming the file and line of what is not a number, missing, or too much.
         """
-        if not self._select:
-            yield from ahead(self._wide(names))
-        elif "" in self._select:
-            for numbers, lines in self._lines():
-                where, chosen = self._matching(lines, numbers, self._select[""])
-                if where:
-                    yield Piece(*self._parsed(chosen, names, where), "line")
-            self._refuse_unseen()
-        else:
-            yield from self._pivoted(names)
+        names = list(dict.fromkeys(names))
+        yield from self._selected(names) if self._select else ahead(self._wide(names))
 
     def _wide(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns of a table that has a column of its own for each."""
         for first, n, block in self._blocks():
-            columns, rows = self._parsed(block, names, range(first, first + n))
+            table, rows = self._parsed(block, names, range(first, first + n))
             if len(rows):
-                yield Piece(columns, rows, "line")
+                yield Piece(dict(zip(names, table, strict=True)), rows, "line")
 
-    def _sniff(self) -> None:
-        """Find delimiter, decimal sign, header and the first line of numbers."""
+    def _selected(self, names: Sequence[str]) -> Iterator[Piece]:
+        """Rows of each selected value next to each other; all must come at the same times."""
+        shared = [n for n in names if n in self._base]
+        columns = list(shared)
+        if "" not in self._select:  # the reading of each selected value is a column
+            left = [n for i, n in enumerate(self._base) if i != self._selector and n not in shared]
+            named = [n for n in left if split_name(n)[0] in ("value", "reading", "volts", "voltage", "v")]
+            if len(left) != 1 and len(named) != 1:
+                raise InputError(f"{self.path}: which of {', '.join(left)} holds the reading? Call that column value.")
+            columns += left if len(left) == 1 else named
+        waiting = {role: (np.zeros((len(columns), 0)), np.zeros(0, np.int64)) for role in self._select}
+        for numbers, lines in self._lines():
+            for role, value in self._select.items():
+                where, chosen = self._matching(lines, numbers, value)
+                if where:
+                    (table, rows), (more, own) = waiting[role], self._parsed(chosen, columns, where)
+                    waiting[role] = np.concatenate([table, more], axis=1), np.concatenate([rows, own])
+            ready = min(len(rows) for _, rows in waiting.values())
+            if ready:
+                heads = {role: (table[:, :ready], rows[:ready]) for role, (table, rows) in waiting.items()}
+                waiting = {role: (table[:, ready:], rows[ready:]) for role, (table, rows) in waiting.items()}
+                yield self._joined(heads, shared)
+        for value in self._select.values():
+            if not any(_same(seen, value) for seen in self._seen) and len(self._seen) < _LISTED:
+                raise InputError(
+                    f"{self.path}: no row has {value!r} in column {self._base[self._selector]}; "
+                    f"it holds {', '.join(sorted(self._seen))}."
+                )
+        over = {role: len(rows) for role, (_, rows) in waiting.items() if len(rows)}
+        if over:
+            raise InputError(f"{self.path}: wanted as many rows of each --channel, but these have more: {over}.")
+
+    def _joined(self, heads: Mapping[str, tuple[Floats, NDArray[np.int64]]], shared: Sequence[str]) -> Piece:
+        """One piece of the equally many rows of each selected value: shared columns and readings."""
+        table, rows = next(iter(heads.values()))
+        columns = dict(zip(shared, table, strict=False))
+        for role, (own, lines) in heads.items():
+            differ = (own[: len(shared)] != table[: len(shared)]).any(axis=0)
+            if differ.any():
+                raise InputError(
+                    f"{self.path}: line {lines[np.argmax(differ)]}: the rows of --channel {role} come at other times "
+                    "than the first channel's; import one channel at a time (--channel VALUE)."
+                )
+            if role:
+                columns[role] = own[-1]
+        return Piece(columns, rows, "line")
+
+    def _sniff(self) -> tuple[str, ...]:
+        """Find delimiter, decimal sign, header and the first line of numbers; returns the names of the columns."""
         try:
             with TextFile(self.path) as file:
                 head = [self._line(file, i + 1).decode(errors="replace") for i in range(_SNIFFED_LINES)]
@@ -103,11 +149,11 @@ class CsvSource:
         while head and not head[-1]:
             head.pop()
         head = [line.rstrip("\r\n") for line in head]
-        ends = [i + 1 for i, line in enumerate(head) if line.startswith(_END_OF_HEADER)]
-        below = max(ends, default=0)
-        lines = [(i, line) for i, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")]
-        lines = [(i, line) for i, line in lines if i >= below]
-        for delimiter, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, ".")):
+        below = max((i + 1 for i, line in enumerate(head) if line.startswith(_END_OF_HEADER)), default=0)
+        comments = [(i, line.lstrip().lstrip("#")) for i, line in enumerate(head) if line.lstrip().startswith("#")]
+        skipped = {i for i, _ in comments}
+        lines = [(i, line) for i, line in enumerate(head) if i >= below and line.strip() and i not in skipped]
+        for delimiter, decimal in _DIALECTS:
             bare = [_unquoted(line.encode(), delimiter).decode() for _, line in lines]
             first = next((k for k in range(len(bare)) if _is_first_row(bare[k : k + 2], delimiter, decimal)), None)
             if first is not None:
@@ -122,22 +168,22 @@ class CsvSource:
         self._first_line = lines[first][0]
         self._is_quoted = any('"' in line for _, line in lines[first:])
         self._width = len(_fields(bare[first], delimiter))
-        comments = [line.lstrip().lstrip("#") for line in head[: self._first_line] if line.lstrip().startswith("#")]
-        titles = [_titles(line, delimiter) for line in [*(line for _, line in lines[:first]), *reversed(comments)]]
-        titles = [t[:-1] if t[-1].strip() in ("", "Comment") and len(t) == self._width + 1 else t for t in titles]
-        named = next((t for t in titles if len(t) == self._width and any(split_name(n)[0] for n in t)), None)
-        names = [n.strip().strip('"') for n in named] if named else [str(i + 1) for i in range(self._width)]
+        names = [str(i + 1) for i in range(self._width)]
+        self.header = "no line was taken for a header"
+        # a header may be a comment: the one next to the numbers
+        for i, line in [*lines[:first], *reversed([c for c in comments if c[0] < self._first_line])]:
+            titles = _titles(line, delimiter)
+            if len(titles) == self._width + 1 and titles[-1].strip() in ("", "Comment"):
+                titles.pop()
+            if len(titles) == self._width and any(split_name(n)[0] for n in titles):
+                names = [n.strip().strip('"') for n in titles]
+                self.header = f"line {i + 1} was taken for the header"
+                break
         if len(set(names)) != len(names):
             twice = next(n for n in names if names.count(n) > 1)
             raise InputError(f"{self.path}: the header names {twice!r} twice; give each column its own name.")
-        self.names = self._base = tuple(names)
-        where = [i for i, _ in lines[:first]] + [
-            i for i in range(self._first_line) if head[i].lstrip().startswith("#")
-        ][::-1]
-        self.header = "no line was taken for a header"
-        if named is not None:
-            self.header = f"line {where[titles.index(named)] + 1} was taken for the header"
         self.header += f", line {self._first_line + 1} for the first of the numbers; a # before a line skips it"
+        return tuple(names)
 
     def _line(self, file: TextFile, number: int) -> bytes:
         """The next line, or what is left of one."""
@@ -147,19 +193,10 @@ class CsvSource:
         return line
 
     def _too_long(self, number: int) -> InputError:
-        """What to say of a line that is no row of a table."""
+        """The error for a line that is no row of a table."""
         return InputError(
             f"{self.path}: line {number} or one near it is longer than {LONGEST_LINE} characters; wanted a table "
             "of numbers, a line for each sample."
-        )
-
-    def _find_selector(self, name: str | None) -> int:
-        wanted = [name.lower()] if name else ["channel", "sensor"]
-        for i, known in enumerate(self.names):
-            if known.lower() in wanted:
-                return i
-        raise InputError(
-            f"{self.path}: --channel needs a column called {' or '.join(wanted)}; it has {listed(self.names)}."
         )
 
     def _blocks(self) -> Iterator[tuple[int, int, memoryview]]:
@@ -176,7 +213,7 @@ class CsvSource:
                     if self._is_quoted:
                         block = memoryview(_unquoted(bytes(block), self._delimiter))
                     n = int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
-                    if not self._decimal and self._delimiter:
+                    if not self._decimal and self._delimiter:  # so far all numbers were whole
                         self._decimal = _decimal_of(str(block, errors="replace"), self._delimiter)
                     yield first, n, block
                     first += n
@@ -190,41 +227,39 @@ class CsvSource:
         """Numbers and text of the lines that are neither blank nor a comment, some at a time."""
         for first, _, block in self._blocks():
             lines = str(block, errors="replace").split("\n")
-            kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-            yield [first + i for i in kept], [lines[i].rstrip("\r") for i in kept]
+            rows = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+            yield [first + i for i in rows], [lines[i].rstrip("\r") for i in rows]
 
     def _parsed(
         self, block: bytes | memoryview, names: Sequence[str], numbers: Sequence[int]
-    ) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
-        """Columns by name, and the number of each row's line; ``numbers`` are those of the block's lines."""
-        columns = list(dict.fromkeys(names))
+    ) -> tuple[Floats, NDArray[np.int64]]:
+        """Columns (k, n) in the order of ``names``, and the number of each row's line, of the block's ``numbers``."""
         place = np.full(self._width, -1, np.int64)
-        place[[self._base.index(n) for n in columns]] = np.arange(len(columns))
-        text = np.frombuffer(block, np.uint8)
-        table, lines, left, wrong = parse_rows(
-            text, self._delimiter, self._decimal or ".", self._width, place, (len(columns), len(numbers))
-        )
-        for row, column, start, stop in left.tolist():
+        place[[self._base.index(n) for n in names]] = np.arange(len(names))
+        text, shape = np.frombuffer(block, np.uint8), (len(names), len(numbers))
+        rows = parse_rows(text, self._delimiter, self._decimal or ".", place, shape)
+        for row, column, start, stop in rows.left.tolist():
             field = str(block[start:stop], errors="replace")
             value = _number(field, self._decimal)
             if value is None:
                 raise InputError(
-                    f"{self.path}: line {numbers[lines[row]]}, column {columns[column]}: wanted a number, "
+                    f"{self.path}: line {numbers[rows.lines[row]]}, column {names[column]}: wanted a number, "
                     f"got {field.strip()!r}; {self.header}."
                 )
-            table[column, row] = value
-        if wrong >= 0:
-            self._explain(bytes(block).split(b"\n")[wrong].decode(errors="replace"), numbers[wrong])
-        where = lines + numbers.start if isinstance(numbers, range) else np.asarray(numbers, np.int64)[lines]
-        return {name: table[i] for i, name in enumerate(columns)}, where
+            rows.table[column, row] = value
+        if rows.wrong >= 0:
+            self._explain(bytes(block).split(b"\n")[rows.wrong].decode(errors="replace"), numbers[rows.wrong])
+        if isinstance(numbers, range):
+            return rows.table, rows.lines + numbers.start
+        return rows.table, np.asarray(numbers, np.int64)[rows.lines]
 
     def _explain(self, line: str, number: int) -> NoReturn:
-        """Raise the error that tells why a line cannot be used."""
+        """Raise the error that says why a line cannot be used."""
         got = len(_fields(line, self._delimiter))
-        said = f"wanted {self._width} columns ({listed(self._base)}), got {got}; is the file cut off, or a value gone?"
+        why = f"wanted {self._width} columns ({listed(self._base)}), got {got}; is the file cut off, or a value gone?"
         if got == self._width:
-            said = "a carriage return stands within the line; save the file with one kind of line end"
-        raise InputError(f"{self.path}: line {number}: {said}")
+            why = "a carriage return stands within the line; save the file with one kind of line end"
+        raise InputError(f"{self.path}: line {number}: {why}")
 
     def _matching(self, lines: list[str], numbers: list[int], value: str) -> tuple[list[int], bytes]:
         """Numbers and text of the lines that have ``value`` in the selecting column."""
@@ -239,61 +274,6 @@ class CsvSource:
                 where.append(number)
                 chosen.append(line + "\n")
         return where, "".join(chosen).encode()
-
-    def _refuse_unseen(self) -> None:
-        """Refuse a selection that no row fits."""
-        for value in self._select.values():
-            if not any(_same(seen, value) for seen in self._seen) and len(self._seen) < _LISTED:
-                raise InputError(
-                    f"{self.path}: no row has {value!r} in column {self._base[self._selector]}; "
-                    f"it holds {', '.join(sorted(self._seen))}."
-                )
-
-    def _pivoted(self, names: Sequence[str]) -> Iterator[Piece]:
-        """Rows of each selected value side by side; all must come at the same times."""
-        shared = [n for n in names if n in self._base]
-        value_column = self._value_column(shared)
-        waiting: dict[str, list[tuple[int, dict[str, float]]]] = {role: [] for role in self._select}
-        for numbers, lines in self._lines():
-            for role, value in self._select.items():
-                where, chosen = self._matching(lines, numbers, value)
-                if where:
-                    table, _ = self._parsed(chosen, [*shared, value_column], where)
-                    rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
-                    waiting[role] += list(zip(where, rows, strict=True))
-            ready = min(len(rows) for rows in waiting.values())
-            if ready:
-                heads = {role: rows[:ready] for role, rows in waiting.items()}
-                waiting = {role: rows[ready:] for role, rows in waiting.items()}
-                yield self._side_by_side(heads, shared, value_column)
-        self._refuse_unseen()
-        left = {role: len(rows) for role, rows in waiting.items() if rows}
-        if left:
-            raise InputError(f"{self.path}: wanted as many rows of each --channel, but these have more: {left}.")
-
-    def _side_by_side(
-        self, heads: dict[str, list[tuple[int, dict[str, float]]]], shared: list[str], value_column: str
-    ) -> Piece:
-        first = next(iter(heads.values()))
-        columns = {n: np.array([row[n] for _, row in first]) for n in shared}
-        for role, rows in heads.items():
-            for (line, row), (_, reference) in zip(rows, first, strict=True):
-                if any(row[n] != reference[n] for n in shared):
-                    raise InputError(
-                        f"{self.path}: line {line}: the rows of --channel {role} come at other times than the first "
-                        "channel's; import one channel at a time (--channel VALUE)."
-                    )
-            columns[role] = np.array([row[value_column] for _, row in rows])
-        return Piece(columns, [line for line, _ in first], "line")
-
-    def _value_column(self, shared: list[str]) -> str:
-        left = [n for i, n in enumerate(self._base) if i != self._selector and n not in shared]
-        if len(left) == 1:
-            return left[0]
-        named = [n for n in left if split_name(n)[0] in ("value", "reading", "volts", "voltage", "v")]
-        if len(named) != 1:
-            raise InputError(f"{self.path}: which of {', '.join(left)} holds the reading? Call that column value.")
-        return named[0]
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
@@ -314,28 +294,20 @@ def _unquoted(text: bytes, delimiter: str | None) -> bytes:
     return text.replace(b'"', b" ")
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _number(field: str, decimal: str | None) -> float | None:
-    """Value, by Python's parser, of a field that the compiled loop left; None where it is no number."""
+    """Value, by Python's parser, of a field that the compiled loop left; None where it is no number.
+
+    A date with a time of day (ISO 8601; UTC where it names no zone) is seconds since 1970.
+    """
     text = field.strip().replace(",", ".") if decimal == "," else field.strip()
-    if _is_number(text):
-        return float(text) if text.isascii() and "_" not in text else None
-    return _stamp_s(text)
-
-
-def _stamp_s(text: str) -> float | None:
-    """Seconds since 1970 of a date with a time of day (ISO 8601; UTC where it names no zone); None for other text."""
-    if ":" not in text:
-        return None
     try:
-        when = datetime.datetime.fromisoformat(text.strip())
+        value = float(text)
+        return value if text.isascii() and "_" not in text else None
+    except ValueError:
+        if ":" not in text:
+            return None
+    try:
+        when = datetime.datetime.fromisoformat(text)
     except ValueError:
         return None
     return (when if when.tzinfo else when.replace(tzinfo=datetime.UTC)).timestamp()
@@ -369,5 +341,9 @@ def _is_first_row(lines: list[str], delimiter: str | None, decimal: str) -> bool
 
 
 def _same(field: str, value: str) -> bool:
+    """Whether an entry of the selecting column is the selected one, as text or as a number."""
     field, value = field.strip().strip('"'), value.strip()
-    return field.lower() == value.lower() or (_is_number(field) and _is_number(value) and float(field) == float(value))
+    try:
+        return field.lower() == value.lower() or float(field) == float(value)
+    except ValueError:
+        return False
