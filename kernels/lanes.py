@@ -2,7 +2,7 @@
 
 A value in lanes adds, multiplies and compares lane by lane; a comparison gives a mask, and `select` takes the place of
 a branch. The functions below take single numbers as well, so that a formula is written once for the lanes of a
-processor, for one number, and for one thread of a graphics processor. Nothing is reordered; only the fused
+processor, and for one number. Nothing is reordered; only the fused
 multiply-add is allowed, as in every kernel. What each does stands at its code, in `kernels.emit.lanes`.
 """
 

@@ -28,7 +28,6 @@ def command(
     grid: list[str] = typer.Option([], help="name.parameter=from:to:count: one more axis of a diagram."),
     keep: int = typer.Option(64, min=1, help="Flight times kept of each point of a diagram."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
-    device: str | None = typer.Option(None, help="cuda: fly a diagram on a graphics processor."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
     json_to: str | None = typer.Option(None, "--json", help="File for the answer as JSON; - is standard output."),

@@ -107,7 +107,7 @@ def _flown(job: ensemble.Job, request: Request) -> Rows:
     with tempfile.TemporaryDirectory() as folder:
         path = request.out or Path(folder) / "diagram.h5"
         ensemble.run(
-            job, path, workers=request.workers, cluster=request.cluster, device=request.device,
+            job, path, workers=request.workers, cluster=request.cluster,
             progress=Progress("points"),
         )  # fmt: skip
         if request.figure is not None and job.axes:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.setup.errors import InputError
-from kernels.device import require_device
 from model.orbits.attractor import Ball
 from model.orbits.make_ball import make_ball
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
@@ -34,7 +33,6 @@ class Request:
     narrowest: float | None = None
     keep: int = 64
     workers: int = 1
-    device: str | None = None
     cluster: str | None = None
     paper_figure: int | None = None
     json_to: str | None = None
@@ -84,10 +82,6 @@ def ball_for(request: Request) -> Ball:
         raise InputError(f"--sweep wants up or down, not {request.sweep!r}")
     if request.frequency_hz is not None and not (math.isfinite(request.frequency_hz) and request.frequency_hz > 0):
         raise InputError(f"--frequency-hz wants a positive number, not {request.frequency_hz!r}")
-    if request.device not in (None, "cuda"):
-        raise InputError(f"--device wants cuda, not {request.device!r}; leave it out to compute on the processor")
-    if request.device is not None:
-        require_device()
     forcing = forcing_of(request)
     if not forcing.moves:
         raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")

@@ -66,14 +66,14 @@ class Counted(float):
 
 def operations(c: int, n: int) -> float:
     """Additions, multiplications and divisions of a flight from the first threshold, mean over ``n`` gammas."""
-    from kernels.device import remade
+    from benchmarks.model.one_number import in_python
     from model.flight import first_landing
     from model.flight.edge_table import TABLE
     from model.flight.ideal_lanes import land_lanes
     from model.flight.segment import shape
 
-    land, forcing = remade(land_lanes, lambda function: function), Forcing.superposition(c)
-    plain_shape = remade(shape, lambda function: function)
+    land, forcing = in_python(land_lanes), Forcing.superposition(c)
+    plain_shape = in_python(shape)
     Counted.done = flown = 0
     for gamma in GRIDS[c][:: 2000 // n]:
         edge, windows = first_landing.edges(forcing, float(gamma))

@@ -1,4 +1,4 @@
-"""What a ball does in the long run at one gamma: cycles, chaos, coexisting attractors and their basins.
+"""What a ball does in the long run at one gamma: cycles, chaos, coexisting attractors.
 
 A cycle with a reset is closed exactly (the threshold repeats); a locked cycle is the root of its
 own equation (Newton) and stable by its multiplier; what is neither within `MAX_FLIGHTS` flights is called chaotic, and
@@ -259,43 +259,6 @@ def sweep(ball: Ball, gammas: Iterable[float], start: State = AT_REST) -> list[A
         found.append(attractor(ball, gamma, start))
         start = found[-1].last
     return found
-
-
-@dataclass(frozen=True)
-class Basins:
-    """Coexisting attractors and which start leads to which: ``which[i, j]`` for ``phases[i]``, ``speeds[j]``."""
-
-    attractors: tuple[Attractor, ...]
-    which: Integers
-    phases: Floats
-    speeds: Floats
-
-
-def basins(ball: Ball, gamma: float, phases: Floats, speeds: Floats) -> Basins:
-    """Attractors reached from a grid of starts.
-
-    Parameters
-    ----------
-    phases : (m,) array
-        Phases at which the ball starts, on the plate.
-    speeds : (k,) array
-        Speeds off the plate, in g/w; 0 puts it down at rest.
-
-    Returns
-    -------
-    Basins
-        Cycles are told apart by their flights; chaotic orbits count as one attractor.
-    """
-    found: list[Attractor] = []
-    which = np.empty((len(phases), len(speeds)), dtype=np.int64)
-    for i, phase in enumerate(phases):
-        for j, speed in enumerate(speeds):
-            one = attractor(ball, gamma, State(float(phase), float(speed)))
-            same = [k for k, other in enumerate(found) if same_attractor(one, other)]
-            if not same:
-                found.append(one)
-            which[i, j] = same[0] if same else len(found) - 1
-    return Basins(tuple(found), which, np.asarray(phases), np.asarray(speeds))
 
 
 def same_attractor(one: Attractor, other: Attractor, tolerance: float = 1e-6) -> bool:

@@ -17,9 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.flight.first_landing import relative_height
-from model.tones import Forcing
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -95,7 +92,7 @@ def observe(
         Exact events, ascending: ``takeoff_s[i] <= landing_s[i] <= takeoff_s[i + 1]``.
     instrument : Instrument
     opening_delay_s : array_like, broadcast to (n,)
-        How long after each take-off the circuit opens (see `opening_delay`).
+        Time from each take-off until the circuit opens.
     rng : Generator, optional
         Needed when the contact bounces.
 
@@ -153,37 +150,3 @@ def _believed(samples: Indices, dead: int) -> Indices:
     kind = edges % 2  # 0: an opening
     edges = edges[kind != np.concatenate([[1], kind[:-1]])]
     return np.asarray(edges[: edges.size // 2 * 2], dtype=np.int64)
-
-
-def opening_delay(
-    forcing: Forcing, gamma: float, takeoff_phase: ArrayLike, tau: ArrayLike, gap: float, v0: ArrayLike = 0.0
-) -> Floats:
-    """Phase after each take-off at which the ball first is ``gap`` above the plate; inf where the flight stays below.
-
-    Parameters
-    ----------
-    forcing, gamma
-        The plate.
-    takeoff_phase, tau, v0 : array_like, shape (n,)
-        Ideal flights (v0: relative speed at take-off, units g/w).
-    gap : float
-        Units g/w^2: ``gap_m * w**2 / g``.
-
-    Notes
-    -----
-    At a threshold the height grows as the cube of time, so a gap of 0.3 um opens the circuit 0.7 ms late.
-    """
-    phase, flight, speed = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in (takeoff_phase, tau, v0)))
-    lo, hi = np.zeros(phase.shape), np.full(phase.shape, np.inf)
-    if gap <= 0.0:
-        return lo
-    for part in np.geomspace(1e-4, 1.0, 120):  # the first grid point above the gap closes the bracket
-        above = relative_height(forcing, gamma, phase, part * flight, speed) > gap
-        hi = np.where(above & np.isinf(hi), part * flight, hi)
-        lo = np.where(~above & np.isinf(hi), part * flight, lo)
-    end = np.where(np.isinf(hi), flight, hi)
-    for _ in range(60):
-        middle = 0.5 * (lo + end)
-        above = relative_height(forcing, gamma, phase, middle, speed) > gap
-        lo, end = np.where(above, lo, middle), np.where(above, middle, end)
-    return np.where(np.isinf(hi), np.inf, end)

@@ -100,34 +100,22 @@ def exact_rows(
     laws: Floats | None,
     ball_at: Callable[[int], Ball],
     keep: int,
-    device: str | None = None,
 ) -> Rows:
     """Rows of exact balls, ``laws`` (m, 4): few one at a time, many in lanes; what those leave open as `attractor`."""
     lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
-    if gammas.size < FEW_ROWS and device is None:
+    if gammas.size < FEW_ROWS:
         for i, gamma in enumerate(gammas):
             put(rows, i, attractor(ball_at(i), float(gamma)))
         return rows
-    from model.surveys import cycle_batch  # many modules, for many rows alone
+    from model.surveys import cycle_batch  # many modules, only for many rows
 
     each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
-    todo = np.ones(gammas.size, dtype=bool)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
-    if device is not None:
-        from model.surveys import cuda_batch  # numba's CUDA target need not be there
-
-        outcome, rows.tau[:] = cuda_batch.cycles(forcing, gammas, each, keep)
-        todo = outcome[:, FLIGHTS] == cycle_batch.OPEN
     batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
-    if todo.all():
-        batch(tones, turning, gammas, each, True, MAX_FLIGHTS, outcome, rows.tau)
-    else:
-        some, kept = outcome[todo], rows.tau[todo]
-        batch(tones, turning, gammas[todo], each[todo], True, MAX_FLIGHTS, some, kept)
-        outcome[todo], rows.tau[todo] = some, kept
+    batch(tones, turning, gammas, each, True, MAX_FLIGHTS, outcome, rows.tau)
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]
@@ -165,7 +153,7 @@ def adaptive(
     """A diagram with more gammas where something happens.
 
     Every step of an even grid at whose ends the attractor differs (in kind, period, flights or resets) is halved, again
-    and again; chaos beside chaos is left as it is.
+    and again; chaos next to chaos is left as it is.
 
     Parameters
     ----------

@@ -12,7 +12,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +131,7 @@ def check(job: Job) -> None:
         job.ball(job.effects_at(columns, 0))
 
 
-def compute(job: Job, start: int, stop: int, device: str | None = None) -> Rows:
+def compute(job: Job, start: int, stop: int) -> Rows:
     """The attractors of points ``start .. stop - 1``."""
     columns = job.columns(start, stop)
     gammas = columns["gamma"]
@@ -151,7 +150,6 @@ def compute(job: Job, start: int, stop: int, device: str | None = None) -> Rows:
             laws,
             lambda i: job.ball(job.effects_at(columns, i)),
             job.keep,
-            device,
         )
     rows = empty_rows(gammas, job.keep)
     for i, gamma in enumerate(gammas):
@@ -172,7 +170,6 @@ def run(
     *,
     workers: int = 1,
     cluster: str | None = None,
-    device: str | None = None,
     chunk: int = CHUNK,
     progress: Progress | None = None,
 ) -> None:
@@ -184,8 +181,6 @@ def run(
         Processes; 1 computes in this one.
     cluster
         Address of a Dask scheduler (``tcp://host:port``), or ``"local"`` for one of ``workers`` processes here.
-    device
-        ``"cuda"`` flies the exact balls on a graphics processor, from one process.
 
     Raises
     ------
@@ -193,10 +188,6 @@ def run(
         For a job that cannot be computed, or a file that belongs to another job.
     """
     check(job)
-    if device is not None and (workers > 1 or cluster is not None or job.sweep or not job.exact):
-        raise ValueError(
-            "--device goes with friction and restitution alone, and neither --sweep, --workers nor --cluster"
-        )
     chunk = min(chunk, _chunk_size(job))
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
@@ -204,7 +195,7 @@ def run(
         todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
         finished = job.size - sum(stop - start for start, stop in todo)
         pieces = (((start, stop), _piece(job, start, stop)) for start, stop in todo)
-        for outcome in outcomes(partial(compute, device=device), pieces, workers=workers, cluster=cluster):
+        for outcome in outcomes(compute, pieces, workers=workers, cluster=cluster):
             (start, stop), rows = outcome.key, outcome.value()
             for name in FIELDS[1:]:
                 file[name][start:stop] = getattr(rows, name)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from model.orbits.attractor import State, attractor, basins, same_attractor, sweep
+from model.orbits.attractor import State, attractor, same_attractor, sweep
 from model.orbits.friction_ball import FrictionBall
 from model.orbits.ideal_ball import IdealBall
 from model.orbits.make_ball import make_ball
@@ -155,16 +155,6 @@ def test_up_and_down_ramps_differ_where_attractors_coexist():
     assert 10 < sum(differ) < 30
     middle = int(np.flatnonzero(differ)[len(np.flatnonzero(differ)) // 2])
     assert (up[middle].locked, down[middle].locked) == (False, True)
-
-
-def test_basins_tell_coexisting_attractors_apart():
-    """Restitution 0.5 at gamma_peak 1.2: some starts are thrown on for ever, those put down at rest chatter."""
-    ball = FrictionBall(Forcing.superposition(1), e0=0.5)
-    found = basins(ball, 0.6, np.linspace(0, 6, 7), np.array([0.0, 1.0, 3.0, 6.0]))
-    kinds = {a.kind for a in found.attractors}
-    assert "chattering" in kinds
-    assert len(found.attractors) >= 2
-    assert len(set(found.which[:, 0])) == 1
 
 
 def test_an_integrated_ball_agrees_with_the_exact_one():
