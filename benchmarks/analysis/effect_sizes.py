@@ -17,7 +17,8 @@ import math
 import numpy as np
 
 from kernels import njit
-from rig.sim.catalogue import EFFECTS, EffectEntry
+from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, EffectEntry
+from rig.sim.instrument import SECTIONS, sections
 from rig.sim.plant import _run
 from rig.sim.scenario import Scenario
 from rig.sim.state import initial_state
@@ -29,29 +30,29 @@ REBOUND_FREE_MPS = 0.02
 
 
 @njit()
-def _to_next_impact(start, params, drift, drive_v, at, dt_s, codes, noise):
+def _to_next_impact(start, params, drift, taps, drive_v, at, dt_s, volts, noise):
     """Landing and take-off of the next flight from a copy of a state."""
-    state = start.copy()
+    state, memory = start.copy(), np.zeros((SECTIONS, 2))
     seen = state[0].impacts
     k = at
     while k < drive_v.size and state[0].impacts == seen:
-        _run(state, params, drift, drive_v[k : k + 1], noise, dt_s, codes)
+        _run(state, params, drift, taps, memory, drive_v[k : k + 1], noise, dt_s, volts)
         k += 1
     return state[0].landed_s, state[0].left_s
 
 
 @njit()
-def _differences(state, params, drift, ideal, drive_v, dt_s, out):
+def _differences(state, params, drift, ideal, taps, drive_v, dt_s, out):
     """Run with the effect; at each impact compare the next flight with and without it."""
-    noise, codes = np.zeros(1, np.float32), np.zeros((1, 3), np.int16)
+    noise, volts, memory = np.zeros((1, 1), np.float32), np.zeros((1, 3)), np.zeros((SECTIONS, 2))
     n = 0
     for k in range(drive_v.size - 4000):
         seen = state[0].impacts
-        _run(state, params, drift, drive_v[k : k + 1], noise, dt_s, codes)
+        _run(state, params, drift, taps, memory, drive_v[k : k + 1], noise, dt_s, volts)
         if state[0].impacts == seen or state[0].speed_mps > REBOUND_FREE_MPS or n == out.shape[0]:
             continue
-        with_it = _to_next_impact(state, params.copy(), drift, drive_v, k + 1, dt_s, codes, noise)
-        without = _to_next_impact(state, ideal, drift[:0], drive_v, k + 1, dt_s, codes, noise)
+        with_it = _to_next_impact(state, params.copy(), drift, taps, drive_v, k + 1, dt_s, volts, noise)
+        without = _to_next_impact(state, ideal, drift[:0], taps, drive_v, k + 1, dt_s, volts, noise)
         out[n, 0], out[n, 1] = with_it[0] - without[0], with_it[1] - without[1]
         n += 1
     return n
@@ -63,7 +64,8 @@ def size_us(entry: EffectEntry, share: float, drive_v: np.ndarray) -> tuple[floa
     params, drift = Scenario("one", {entry.name: table}).parameters()
     ideal, _ = Scenario("none").parameters()
     out = np.zeros((5000, 2))
-    n = _differences(initial_state(1, 2, -1.0 / RATE_HZ), params, drift, ideal, drive_v, 1.0 / RATE_HZ, out)
+    taps = sections({key: float(ideal[key][0]) for key in RIG_DEFAULTS}, RATE_HZ)
+    n = _differences(initial_state(1, 2, -1.0 / RATE_HZ), params, drift, ideal, taps, drive_v, 1.0 / RATE_HZ, out)
     robust = 1.48e6 * np.median(np.abs(out[:n]), axis=0)
     return float(robust[0]), float(robust[1]), n
 
