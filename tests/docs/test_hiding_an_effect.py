@@ -22,12 +22,19 @@ for effects in ({}, {"updraught": {"push_mps2": 0.8, "edge_m": 0.002}}):
 
 
 def test_the_how_to_for_hiding_an_effect_makes_one(tmp_path: Path) -> None:
-    """With the how-to's edits the ball is pushed up above the edge, by what the scenario says, and in every interval."""
+    """With the how-to's edits the ball is pushed up above the edge, by what the scenario says, in every interval."""
     changed = edited_copy("hide-an-effect.md", "rig", tmp_path)
     assert len(changed) == 3
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
-    command = [sys.executable, "-c", TRIAL]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", TRIAL],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     without, hidden = (list(map(float, line.split())) for line in done.stdout.splitlines())
     assert without[:2] == [1.0, 1.0]
